@@ -1,0 +1,1 @@
+"""Retarget tracked human hands onto robot hands, smoothly and in real time."""

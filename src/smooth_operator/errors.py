@@ -1,0 +1,60 @@
+"""One error family: every message says what was expected, what came, and what to do.
+
+All errors derive from :class:`SmoothOperatorError`, so a caller can catch the family; the ones
+that are about a value also derive from :class:`ValueError`, those about a missing thing from the
+matching built-in, so that code which knows nothing of this package still catches them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class SmoothOperatorError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class RecordingError(SmoothOperatorError, ValueError):
+    """A recording can't be read as hand motion: wrong format, shape, units, side or stamps."""
+
+
+class HandModelError(SmoothOperatorError, ValueError):
+    """A robot hand model or its description can't be used."""
+
+
+class ConfigError(SmoothOperatorError, ValueError):
+    """A setting is outside its allowed range or contradicts another."""
+
+
+class OutputError(SmoothOperatorError, OSError):
+    """A result can't be written: no space, no permission, a folder where a file should be."""
+
+
+class MissingExtraError(SmoothOperatorError, ImportError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(
+            f"{feature} needs the extra '{extra}': python -m pip install 'smooth-operator[{extra}]'"
+        )
+
+
+class UnknownNameError(SmoothOperatorError, KeyError):
+    """A name that is not in a catalogue (hand, method, preset, landmark, joint).
+
+    Args:
+        kind: what was looked up, e.g. ``"hand"``.
+        name: the name that came.
+        available: the names that exist; a close one is suggested.
+    """
+
+    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+        known = sorted(available)
+        close = get_close_matches(name, known, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        self.message = f"unknown {kind} {name!r}.{hint} Available: {', '.join(known) or 'none'}."
+        super().__init__(self.message)
+
+    def __str__(self) -> str:  # KeyError would print the repr of the message
+        return self.message

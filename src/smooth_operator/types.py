@@ -1,0 +1,218 @@
+"""The values that flow through the system, from tracker to robot.
+
+Units are metres, seconds and radians throughout; quaternions are wxyz. Array fields of the frozen
+dataclasses here are NumPy arrays on the host; nothing in them is mutated after construction.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeAlias, cast, get_args, overload
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.landmarks import NUM_LANDMARKS
+
+Side: TypeAlias = Literal["right", "left"]
+"""Chirality of a hand."""
+
+
+def as_side(value: str) -> Side:
+    """Normalise a side label: ``right``/``R``/``RIGHT`` and ``left``/``L``/``LEFT``.
+
+    Raises:
+        ConfigError: for anything else.
+    """
+    sides = {label: name for name in get_args(Side) for label in (name, name[0])}
+    try:
+        return cast(Side, sides[value.strip().lower()])
+    except KeyError:
+        raise ConfigError(f"side must be 'right' or 'left', not {value!r}") from None
+
+
+class Status(enum.IntEnum):
+    """Why a command is what it is. Everything but ``OK`` repeats the last good command."""
+
+    OK = 0
+    INVALID_LANDMARKS = 1
+    """A landmark that the method needs is missing, flagged invalid, or not finite."""
+    DEGENERATE_PALM = 2
+    """The palm landmarks are collinear or coincident: no rotation can be found."""
+    SOLVER_FAILED = 3
+    """The solver's result was not finite."""
+
+    @property
+    def reason(self) -> str:
+        """A sentence for a person."""
+        return _REASONS[self]
+
+
+_REASONS = {
+    Status.OK: "ok",
+    Status.INVALID_LANDMARKS: "a needed landmark is missing or not finite; last good command held",
+    Status.DEGENERATE_PALM: "palm landmarks are collinear or coincident; last good command held",
+    Status.SOLVER_FAILED: "the solver found no finite command; last good command held",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class HandFrame:
+    """One moment of a tracked human hand.
+
+    Attributes:
+        landmarks: (21, 3) positions [m], ordered as :data:`smooth_operator.landmarks.LANDMARKS`, in
+            any right-handed frame (retargeting aligns it to the robot's palm).
+        stamp: time of the measurement [s].
+        side: which hand.
+        valid: (21,) False where the tracker has no trustworthy value. Default: the
+            finite ones are valid.
+        metacarpals: (4, 3) metacarpal bases of index .. pinky [m], where the tracker has them.
+        orientations: (21, 4) landmark orientations, quaternion wxyz, where known.
+
+    Raises:
+        RecordingError: if an array has the wrong shape.
+    """
+
+    landmarks: Float[np.ndarray, "21 3"]
+    stamp: float = 0.0
+    side: Side = "right"
+    valid: Bool[np.ndarray, "21"] | None = None
+    metacarpals: Float[np.ndarray, "4 3"] | None = None
+    orientations: Float[np.ndarray, "21 4"] | None = None
+
+    def __post_init__(self) -> None:
+        _set(self, "landmarks", _shaped(self.landmarks, (NUM_LANDMARKS, 3), "landmarks"))
+        _set(self, "stamp", float(self.stamp))
+        _set(self, "side", as_side(self.side))
+        finite = np.isfinite(self.landmarks).all(axis=-1)
+        valid = finite if self.valid is None else np.asarray(self.valid, bool)
+        if valid.shape != (NUM_LANDMARKS,):
+            raise RecordingError(f"valid must have shape (21,), not {valid.shape}")
+        _set(self, "valid", valid & finite)
+        if self.metacarpals is not None:
+            _set(self, "metacarpals", _shaped(self.metacarpals, (4, 3), "metacarpals"))
+        if self.orientations is not None:
+            _set(self, "orientations", _shaped(self.orientations, (21, 4), "orientations"))
+
+
+@dataclass(frozen=True, eq=False)
+class HandRecording:
+    """A sequence of hand frames of one hand, as arrays; indexing gives frames, slicing recordings.
+
+    Attributes:
+        landmarks: (T, 21, 3) positions [m].
+        stamps: (T,) strictly increasing times [s].
+        side: which hand.
+        valid: (T, 21) False where a landmark is missing. Default: the finite ones are valid.
+        metacarpals: (T, 4, 3) metacarpal bases [m] or None.
+        orientations: (T, 21, 4) quaternions wxyz or None.
+        name: where it came from, for reports.
+    """
+
+    landmarks: Float[np.ndarray, "T 21 3"]
+    stamps: Float[np.ndarray, " T"]
+    side: Side = "right"
+    valid: Bool[np.ndarray, "T 21"] | None = None
+    metacarpals: Float[np.ndarray, "T 4 3"] | None = None
+    orientations: Float[np.ndarray, "T 21 4"] | None = None
+    name: str = "recording"
+    meta: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        landmarks = np.asarray(self.landmarks, np.float64)
+        stamps = np.asarray(self.stamps, np.float64)
+        count = len(landmarks) if landmarks.ndim else 0
+        _set(self, "landmarks", _shaped(landmarks, (count, NUM_LANDMARKS, 3), "landmarks"))
+        _set(self, "stamps", _shaped(stamps, (count,), "stamps"))
+        _set(self, "side", as_side(self.side))
+        finite = np.isfinite(landmarks).all(axis=-1)
+        valid = finite if self.valid is None else np.asarray(self.valid, bool)
+        if valid.shape != finite.shape:
+            raise RecordingError(f"valid must have shape {finite.shape}, not {valid.shape}")
+        _set(self, "valid", valid & finite)
+        for name, shape in (("metacarpals", (count, 4, 3)), ("orientations", (count, 21, 4))):
+            value = getattr(self, name)
+            if value is not None:
+                _set(self, name, _shaped(value, shape, name))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @overload
+    def __getitem__(self, key: int) -> HandFrame: ...
+    @overload
+    def __getitem__(self, key: slice) -> HandRecording: ...
+    def __getitem__(self, key: int | slice) -> HandFrame | HandRecording:
+        optional: dict[str, Any] = {
+            name: None if getattr(self, name) is None else getattr(self, name)[key]
+            for name in ("valid", "metacarpals", "orientations")
+        }
+        if isinstance(key, slice):
+            return replace(self, landmarks=self.landmarks[key], stamps=self.stamps[key], **optional)
+        return HandFrame(self.landmarks[key], float(self.stamps[key]), self.side, **optional)
+
+    def __iter__(self) -> Iterator[HandFrame]:
+        return (self[i] for i in range(len(self)))
+
+    @property
+    def rate_hz(self) -> float:
+        """Median frame rate [Hz]; NaN for fewer than two frames."""
+        return float(1.0 / np.median(np.diff(self.stamps))) if len(self) > 1 else float("nan")
+
+    @property
+    def duration(self) -> float:
+        """Last stamp minus first stamp [s]."""
+        return float(self.stamps[-1] - self.stamps[0]) if len(self) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class JointCommand:
+    """Joint positions for a robot hand at one moment.
+
+    Attributes:
+        positions: (n,) joint positions [rad] of all joints, coupled ones included.
+        names: (n,) joint names, in the model's own order.
+        stamp: stamp of the hand frame that it answers [s].
+    """
+
+    positions: Float[np.ndarray, " n"]
+    names: tuple[str, ...]
+    stamp: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class CommandTrajectory:
+    """A sequence of joint commands with its book-keeping; what ``OUT.npz`` holds.
+
+    Attributes:
+        joint_positions: (T, n) [rad], all joints of the model in its order, coupled ones included.
+        joint_names: (n,) names.
+        stamps: (T,) stamps of the hand frames [s].
+        latency_ms: (T,) time from landmarks to command [ms].
+        status: (T,) :class:`Status` values.
+    """
+
+    joint_positions: Float[np.ndarray, "T n"]
+    joint_names: tuple[str, ...]
+    stamps: Float[np.ndarray, " T"]
+    latency_ms: Float[np.ndarray, " T"]
+    status: Int[np.ndarray, " T"]
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+
+def _set(obj: object, name: str, value: object) -> None:
+    object.__setattr__(obj, name, value)  # normalising a frozen dataclass in __post_init__
+
+
+def _shaped(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
+    array = np.asarray(value, np.float64)
+    if array.shape != shape:
+        raise RecordingError(f"{name} must have shape {shape}, not {array.shape}")
+    return array
