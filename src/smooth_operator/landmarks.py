@@ -38,7 +38,7 @@ BONES: Final = tuple(
 """(parent, child) index pairs of the landmark skeleton: 20 bones, five chains from the wrist."""
 
 # A MANUS glove publishes 25 nodes: 0 wrist; 1-4 thumb; 5-9 index .. 20-24 pinky, the first node
-# of a long finger being its metacarpal base. WebXR's XRHand has the same 25 joints in the same order.
+# of a long finger being its metacarpal base. WebXR's XRHand has the same joints in the same order.
 FROM_MANUS_25: Final = (0, 1, 2, 3, 4, 6, 7, 8, 9, 11, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23, 24)
 METACARPALS_MANUS_25: Final = (5, 10, 15, 20)
 FROM_WEBXR_25: Final = FROM_MANUS_25
