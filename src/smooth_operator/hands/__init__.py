@@ -1,0 +1,1 @@
+"""Robot hands: description, loading, coupled joints, kinematics, catalogue."""

@@ -1,0 +1,247 @@
+"""A loaded robot hand: joints, limits, couplings, neutral pose, landmarks, kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hands.kinematics import KinematicTree, build_tree
+from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.spec import HandSpec, Point
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """A robot hand, ready for retargeting.
+
+    Attributes:
+        spec: the description it was loaded from.
+        model: the compiled MuJoCo model.
+        joint_names: (n,) all joints, in the model's own order.
+        actuated: (m,) indices of the joints that are commanded, in the model's own order.
+        couplings: joints that follow another.
+        limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
+        neutral: (m,) neutral pose of the actuated joints [rad].
+        tree: kinematics of the hand's landmarks in the palm frame.
+    """
+
+    spec: HandSpec
+    model: mujoco.MjModel
+    joint_names: tuple[str, ...]
+    actuated: tuple[int, ...]
+    couplings: tuple[Coupling, ...]
+    limits: Float[np.ndarray, "m 2"]
+    neutral: Float[np.ndarray, " m"]
+    tree: KinematicTree
+    expansion: tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]
+
+    @property
+    def name(self) -> str:
+        """Catalogue name."""
+        return self.spec.name
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """Human finger names, thumb first."""
+        return tuple(finger.name for finger in self.spec.fingers)
+
+    @property
+    def actuated_names(self) -> tuple[str, ...]:
+        """Names of the commanded joints."""
+        return tuple(self.joint_names[i] for i in self.actuated)
+
+    @property
+    def tip_names(self) -> tuple[str, ...]:
+        """Keypoint names of the fingertips, thumb first."""
+        return tuple(LANDMARKS[TIPS[FINGERS.index(finger)]] for finger in self.fingers)
+
+    @cached_property
+    def wrist(self) -> Float[np.ndarray, "3"]:
+        """The wrist landmark in the palm frame [m]."""
+        return self._fixed(LANDMARKS[WRIST])
+
+    @cached_property
+    def align_indices(self) -> tuple[int, ...]:
+        """Human landmarks that the alignment uses."""
+        return tuple(BASES[FINGERS.index(finger)] for finger in self.spec.align)
+
+    @cached_property
+    def align_points(self) -> Float[np.ndarray, "a 3"]:
+        """The robot's counterparts of :attr:`align_indices`, palm frame, neutral pose [m]."""
+        at = dict(zip(self.tree.names, self.landmark_positions(self.neutral), strict=True))
+        return np.stack([at[LANDMARKS[i]] for i in self.align_indices])
+
+    @cached_property
+    def joint_limits(self) -> Float[np.ndarray, "n 2"]:
+        """Limits of all joints [rad], coupled ones included; infinite where there is none."""
+        return self.tree.limits
+
+    def expand(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
+        """Positions of all joints from those of the actuated ones.
+
+        Args:
+            q: (..., m) actuated joint positions [rad].
+
+        Returns:
+            (..., n) positions of all joints [rad], in the order of :attr:`joint_names`.
+        """
+        matrix, offset = self.expansion
+        expanded: np.ndarray = np.asarray(q, float) @ matrix.T + offset
+        return expanded
+
+    def expand_rows(self, q: Sequence[Array]) -> list[Array]:
+        """The same for m arrays of a common shape (batch last), inside a compiled program."""
+        matrix, offset = self.expansion
+        rows: list[Array] = []
+        for weights, constant in zip(matrix, offset, strict=True):
+            (used,) = np.nonzero(weights)
+            row: Array | float = float(constant)
+            for k in used:
+                term = q[int(k)] if weights[k] == 1 else float(weights[k]) * q[int(k)]
+                row = term if isinstance(row, float) and row == 0 else row + term
+            rows.append(jnp.full_like(q[0], row) if isinstance(row, float) else row)
+        return rows
+
+    def landmark_positions(self, q: ArrayLike) -> Float[np.ndarray, "*batch k 3"]:
+        """Landmark positions in the palm frame, on the host in float64.
+
+        Args:
+            q: (..., m) actuated joint positions [rad].
+
+        Returns:
+            (..., k, 3) [m], in the order of ``tree.names``.
+        """
+        return np.asarray(self.tree.positions(self.expand(q)))
+
+    def tips(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch f 3"]:
+        """Fingertip positions in the palm frame.
+
+        Args:
+            q_all: (..., n) positions of all joints [rad].
+
+        Returns:
+            (..., f, 3) [m], thumb first.
+        """
+        points = np.asarray(self.tree.positions(np.asarray(q_all, float)))
+        return points[..., [self.tree.names.index(name) for name in self.tip_names], :]
+
+    def _fixed(self, name: str) -> Float[np.ndarray, "3"]:
+        keypoint = self.tree.keypoints[name]
+        if keypoint.joint >= 0:
+            raise HandModelError(
+                f"landmark {name!r} of hand {self.name!r} must be fixed to the palm"
+            )
+        return keypoint.position
+
+
+def load_hand_spec(spec: HandSpec) -> Hand:
+    """Compile a described hand.
+
+    Raises:
+        HandModelError: if the model can't be used or the description does not fit it.
+        UnknownNameError: if the description names a body or joint that the model lacks.
+    """
+    model, couplings = load_model(spec.model, mirror=spec.mirror)
+    points = {LANDMARKS[WRIST]: spec.wrist}
+    for finger in spec.fingers:
+        first = BASES[FINGERS.index(finger.name)]
+        points |= {LANDMARKS[first + i]: p for i, p in enumerate(finger.points) if p is not None}
+    tree = build_tree(
+        model,
+        _body(model, spec.palm),
+        {
+            name: _at(model, point.mirrored if spec.mirror else point)
+            for name, point in points.items()
+        },
+    )
+    names = tuple(model.joint(j).name for j in range(model.njnt))
+    for name in [*spec.neutral, *(n for c in couplings for n in (c.joint, c.follows))]:
+        if name not in names:
+            raise UnknownNameError("joint", name, names)
+    followers = {coupling.joint for coupling in couplings}
+    actuated = tuple(j for j in sorted(_driven(model)) if names[j] not in followers)
+    if not actuated:
+        raise HandModelError(f"hand {spec.name!r} has no joint that can be commanded")
+    expansion = _expansion(names, actuated, couplings)
+    limits = _limits(names, actuated, couplings, tree.limits)
+    neutral = np.clip(
+        [spec.neutral.get(names[j], 0.0) for j in actuated], limits[:, 0], limits[:, 1]
+    )
+    return Hand(spec, model, names, actuated, couplings, limits, neutral, tree, expansion)
+
+
+def _driven(model: mujoco.MjModel) -> set[int]:
+    """Joints with an actuator; all joints of a model without actuators, as URDFs are."""
+    driven = {
+        int(model.actuator_trnid[i, 0])
+        for i in range(model.nu)
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    }
+    return driven or set(range(model.njnt))
+
+
+def _expansion(
+    names: tuple[str, ...], actuated: tuple[int, ...], couplings: tuple[Coupling, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    matrix, offset = np.zeros((len(names), len(actuated))), np.zeros(len(names))
+    done = set(actuated)
+    matrix[list(actuated), range(len(actuated))] = 1
+    pending = list(couplings)
+    while pending:  # a follower may follow a follower
+        ready = [c for c in pending if names.index(c.follows) in done]
+        if not ready:
+            raise HandModelError(
+                f"joints {[c.joint for c in pending]} follow joints that nothing drives"
+            )
+        for c in ready:
+            i, k = names.index(c.joint), names.index(c.follows)
+            matrix[i] = c.multiplier * matrix[k]
+            offset[i] = c.multiplier * offset[k] + c.offset
+            done.add(i)
+            pending.remove(c)
+    return matrix, offset
+
+
+def _limits(
+    names: tuple[str, ...],
+    actuated: tuple[int, ...],
+    couplings: tuple[Coupling, ...],
+    all_limits: np.ndarray,
+) -> np.ndarray:
+    """Limits of the actuated joints, narrowed so that no follower leaves its own."""
+    matrix, offset = _expansion(names, actuated, couplings)
+    limits = all_limits[list(actuated)].copy()
+    for i, (weights, constant) in enumerate(zip(matrix, offset, strict=True)):
+        (used,) = np.nonzero(weights)
+        if len(used) == 1:
+            k = used[0]
+            ends = np.sort((all_limits[i] - constant) / weights[k])
+            limits[k] = max(limits[k, 0], ends[0]), min(limits[k, 1], ends[1])
+    for j, (low, high) in zip(actuated, limits, strict=True):
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise HandModelError(
+                f"joint '{names[j]}' has the limits [{low:g}, {high:g}]; expected a finite range "
+                "with the lower end first (check the model's range and its coupled joints)"
+            )
+    return limits
+
+
+def _body(model: mujoco.MjModel, name: str) -> int:
+    try:
+        return int(model.body(name).id)
+    except KeyError:
+        bodies = [model.body(i).name for i in range(1, model.nbody)]
+        raise UnknownNameError("body", name, bodies) from None
+
+
+def _at(model: mujoco.MjModel, point: Point) -> tuple[int, np.ndarray]:
+    return _body(model, point.body), np.asarray(point.offset, float)

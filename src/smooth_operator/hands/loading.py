@@ -1,0 +1,162 @@
+"""From an MJCF or URDF file to a compiled MuJoCo model, with the couplings that it declares.
+
+MuJoCo's own compiler reads both formats. What it leaves to us: URDF ``mimic`` (which it drops),
+models whose meshes are not at hand (kinematics needs none of them), inertias that no real body has,
+and mirroring a right hand into a left one.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from smooth_operator.errors import HandModelError
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint that follows another: q[joint] = multiplier * q[follows] + offset."""
+
+    joint: str
+    follows: str
+    multiplier: float
+    offset: float
+
+
+def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
+    """Compile a model file.
+
+    Args:
+        path: MJCF (.xml) or URDF file.
+        mirror: reflect the model across its x = 0 plane, right hand to left hand.
+
+    Returns:
+        the compiled model and the couplings of its joints.
+
+    Raises:
+        HandModelError: if there is no such file or MuJoCo can't compile it.
+    """
+    if not path.is_file():
+        raise HandModelError(f"no hand model at {path}; expected an MJCF or URDF file")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise HandModelError(f"{path} is not well-formed XML: {error}") from error
+    if root.tag not in ("mujoco", "robot", "mujocoinclude"):
+        raise HandModelError(
+            f"{path} starts with <{root.tag}>; expected <mujoco> (MJCF) or <robot> (URDF)"
+        )
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise HandModelError(f"MuJoCo can't read {path}: {error}") from error
+    # Vendors publish inertias that break the triangle inequality, and links without any.
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-9)
+    if mirror:
+        mirror_spec(spec)
+    model = _compile(spec, path)
+    declared = _urdf_mimics(root) if root.tag == "robot" else _equalities(model)
+    return model, declared
+
+
+def _compile(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        if not _is_missing_asset(error):
+            raise HandModelError(f"MuJoCo can't compile {path}: {error}") from error
+    # Kinematics needs no mesh: drop what is drawn with one and try again.
+    for geom in list(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            spec.delete(geom)
+    for asset in [*spec.meshes, *spec.skins, *spec.hfields]:
+        spec.delete(asset)
+    for body in spec.bodies:
+        if not body.explicitinertial and not list(body.geoms) and body.id != 0:
+            body.explicitinertial, body.mass = True, 1e-3
+            body.inertia = np.full(3, 1e-6)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise HandModelError(f"MuJoCo can't compile {path} without its meshes: {error}") from error
+
+
+def _is_missing_asset(error: ValueError) -> bool:
+    text = str(error).lower()
+    return any(word in text for word in ("opening file", "mesh", "resource", "decoder"))
+
+
+def _urdf_mimics(root: ElementTree.Element) -> tuple[Coupling, ...]:
+    couplings = []
+    for joint in root.iter("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            couplings.append(
+                Coupling(
+                    joint.get("name", ""),
+                    mimic.get("joint", ""),
+                    float(mimic.get("multiplier", 1.0)),
+                    float(mimic.get("offset", 0.0)),
+                )
+            )
+    return tuple(couplings)
+
+
+def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
+    """Joint equalities: q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...; the unactuated joint follows."""
+    actuated = {
+        int(model.actuator_trnid[i, 0])
+        for i in range(model.nu)
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    }
+    couplings = []
+    for i in range(model.neq):
+        if model.eq_type[i] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[i]:
+            continue
+        first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        names = [model.joint(j).name for j in (first, second) if j >= 0]
+        c0, c1, *higher = (float(c) for c in model.eq_data[i, :5])
+        if second < 0 or c1 == 0 or any(higher):
+            raise HandModelError(
+                f"the coupling of joints {names} is not a line q1 = a + b q2 with b != 0; "
+                "only linear couplings can be used"
+            )
+        zero1, zero2 = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
+        offset = zero1 + c0 - c1 * zero2
+        if first in actuated and second not in actuated:  # turn it round: q2 = (q1 - offset) / c1
+            couplings.append(Coupling(names[1], names[0], 1 / c1, -offset / c1))
+        else:
+            couplings.append(Coupling(names[0], names[1], c1, offset))
+    return tuple(couplings)
+
+
+def mirror_spec(spec: mujoco.MjSpec) -> None:
+    """Reflect a model across the x = 0 plane of every local frame, in place.
+
+    A reflection turns positions (x, y, z) into (-x, y, z) and rotations (w, x, y, z) into
+    (w, x, -y, -z). A hinge axis is a pseudo-vector: (x, y, z) becomes (x, -y, -z), so that the same
+    joint angle gives the mirrored pose and limits keep their sign; a slide's axis is an ordinary
+    vector.
+
+    Raises:
+        HandModelError: if the model has meshes, whose points are not ours to mirror.
+    """
+    if list(spec.meshes):
+        raise HandModelError(
+            "a model with meshes can't be mirrored; give a model of the other side"
+        )
+    for element in [*spec.bodies, *spec.geoms, *spec.sites, *spec.cameras]:
+        element.pos = element.pos * (-1, 1, 1)
+        element.quat = element.quat * (1, 1, -1, -1)
+    for element in [*spec.geoms, *spec.sites]:
+        element.fromto = element.fromto * (-1, 1, 1, -1, 1, 1)  # NaN where unused, and stays so
+    for joint in spec.joints:
+        slide = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
+        joint.pos = joint.pos * (-1, 1, 1)
+        joint.axis = joint.axis * ((-1, 1, 1) if slide else (1, -1, -1))

@@ -1,0 +1,110 @@
+"""What has to be known of a robot hand beyond its model file: palm, fingers, landmarks, pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.landmarks import FINGERS
+from smooth_operator.types import Side
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point on a robot body.
+
+    Attributes:
+        body: body name in the model.
+        offset: (3,) position in the body's frame [m].
+    """
+
+    body: str
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def mirrored(self) -> Point:
+        """The same point of the mirrored model."""
+        x, y, z = self.offset
+        return Point(self.body, (-x, y, z))
+
+
+@dataclass(frozen=True)
+class FingerSpec:
+    """One robot finger and the human finger that drives it.
+
+    Attributes:
+        name: the human finger, one of :data:`smooth_operator.landmarks.FINGERS`.
+        points: the robot's counterparts of that finger's four human landmarks, base to tip; None
+            where the robot has none. The base and the tip are needed.
+    """
+
+    name: str
+    points: tuple[Point | None, Point | None, Point | None, Point | None]
+
+    def __post_init__(self) -> None:
+        if self.name not in FINGERS:
+            raise HandModelError(
+                f"a finger is named after a human one {FINGERS}, not {self.name!r}"
+            )
+        if self.points[0] is None or self.points[3] is None:
+            raise HandModelError(f"finger {self.name!r} needs a base point and a tip point")
+
+    @property
+    def base(self) -> Point:
+        """Counterpart of the finger's first landmark (thumb CMC or MCP)."""
+        assert self.points[0] is not None  # checked on construction
+        return self.points[0]
+
+    @property
+    def tip(self) -> Point:
+        """Counterpart of the fingertip landmark."""
+        assert self.points[3] is not None  # checked on construction
+        return self.points[3]
+
+
+@dataclass(frozen=True)
+class HandSpec:
+    """A robot hand for retargeting: a model file and how to read it as a hand.
+
+    Attributes:
+        name: catalogue name.
+        side: which hand it is, after mirroring.
+        model: path of an MJCF or URDF file.
+        palm: body whose frame is the palm frame.
+        wrist: counterpart of the human wrist, fixed to the palm.
+        fingers: two to five fingers, thumb first.
+        align: fingers whose bases (with the human's) fix the alignment of hand to palm. The paper's
+            authors use thumb, index and pinky.
+        neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for those not named.
+        mirror: whether the file holds the other side and is to be mirrored on loading.
+    """
+
+    name: str
+    side: Side
+    model: Path
+    palm: str
+    wrist: Point
+    fingers: tuple[FingerSpec, ...]
+    align: tuple[str, ...] = ("thumb", "index", "pinky")
+    neutral: Mapping[str, float] = field(default_factory=dict)
+    mirror: bool = False
+
+    def __post_init__(self) -> None:
+        names = [finger.name for finger in self.fingers]
+        if not 2 <= len(names) <= 5:
+            raise HandModelError(
+                f"hand {self.name!r} has {len(names)} fingers; expected two to five"
+            )
+        if len(set(names)) != len(names):
+            raise HandModelError(f"hand {self.name!r} names a finger twice: {names}")
+        if names[0] != "thumb":
+            raise HandModelError(
+                f"hand {self.name!r}: the first finger must be the thumb, not {names[0]!r}"
+            )
+        missing = [name for name in self.align if name not in names]
+        if missing:
+            raise HandModelError(
+                f"hand {self.name!r}: align names {missing}, but the fingers are {names}"
+            )
