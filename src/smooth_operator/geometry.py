@@ -1,0 +1,143 @@
+"""Similarity transforms between point sets; small pure functions for NumPy and JAX alike."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any, NamedTuple, TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+AnyArray: TypeAlias = Array | np.ndarray
+"""NumPy in, NumPy out (float64, on the host); JAX in, JAX out (traceable)."""
+
+
+def namespace(*arrays: Any) -> ModuleType:
+    """``jax.numpy`` if any array is JAX's, else ``numpy``."""
+    return jnp if any(isinstance(a, Array) for a in arrays) else np
+
+
+class Similarity(NamedTuple):
+    """x -> scale * rotation @ x + translation, and how well it is determined.
+
+    Attributes:
+        rotation: (..., 3, 3) proper rotation.
+        translation: (..., 3) [m].
+        scale: (...) ratio of sizes, target over source.
+        condition: (...) second singular value over the first of the covariance between the two
+            sets: 0 where either is collinear or coincident, so that no rotation is determined.
+    """
+
+    rotation: AnyArray
+    translation: AnyArray
+    scale: AnyArray
+    condition: AnyArray
+
+    def apply(self, points: AnyArray) -> AnyArray:
+        """Transform (..., n, 3) points."""
+        xp = namespace(points, self.scale)
+        turned = xp.einsum("...ij,...nj->...ni", self.rotation, points)
+        moved: AnyArray = self.scale[..., None, None] * turned + self.translation[..., None, :]
+        return moved
+
+
+def umeyama(
+    source: AnyArray, target: AnyArray, scale: float | AnyArray | None = None
+) -> Similarity:
+    """Least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
+
+    A reflection is never returned: where the best orthogonal matrix is one, the best rotation is.
+    Coplanar sets, such as three palm landmarks, are fine. There is no branch and no LAPACK call, so
+    the function compiles into the program around it on any device: the singular vectors come from
+    a fixed number of Jacobi rotations of the 3 x 3 Gram matrix, and the third pair from cross
+    products, which makes the result proper by construction.
+
+    Args:
+        source: (..., n, 3) points [m].
+        target: (..., n, 3) corresponding points [m].
+        scale: ratio of sizes to hold fixed; None estimates it.
+
+    Returns:
+        the transform. Check ``condition`` before using it: degenerate sets give a finite but
+        meaningless rotation.
+    """
+    xp = namespace(source, target)
+    centre_s, centre_t = source.mean(axis=-2), target.mean(axis=-2)
+    a, b = source - centre_s[..., None, :], target - centre_t[..., None, :]
+    spread = (a**2).sum(axis=(-2, -1))
+    tiny = xp.finfo(a.dtype).tiny
+    # Normalising both sets makes every threshold below free of units.
+    size = xp.sqrt(xp.maximum(spread * (b**2).sum(axis=(-2, -1)), tiny))
+    cov = xp.einsum("...ni,...nj->...ij", a, b) / size[..., None, None]
+    v1, v2, v3 = _principal_axes(cov, xp)
+    u1 = _apply(cov, v1, xp)
+    s1 = _norm(u1, xp)
+    u1 = u1 / xp.maximum(s1, tiny)[..., None]
+    u2 = _apply(cov, v2, xp)
+    u2 = u2 - _dot(u1, u2)[..., None] * u1
+    s2 = _norm(u2, xp)
+    u2 = u2 / xp.maximum(s2, tiny)[..., None]
+    u3 = xp.cross(u1, u2)
+    s3 = _dot(u3, _apply(cov, v3, xp))  # signed: negative where the best map is a reflection
+    rotation = sum(v[..., :, None] * u[..., None, :] for u, v in ((u1, v1), (u2, v2), (u3, v3)))
+    if scale is None:
+        ratio = (s1 + s2 + s3) * size / xp.maximum(spread, tiny)
+    else:
+        ratio = xp.broadcast_to(xp.asarray(scale, a.dtype), spread.shape)
+    translation = centre_t - ratio[..., None] * xp.einsum("...ij,...j->...i", rotation, centre_s)
+    return Similarity(rotation, translation, ratio, s2 / xp.maximum(s1, tiny))
+
+
+def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Right singular vectors, by falling singular value, as a right-handed triad."""
+    gram = xp.einsum("...ki,...kj->...ij", cov, cov)
+    g: list[list[Any]] = [[gram[..., i, j] for j in range(3)] for i in range(3)]
+    one, zero = xp.ones_like(g[0][0]), xp.zeros_like(g[0][0])
+    v = [[one if i == j else zero for j in range(3)] for i in range(3)]  # columns are the vectors
+    for _ in range(4):  # cyclic Jacobi converges quadratically: four sweeps reach float64
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            off = g[p][q]
+            negligible = xp.abs(off) < 1e-30  # the sets are normalised
+            safe = xp.where(negligible, one, off)
+            tau = (g[q][q] - g[p][p]) / (2 * safe)
+            t = xp.where(tau >= 0, one, -one) / (xp.abs(tau) + xp.hypot(one, tau))
+            t = xp.where(negligible, zero, t)
+            c = 1 / xp.hypot(one, t)
+            s = t * c
+            g[p][p], g[q][q] = g[p][p] - t * off, g[q][q] + t * off
+            g[p][q] = g[q][p] = zero
+            r = 3 - p - q
+            low, high = g[r][p], g[r][q]
+            g[r][p] = g[p][r] = c * low - s * high
+            g[r][q] = g[q][r] = s * low + c * high
+            for row in v:
+                row[p], row[q] = c * row[p] - s * row[q], s * row[p] + c * row[q]
+    values = [g[i][i] for i in range(3)]
+    columns = [xp.stack([row[i] for row in v], axis=-1) for i in range(3)]
+    for i, j in ((0, 1), (1, 2), (0, 1)):  # sort by falling value
+        swap = values[i] < values[j]
+        values[i], values[j] = (
+            xp.where(swap, values[j], values[i]),
+            xp.where(swap, values[i], values[j]),
+        )
+        columns[i], columns[j] = (
+            xp.where(swap[..., None], columns[j], columns[i]),
+            xp.where(swap[..., None], columns[i], columns[j]),
+        )
+    return columns[0], columns[1], xp.cross(columns[0], columns[1])
+
+
+def _apply(matrix: AnyArray, vector: AnyArray, xp: ModuleType) -> AnyArray:
+    product: AnyArray = xp.einsum("...ij,...j->...i", matrix, vector)
+    return product
+
+
+def _dot(a: AnyArray, b: AnyArray) -> AnyArray:
+    product: AnyArray = (a * b).sum(axis=-1)
+    return product
+
+
+def _norm(a: AnyArray, xp: ModuleType) -> AnyArray:
+    length: AnyArray = xp.sqrt(_dot(a, a))
+    return length

@@ -1,0 +1,1 @@
+"""The human hand on its way to the robot: alignment to the palm frame, calibration."""

@@ -1,0 +1,106 @@
+"""Human landmarks into the robot's palm frame, by Kabsch-Umeyama on the palm landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.geometry import AnyArray, Similarity, umeyama
+from smooth_operator.hands.hand import Hand
+from smooth_operator.types import HandRecording
+
+MIN_CONDITION = 0.02
+"""Palm triangles flatter than this have no usable orientation.
+
+Real palms (thumb CMC, index MCP, pinky MCP) measure 0.45 to 0.53; 0.02 is a triangle about 2 mm
+high, which tracker noise turns at will.
+"""
+
+
+@dataclass(frozen=True)
+class AlignmentConfig:
+    """How human size is brought to robot size.
+
+    Attributes:
+        scale: robot size over human size. None estimates it in every frame, as published; a number
+            holds it fixed, as calibrated once for an operator by :func:`calibrate_scale`.
+    """
+
+    scale: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not 0.1 < self.scale < 10:
+            raise ConfigError(
+                f"alignment scale must be between 0.1 and 10 (robot size over human size), "
+                f"not {self.scale}"
+            )
+
+
+def palm_alignment(
+    landmarks: AnyArray, hand: Hand, config: AlignmentConfig = AlignmentConfig()
+) -> Similarity:
+    """The similarity that takes a human hand onto the robot's palm.
+
+    Args:
+        landmarks: (..., 21, 3) human landmarks [m]; NumPy or JAX.
+        hand: the robot hand.
+        config: scale policy.
+
+    Returns:
+        the transform into the palm frame; its ``condition`` tells a degenerate palm
+        (below :data:`MIN_CONDITION`).
+    """
+    source = landmarks[..., list(hand.align_indices), :]
+    target = hand.align_points.astype(source.dtype)
+    return umeyama(source, np.broadcast_to(target, source.shape), config.scale)
+
+
+def align_recording(
+    recording: HandRecording, hand: Hand, config: AlignmentConfig = AlignmentConfig()
+) -> Float[np.ndarray, "T 21 3"]:
+    """All frames of a recording in the palm frame.
+
+    Returns:
+        (T, 21, 3) landmarks [m]; NaN where a landmark is invalid, and everywhere in frames whose
+        palm is invalid or degenerate.
+    """
+    valid = np.asarray(recording.valid)
+    landmarks = np.where(valid[..., None], recording.landmarks, np.nan)
+    palm = np.isfinite(landmarks[:, list(hand.align_indices)]).all(axis=(1, 2))
+    safe = np.where(palm[:, None, None], landmarks, recording_reference(hand))
+    fit = palm_alignment(safe, hand, config)
+    usable = palm & (np.asarray(fit.condition) >= MIN_CONDITION)
+    aligned: np.ndarray = np.where(usable[:, None, None], fit.apply(safe), np.nan)
+    return aligned
+
+
+def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
+    """The one scale of an operator: median of the per-frame estimates.
+
+    Raises:
+        RecordingError: if no frame has a usable palm.
+    """
+    valid = np.asarray(recording.valid)[:, list(hand.align_indices)].all(axis=1)
+    if valid.any():
+        fit = palm_alignment(recording.landmarks[valid], hand)
+        usable = np.asarray(fit.condition) >= MIN_CONDITION
+        if usable.any():
+            return float(np.median(np.asarray(fit.scale)[usable]))
+    raise RecordingError(
+        f"{recording.name}: no frame has valid, non-collinear palm landmarks to calibrate a scale on"
+    )
+
+
+def recording_reference(hand: Hand) -> Float[np.ndarray, "21 3"]:
+    """A harmless well-posed set of landmarks: the robot's own at its neutral pose [m].
+
+    Stands in for a frame that can't be used, so that the arithmetic around it stays finite. Fingers
+    that the robot lacks sit at its wrist.
+    """
+    from smooth_operator.landmarks import LANDMARKS
+
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    return np.stack([at.get(name, hand.wrist) for name in LANDMARKS])

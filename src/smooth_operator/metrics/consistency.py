@@ -1,0 +1,162 @@
+"""Consistency: does the robot's motion have the human's direction, smoothly and on time?"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.metrics import summary
+
+HUMAN_STILL: Final = 2e-4
+"""A human fingertip that moves no further than this in one frame rests [m]."""
+ROBOT_STILL: Final = 1e-9
+"""A robot fingertip that moves no further than this in one frame rests [m]."""
+JOINTS_STILL: Final = 1e-5
+"""A robot none of whose joints moves further than this in one frame is frozen [rad]."""
+MAX_LAG_FRAMES: Final = 14
+"""Longest delay that :func:`lag` looks for [frames]."""
+MIN_LAG_OVERLAP: Final = 5
+"""Fewest velocity frames that a delay is judged by; fewer correlate by chance."""
+
+
+def motion_preservation(
+    human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]
+) -> float | None:
+    """Mean cosine of the fingertips' steps, human against robot; towards 1.
+
+    Source: the paper's consistency metrics. Steps in which either rests (:data:`HUMAN_STILL`,
+    :data:`ROBOT_STILL`) have no direction worth comparing and are left out.
+
+    Args:
+        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
+        robot: (T, F, 3) robot wrist to tip vectors [m].
+
+    Returns:
+        In [-1, 1], or None if the two never move at once.
+    """
+    dh, dr = np.diff(human, axis=0), np.diff(robot, axis=0)
+    lh, lr = np.linalg.norm(dh, axis=-1), np.linalg.norm(dr, axis=-1)
+    moving = (lh > HUMAN_STILL) & (lr > ROBOT_STILL)  # NaN compares as False
+    return summary.mean(np.sum(dh * dr, axis=-1)[moving] / (lh * lr)[moving])
+
+
+def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
+    """Mean |p(t+1) + p(t-1) - 2 p(t)|^2 over frames and fingertips [m^2]; down.
+
+    Source: the paper's consistency metrics. It grows with the fourth power of the frame's duration:
+    compare at one rate only, or use :func:`fingertip_acceleration`.
+
+    Args:
+        tips: (T, F, 3) robot fingertips [m].
+
+    Returns:
+        [m^2], or None for fewer than three frames.
+    """
+    return summary.mean(np.sum(_second_difference(tips) ** 2, axis=-1))
+
+
+def fingertip_acceleration(
+    tips: Float[np.ndarray, "T F 3"], stamps: Float[np.ndarray, " T"]
+) -> float | None:
+    """Mean magnitude of fingertip acceleration [m/s^2], by the real stamps; down.
+
+    The companion of :func:`flatness` that does not depend on the frame rate; exact for motion of
+    constant acceleration, evenly sampled or not.
+
+    Args:
+        tips: (T, F, 3) robot fingertips [m].
+        stamps: (T,) strictly increasing times [s].
+
+    Returns:
+        [m/s^2], or None for fewer than three frames.
+    """
+    return summary.mean(np.linalg.norm(second_derivative(tips, stamps), axis=-1))
+
+
+def lag(
+    human: Float[np.ndarray, "T F 3"],
+    robot: Float[np.ndarray, "T F 3"],
+    stamps: Float[np.ndarray, " T"],
+    max_frames: int = MAX_LAG_FRAMES,
+) -> tuple[float | None, float | None]:
+    """The delay that best aligns human and robot fingertip velocity, and how well it does.
+
+    The velocity correlation is taken at each whole delay from 0 to ``max_frames``; a parabola
+    through the best one and its neighbours refines it, except at either end: a result of exactly
+    ``max_frames`` means "that or more". Frames are turned into time by the median frame duration,
+    so drop-outs blur it.
+
+    Args:
+        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
+        robot: (T, F, 3) robot wrist to tip vectors [m].
+        stamps: (T,) times [s].
+        max_frames: longest delay that is tried [frames].
+
+    Returns:
+        The lag [ms], down, and the Pearson correlation at the best whole delay, towards 1; both
+        None for recordings under :data:`MIN_LAG_OVERLAP` + 1 frames and where either hand rests.
+    """
+    vh, vr = np.diff(human, axis=0), np.diff(robot, axis=0)
+    steps = len(vh)
+    delays = range(min(max_frames, steps - MIN_LAG_OVERLAP) + 1)
+    c = np.array([_correlation(vh[: steps - d], vr[d:]) for d in delays])
+    if not np.isfinite(c).any():
+        return None, None
+    k = int(np.nanargmax(c))
+    frames = float(k)
+    if 0 < k < max_frames and k + 1 < len(c):
+        bend = c[k - 1] - 2 * c[k] + c[k + 1]
+        if bend < 0:  # False for NaN neighbours and for a plateau
+            frames += 0.5 * (c[k - 1] - c[k + 1]) / bend
+    return float(frames * 1e3 * np.median(np.diff(stamps))), float(c[k])
+
+
+def frozen_share(
+    human: Float[np.ndarray, "T F 3"], joint_positions: Float[np.ndarray, "T n"]
+) -> float | None:
+    """Share of the frames with a moving human in which no robot joint moves; down.
+
+    The human moves if any fingertip goes further than :data:`HUMAN_STILL` in a frame; the robot is
+    frozen if no joint goes further than :data:`JOINTS_STILL`.
+
+    Args:
+        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
+        joint_positions: (T, n) [rad].
+
+    Returns:
+        In [0, 1], or None if the human never moves.
+    """
+    moving = (np.linalg.norm(np.diff(human, axis=0), axis=-1) > HUMAN_STILL).any(axis=-1)
+    frozen = np.all(np.abs(np.diff(joint_positions, axis=0)) <= JOINTS_STILL, axis=-1)
+    return summary.mean(np.asarray(frozen)[moving])
+
+
+def second_derivative(
+    values: Float[np.ndarray, "T ..."], stamps: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "S ..."]:
+    """Second derivative over time at the inner frames of unevenly sampled values.
+
+    Args:
+        values: (T, ...).
+        stamps: (T,) strictly increasing times [s].
+
+    Returns:
+        (T - 2, ...) [unit/s^2], empty for fewer than three frames.
+    """
+    h = np.diff(stamps).reshape(-1, *[1] * (values.ndim - 1))
+    slope = np.diff(values, axis=0) / h
+    return np.asarray(2.0 * np.diff(slope, axis=0) / (h[1:] + h[:-1]))
+
+
+def _second_difference(values: Float[np.ndarray, "T ..."]) -> Float[np.ndarray, "S ..."]:
+    return np.asarray(values[2:] + values[:-2] - 2.0 * values[1:-1])
+
+
+def _correlation(a: Float[np.ndarray, "..."], b: Float[np.ndarray, "..."]) -> float:
+    known = np.isfinite(a) & np.isfinite(b)
+    a, b = a[known], b[known]
+    if a.size < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return float("nan")
+    return float(np.corrcoef(a, b)[0, 1])

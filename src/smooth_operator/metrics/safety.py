@@ -1,0 +1,68 @@
+"""Self-collision, and what part of its workspace the robot hand used."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from smooth_operator.metrics import summary
+
+COLLISION_DEPTH: Final = 0.002
+"""Overlap of two links that counts as a collision [m]: soft tips may touch."""
+WORKSPACE_RADIUS: Final = 0.005
+"""A reachable point this near to a visited fingertip counts as used [m]."""
+
+
+def self_collision(penetration: Float[np.ndarray, " T"]) -> dict[str, float | None]:
+    """Self-collision over a run; down.
+
+    Args:
+        penetration: (T,) deepest overlap of two links per frame [m], positive inside; NaN where
+            unknown. Zero or negative (a clearance) is no overlap.
+
+    Returns:
+        ``share`` of frames deeper than :data:`COLLISION_DEPTH`, ``mean_depth_mm`` (over all frames,
+        0 where clear) and ``max_depth_mm``.
+    """
+    depth = np.maximum(penetration, 0.0)
+    known = depth[np.isfinite(depth)]
+    return {
+        "share": summary.mean(known > COLLISION_DEPTH),
+        "mean_depth_mm": summary.scaled(summary.mean(known), 1e3),
+        "max_depth_mm": summary.scaled(summary.maximum(known), 1e3),
+    }
+
+
+def workspace_utilisation(
+    tips: Float[np.ndarray, "T F 3"],
+    reach: Float[np.ndarray, "S F 3"],
+    radius: float = WORKSPACE_RADIUS,
+) -> list[float | None]:
+    """Share of each fingertip's reachable set within a radius of a visited point; up.
+
+    Source: the paper's efficiency metrics (Monte-Carlo form of the volume ratio). It grows with the
+    recording's length, so compare on one recording only.
+
+    Args:
+        tips: (T, F, 3) visited fingertips [m].
+        reach: (S, F, 3) fingertips of random poses [m].
+        radius: [m].
+
+    Returns:
+        F shares in [0, 1]; None for a finger without data.
+    """
+    shares: list[float | None] = []
+    for finger in range(tips.shape[1]):
+        visited = tips[np.isfinite(tips[:, finger]).all(axis=-1), finger]
+        samples = reach[np.isfinite(reach[:, finger]).all(axis=-1), finger]
+        if not len(visited) or not len(samples):
+            shares.append(None)
+            continue
+        # A bound just past the radius prunes the search; the comparison then is exact.
+        bound = radius * (1.0 + 1e-6)
+        distance, _ = cKDTree(visited).query(samples, k=1, distance_upper_bound=bound)
+        shares.append(float(np.mean(distance <= radius)))
+    return shares

@@ -1,0 +1,40 @@
+"""Reductions that skip what is not finite, and answer None where nothing is left."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+
+def mean(values: Shaped[np.ndarray, "..."]) -> float | None:
+    """Mean of the finite values (of booleans, their share); None if there are none."""
+    kept = _finite(values)
+    return float(kept.mean()) if kept.size else None
+
+
+def median(values: Float[np.ndarray, "..."]) -> float | None:
+    """Median of the finite values; None if there are none."""
+    kept = _finite(values)
+    return float(np.median(kept)) if kept.size else None
+
+
+def maximum(values: Float[np.ndarray, "..."]) -> float | None:
+    """Largest finite value; None if there are none."""
+    kept = _finite(values)
+    return float(kept.max()) if kept.size else None
+
+
+def percentile(values: Float[np.ndarray, "..."], q: float) -> float | None:
+    """q-th percentile of the finite values (linear interpolation); None if there are none."""
+    kept = _finite(values)
+    return float(np.percentile(kept, q)) if kept.size else None
+
+
+def scaled(value: float | None, factor: float) -> float | None:
+    """A value in another unit; None stays None."""
+    return None if value is None else value * factor
+
+
+def _finite(values: Shaped[np.ndarray, "..."]) -> Float[np.ndarray, " N"]:
+    array = np.asarray(values, np.float64)
+    return np.asarray(array[np.isfinite(array)])

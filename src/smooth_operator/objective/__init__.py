@@ -1,0 +1,1 @@
+"""What a retargeter minimises: keyvectors, their targets, and Eq. (1)."""

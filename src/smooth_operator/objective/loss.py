@@ -1,0 +1,122 @@
+"""Eq. (1): tracking of keyvectors, pull to the neutral pose, penalty on velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.targets import DexPilotTargets, PlainTargets
+
+
+@dataclass(frozen=True)
+class ObjectiveConfig:
+    """Weights of Eq. (1).
+
+    Attributes:
+        targets: the target policy.
+        loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
+            the paper, or ``squared``, as Eq. (1) is printed.
+        transition: where smooth-L1 turns from quadratic to linear [m].
+        pose_weight: lambda_reg (gamma of the paper's table), pull to the neutral pose.
+        velocity_weight: lambda_vel (w_v of the table), penalty on the change since the last command.
+    """
+
+    targets: DexPilotTargets | PlainTargets = field(default_factory=DexPilotTargets)
+    loss: Literal["smooth_l1", "squared"] = "smooth_l1"
+    transition: float = 0.02
+    pose_weight: float = 0.05
+    velocity_weight: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.loss not in ("smooth_l1", "squared"):
+            raise ConfigError(f"loss must be 'smooth_l1' or 'squared', not {self.loss!r}")
+        if self.transition <= 0:
+            raise ConfigError(f"transition must be positive [m], not {self.transition}")
+        if self.pose_weight < 0 or self.velocity_weight < 0:
+            raise ConfigError(
+                f"weights must not be negative, not pose_weight={self.pose_weight}, "
+                f"velocity_weight={self.velocity_weight}"
+            )
+
+
+class FrameGoal(NamedTuple):
+    """What one frame asks of the robot.
+
+    Attributes:
+        vectors: (K, 3) keyvector targets [m].
+        weights: (K,) their weights.
+        previous: (m,) last command of the actuated joints [rad].
+    """
+
+    vectors: Float[Array, "K 3"]
+    weights: Float[Array, " K"]
+    previous: Float[Array, " m"]
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """Eq. (1) for one hand, over arrays whose last axis is the batch of candidates."""
+
+    hand: Hand
+    config: ObjectiveConfig
+
+    @property
+    def layout(self) -> KeyvectorLayout:
+        """The hand's keyvectors."""
+        return KeyvectorLayout(self.hand.fingers)
+
+    def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
+        """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
+
+        Args:
+            q: m arrays of a common shape, actuated joint positions [rad].
+            goal: targets of the frame.
+            within_limits: promise that q respects the limits, for speed.
+        """
+        tips = self.hand.tree.walk(
+            self.hand.expand_rows(q), self.hand.tip_names, within_limits=within_limits
+        )
+        points = [tuple(float(c) for c in self.hand.wrist), *tips]
+        total: Array = jnp.zeros((), q[0].dtype)
+        for k, (i, j) in enumerate(self.layout.pairs):
+            error = [points[j][c] - points[i][c] - goal.vectors[k, c] for c in range(3)]
+            terms = [self._penalty(e) for e in error]
+            total = total + goal.weights[k] * (terms[0] + terms[1] + terms[2])
+        return total
+
+    def __call__(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
+        """Eq. (1).
+
+        Args:
+            q: m arrays of a common shape, actuated joint positions [rad].
+            goal: targets of the frame.
+            within_limits: promise that q respects the limits, for speed.
+
+        Returns:
+            cost, of that shape.
+        """
+        total = self.tracking(q, goal, within_limits=within_limits)
+        reg, vel = self.config.pose_weight, self.config.velocity_weight
+        if reg + vel == 0:
+            return total
+        # Two quadratics about two centres are one about their mean, and a constant.
+        weight = reg + vel
+        neutral = jnp.asarray(self.hand.neutral, q[0].dtype)
+        centre = (reg * neutral + vel * goal.previous) / weight
+        constant = reg * vel / weight * ((neutral - goal.previous) ** 2).sum()
+        pull = sum((row - centre[i]) ** 2 for i, row in enumerate(q))
+        return total + (weight * pull + constant)
+
+    def _penalty(self, error: Array) -> Array:
+        if self.config.loss == "squared":
+            return error * error
+        size = jnp.abs(error)
+        near = jnp.minimum(size, self.config.transition)
+        return near * (size - 0.5 * near) * (1 / self.config.transition)

@@ -1,0 +1,133 @@
+"""Where keyvectors should go: as the human's, or, once a pinch is meant, closed (DexPilot)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+
+
+class Targets(NamedTuple):
+    """Targets of one frame.
+
+    Attributes:
+        vectors: (K, 3) where the robot's keyvectors should go [m].
+        weights: (K,) weights lambda_k of Eq. (1).
+        latched: (F - 1,) which fingers are latched to the thumb; the policy's state.
+    """
+
+    vectors: Float[Array, "K 3"]
+    weights: Float[Array, " K"]
+    latched: Bool[Array, " P"]
+
+
+class TargetPolicy(Protocol):
+    """Human keyvectors to targets; hysteresis is passed in and out, never kept inside."""
+
+    def __call__(
+        self, layout: KeyvectorLayout, human: Float[Array, "K 3"], latched: Bool[Array, " P"]
+    ) -> Targets: ...
+
+
+@dataclass(frozen=True)
+class PlainTargets:
+    """Every keyvector follows the human's.
+
+    Attributes:
+        beta: scale of the human vector.
+        w_wrist, w_thumb, w_between: weights of the wrist-to-tip, thumb-to-tip and finger-to-finger
+            keyvectors.
+    """
+
+    beta: float = 1.0
+    w_wrist: float = 1.0
+    w_thumb: float = 1.0
+    w_between: float = 1.0
+
+    def __call__(
+        self, layout: KeyvectorLayout, human: Float[Array, "K 3"], latched: Bool[Array, " P"]
+    ) -> Targets:
+        """Targets of one frame; the latches stay as they are."""
+        weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
+        return Targets(human * self.beta, weights.astype(human.dtype), latched)
+
+
+@dataclass(frozen=True)
+class DexPilotTargets:
+    """Group form of DexPilot's targets (Handa et al. 2019), as the paper's table has it.
+
+    Per finger, a latch with hysteresis: it closes when the (aligned) human thumb-to-tip distance
+    falls under ``project`` and opens when it rises above ``escape``. Closed thumb vectors aim at
+    direction x eta1 with weight w_set1; vectors between two fingers that are both latched aim at
+    direction x eta2 with weight w_set2; all others at the human vector x beta with w_default.
+
+    Attributes:
+        project: closing distance [m].
+        escape: opening distance [m].
+        eta1: closed thumb-to-tip distance [m].
+        eta2: distance between two latched fingers [m].
+        w_set1: weight of closed thumb vectors.
+        w_set2: weight between latched fingers.
+        w_default: weight of the rest.
+        w_thumb: factor on the open thumb-to-tip vectors (1 in the paper).
+        w_between: factor on the open finger-to-finger vectors (1 in the paper).
+        beta: scale of the human vectors.
+    """
+
+    project: float = 0.010
+    escape: float = 0.015
+    eta1: float = 0.001
+    eta2: float = 0.0
+    w_set1: float = 2.0
+    w_set2: float = 0.0
+    w_default: float = 1.0
+    w_thumb: float = 1.0
+    w_between: float = 1.0
+    beta: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.project <= self.escape:
+            raise ConfigError(
+                f"pinch distances must satisfy 0 < project <= escape, not project={self.project}, "
+                f"escape={self.escape} [m]"
+            )
+
+    def __call__(
+        self, layout: KeyvectorLayout, human: Float[Array, "K 3"], latched: Bool[Array, " P"]
+    ) -> Targets:
+        """Targets of one frame and the latches after it."""
+        length = jnp.linalg.norm(human, axis=-1)
+        direction = human / jnp.maximum(length, 1e-9)[:, None]
+        distance = length[layout.thumb]
+        latched = jnp.where(latched, distance <= self.escape, distance < self.project)
+
+        weights = base_weights(
+            layout, self.w_default, self.w_default * self.w_thumb, self.w_default * self.w_between
+        )
+        # One row per keyvector: is it a closed thumb vector; is it between two latched fingers?
+        count = len(layout.pairs)
+        closed = jnp.zeros(count, bool).at[layout.thumb].set(latched)
+        both = jnp.zeros(count, bool)
+        if layout.between:
+            k, i, j = (np.asarray(column) for column in zip(*layout.between, strict=True))
+            both = both.at[k].set(latched[i] & latched[j])
+        eta = jnp.where(closed, self.eta1, self.eta2)
+        vectors = jnp.where((closed | both)[:, None], direction * eta[:, None], human * self.beta)
+        weights = jnp.where(closed, self.w_set1, jnp.where(both, self.w_set2, weights))
+        return Targets(vectors, weights.astype(human.dtype), latched)
+
+
+def base_weights(
+    layout: KeyvectorLayout, wrist: float, thumb: float, between: float
+) -> Float[np.ndarray, " K"]:
+    """(K,) weights by kind of keyvector."""
+    weights = np.full(len(layout.pairs), between)
+    weights[: len(layout.fingers)] = wrist
+    weights[layout.thumb] = thumb
+    return weights

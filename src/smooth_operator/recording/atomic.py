@@ -1,0 +1,98 @@
+"""Writing a file so that it is either the old one or the whole new one, never half of it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from smooth_operator.errors import OutputError
+
+# What a person can do about it, by errno; strerror alone names the trouble but not the way out.
+_REMEDIES = {
+    errno.ENOSPC: "no space is left on the device; free some, or write to another disk",
+    errno.EDQUOT: "the disk quota is used up; free some space, or write to another disk",
+    errno.EFBIG: "the file would be larger than is allowed here; write to another disk",
+    errno.EACCES: "permission denied; choose a folder that you may write to",
+    errno.EPERM: "permission denied; choose a folder that you may write to",
+    errno.EROFS: "the file system is read-only; choose another folder",
+    errno.ENOTDIR: "a file stands where a folder is expected; choose another path",
+    errno.EISDIR: "a folder stands there; give the name of a file",
+    errno.EEXIST: "a file stands there already; choose another name, or ask to overwrite it",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
+}
+
+
+def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
+    """Turn an operating-system error about ``path`` into one that says what to do.
+
+    Args:
+        path: the file that was to be written.
+        cause: what the operating system said.
+
+    Returns:
+        The error to raise (``from cause``); it carries the cause's ``errno``.
+    """
+    path = Path(path)
+    if isinstance(cause, FileNotFoundError):
+        remedy = f"the folder {str(path.parent)!r} does not exist; create it first"
+    elif os.path.isdir(path):  # opening one says EISDIR, EEXIST or EACCES, as the system likes
+        remedy = _REMEDIES[errno.EISDIR]
+    else:
+        remedy = _REMEDIES.get(cause.errno or 0, f"{cause.strerror or cause}; choose another path")
+    error = OutputError(f"can't write {str(path)!r}: {remedy}")
+    error.errno = cause.errno
+    return error
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """Write a file atomically: a temporary file beside it takes its place when the block ends.
+
+    If the block raises, or the process dies, a file that stood at ``path`` is as it was. A symbolic
+    link is followed, so its target is replaced and not the link.
+
+    Args:
+        path: where the file shall stand; its folder must exist.
+
+    Yields:
+        A binary file, open for writing (and seekable).
+
+    Raises:
+        OutputError: no such folder, no permission, no space, or something other than a plain file
+            stands at ``path``.
+
+    Example:
+        >>> with atomic_write("result.json") as file:  # doctest: +SKIP
+        ...     file.write(b"{}")
+    """
+    target = Path(os.path.realpath(path))
+    if os.path.exists(target) and not os.path.isfile(target):
+        # os.replace would happily put a plain file in the place of /dev/null.
+        kind = "a folder" if os.path.isdir(target) else "not a plain file"
+        raise OutputError(f"can't write {str(path)!r}: it is {kind}; give the name of a file")
+    # In the same folder, since only a rename within one file system is atomic.
+    temporary = target.with_name(f".{target.name[:32]}.{secrets.token_hex(4)}.tmp")
+    try:
+        file = temporary.open("xb")
+    except OSError as error:
+        raise output_error(path, error) from error
+    try:
+        try:
+            with file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())  # or a power cut could leave the new name on an empty file
+            os.replace(temporary, target)
+        except OSError as error:
+            if isinstance(error, OutputError) or error.filename not in (None, str(temporary)):
+                raise  # about another file that the block handles
+            raise output_error(path, error) from error
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise

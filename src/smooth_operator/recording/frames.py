@@ -1,0 +1,51 @@
+"""Choosing frames of a recording by text, as the command line does."""
+
+from __future__ import annotations
+
+import re
+
+from smooth_operator.errors import ConfigError
+
+_RANGE = re.compile(r"\s*([+-]?\d+)?\s*:\s*([+-]?\d+)?\s*", re.ASCII)
+
+
+def frame_slice(text: str, length: int) -> slice:
+    """Parse ``A:B`` with the meaning of a Python slice.
+
+    ``:500`` is the first 500 frames, ``2600:3100`` the frames 2600 .. 3099, ``-500:`` the last 500;
+    an end beyond the recording means its end.
+
+    Args:
+        text: the range.
+        length: number of frames in the recording.
+
+    Returns:
+        ``slice(start, stop)`` with 0 <= start < stop <= length.
+
+    Raises:
+        ConfigError: if the text is no range, or the range holds no frame.
+    """
+    match = _RANGE.fullmatch(text)
+    if match is None:
+        raise ConfigError(
+            f"frames must be a range A:B of whole numbers, such as ':500', '2600:3100' or '-500:', "
+            f"not {text!r}{_hint(text)}"
+        )
+    start, stop = (None if part is None else int(part) for part in match.groups())
+    first, last, _ = slice(start, stop).indices(length)
+    if first >= last:
+        raise ConfigError(
+            f"frames {text!r} selects nothing: the recording has {length} frames, 0 to {length - 1}"
+            if length
+            else f"frames {text!r} selects nothing: the recording is empty"
+        )
+    return slice(first, last)
+
+
+def _hint(text: str) -> str:
+    if re.fullmatch(r"\s*\d+\s*", text, re.ASCII):
+        number = int(text)
+        return f"; the one frame {number} is '{number}:{number + 1}'"
+    if text.count(":") > 1:
+        return "; a step is not supported"
+    return ""

@@ -1,0 +1,323 @@
+"""Writing the project's own log: an MCAP file that grows chunk by chunk.
+
+MCAP was chosen because it is append-only, keeps many topics, opens in Foxglove, and can be read
+from the front without its index; so what a crash leaves is a recording and not debris.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Literal
+
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording.atomic import output_error
+from smooth_operator.recording.jsonable import to_json
+from smooth_operator.recording.schemas import COMMAND, CONFIG, HAND, SCHEMAS, TIMING, VERSION
+from smooth_operator.types import HandFrame, JointCommand, Side, Status
+
+_COMPRESSION = {
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+    "none": CompressionType.NONE,
+}
+_ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+_MAX_LOG_TIME = 2**64 - 1
+_UNLIMITED = 2**62  # chunks are ended here, not by the MCAP writer, so that each reaches the disk
+
+
+class LogWriter:
+    """A crash-safe log of hand frames, commands, timings and the configuration.
+
+    Messages are gathered into chunks; a chunk goes to the operating system when it is full, when it
+    is older than ``flush_seconds`` at the next write, on :meth:`flush` and on :meth:`close`. If the
+    process dies, :func:`~smooth_operator.recording.read_log` reads every chunk that was ended.
+
+    One log holds one hand and one robot. Use as a context manager; not for several threads at once.
+
+    Args:
+        path: where to write; the folder must exist.
+        overwrite: replace a file that stands there.
+        compression: of each chunk.
+        chunk_bytes: size of a chunk before compression, and so the bound on what is in memory.
+        flush_seconds: how long a message may wait for the disk while others come.
+
+    Raises:
+        OutputError: no folder, no permission, no space, or a file stands there already. After an
+            error in writing the log takes no more; what was written before stays readable.
+        ConfigError: an unknown compression, or a size or time that is not positive.
+
+    Example:
+        >>> with LogWriter("session.mcap") as log:  # doctest: +SKIP
+        ...     log.write_config({"method": "sbr"})
+        ...     log.write_hand(frame)
+        ...     log.write_command(command, Status.OK, latency_ms=0.8)
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        overwrite: bool = False,
+        compression: Literal["zstd", "lz4", "none"] = "zstd",
+        chunk_bytes: int = 64 * 1024,
+        flush_seconds: float = 1.0,
+    ) -> None:
+        if compression not in _COMPRESSION:
+            raise ConfigError(f"compression must be zstd, lz4 or none, not {compression!r}")
+        if not (chunk_bytes > 0 and flush_seconds > 0.0):
+            raise ConfigError(
+                "chunk_bytes and flush_seconds must be positive, "
+                f"not {chunk_bytes} and {flush_seconds}"
+            )
+        self.path = Path(path)
+        self._chunk_bytes = chunk_bytes
+        self._flush_seconds = flush_seconds
+        self._pending_bytes = 0
+        self._pending_since = 0.0
+        self._config: str | None = None
+        self._config_written = False
+        self._hand_stamp = -math.inf
+        self._side: Side | None = None
+        self._names: tuple[str, ...] | None = None
+        self._sequence = dict.fromkeys(SCHEMAS, 0)
+        self._log_time = 0
+        self._stream: IO[bytes] | None = None
+        # mcap's signatures are only partly annotated
+        self._writer: Any = None
+        self._channels: dict[str, int] = {}
+        with self._writing():
+            self._stream = self.path.open("wb" if overwrite else "xb")
+            self._writer = Writer(
+                self._stream, chunk_size=_UNLIMITED, compression=_COMPRESSION[compression]
+            )
+            self._writer.start(library="smooth-operator")
+            for topic, (name, schema) in SCHEMAS.items():
+                schema_id = self._writer.register_schema(
+                    name, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
+                )
+                self._channels[topic] = self._writer.register_channel(
+                    topic, MessageEncoding.JSON, schema_id, {"version": VERSION}
+                )
+            self._writer.flush()  # a log that is killed now is an empty log, not an empty file
+
+    def write_hand(self, frame: HandFrame) -> None:
+        """Append a hand frame.
+
+        Raises:
+            RecordingError: its stamp is not finite or not after the last one's, or it is of the
+                other hand.
+            OutputError: as for the class.
+        """
+        if not (math.isfinite(frame.stamp) and frame.stamp > self._hand_stamp):
+            raise RecordingError(
+                f"{self.path}: a hand frame with stamp {frame.stamp!r} s can't follow one with "
+                f"{self._hand_stamp!r} s; stamps must increase, so skip frames that repeat"
+            )
+        if self._side not in (None, frame.side):
+            raise RecordingError(
+                f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
+                f"{frame.side} one; write each hand to its own log"
+            )
+        assert frame.valid is not None  # filled in by HandFrame
+        message: dict[str, Any] = {
+            "stamp": frame.stamp,
+            "side": frame.side,
+            "landmarks": _points(frame.landmarks),
+            "valid": frame.valid.tolist(),
+        }
+        if frame.metacarpals is not None:
+            message["metacarpals"] = _points(frame.metacarpals)
+        if frame.orientations is not None:
+            message["orientations"] = _quaternions(frame.orientations)
+        self._append((HAND, message))
+        self._hand_stamp = frame.stamp
+        self._side = frame.side
+
+    def write_command(
+        self,
+        command: JointCommand,
+        status: Status,
+        latency_ms: float,
+        stages: Mapping[str, float] | None = None,
+    ) -> None:
+        """Append a command and how long it took.
+
+        Args:
+            command: what was sent.
+            status: why it is what it is.
+            latency_ms: from landmarks to command [ms].
+            stages: parts of that time [ms] by name.
+
+        Raises:
+            RecordingError: the joints differ from those of the command before, their number from
+                that of the positions, or the stamp is not finite.
+            OutputError: as for the class.
+        """
+        positions = np.asarray(command.positions, np.float64)
+        names = tuple(command.names)
+        if positions.shape != (len(names),):
+            raise RecordingError(
+                f"{self.path}: a command needs one position for each of its {len(names)} joints, "
+                f"not shape {positions.shape}"
+            )
+        if self._names not in (None, names):
+            raise RecordingError(
+                f"{self.path}: the joints of the command are not those of the one before; write "
+                f"each robot hand to its own log (were {self._names}, are {names})"
+            )
+        stamp = float(command.stamp)
+        if not math.isfinite(stamp):
+            raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
+        timing = {
+            "stamp": stamp,
+            "latency_ms": _number(latency_ms),
+            "stages": [{"name": k, "ms": _number(v)} for k, v in (stages or {}).items()],
+        }
+        message = {
+            "stamp": stamp,
+            "names": names,
+            "positions": [_number(x) for x in positions.tolist()],
+            "status": int(status),
+        }
+        # The timing first, so that in a log that is cut off a command never lacks its timing.
+        self._append((TIMING, timing), (COMMAND, message))
+        self._names = names
+
+    def write_config(self, config: Mapping[str, Any]) -> None:
+        """Append the resolved configuration, once.
+
+        It takes the time of the first frame that follows (or came before), since viewers draw the
+        time line from the first message on.
+
+        Raises:
+            ConfigError: it was written already, or holds what JSON can't.
+            OutputError: as for the class.
+        """
+        if self._config is not None or self._config_written:
+            raise ConfigError(f"{self.path}: the log already has its configuration")
+        self._config = to_json(dict(config))
+        if any(self._sequence.values()):
+            self._append()
+
+    def flush(self, *, sync: bool = False) -> None:
+        """Hand everything written so far to the operating system, as a chunk of its own.
+
+        Args:
+            sync: also wait until it is on the disk, against a power cut (milliseconds).
+
+        Raises:
+            OutputError: as for the class.
+        """
+        with self._writing():
+            assert self._stream is not None
+            self._writer.flush()
+            self._pending_bytes = 0
+            if sync:
+                os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Write what is pending and the index, and close the file. A second call does nothing.
+
+        Raises:
+            OutputError: as for the class.
+        """
+        if self._stream is None:
+            return
+        with self._writing():
+            if self._config is not None:  # no frame ever came
+                self._message(CONFIG, {"configuration": self._config})
+            self._writer.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            stream, self._stream = self._stream, None
+            stream.close()
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        # An error on the way out must not hide the one that led here.
+        with contextlib.suppress(OutputError) if error else contextlib.nullcontext():
+            self.close()
+
+    def _append(self, *messages: tuple[str, dict[str, Any]]) -> None:
+        with self._writing():
+            now = time.monotonic()
+            if not self._pending_bytes:
+                self._pending_since = now
+            if messages:
+                # Whole nanoseconds, and MCAP has none before zero; the message keeps the stamp.
+                self._log_time = min(max(round(messages[0][1]["stamp"] * 1e9), 0), _MAX_LOG_TIME)
+            if self._config is not None:
+                self._message(CONFIG, {"configuration": self._config})
+                self._config, self._config_written = None, True
+            for topic, message in messages:
+                self._message(topic, message)
+            if (
+                self._pending_bytes >= self._chunk_bytes
+                or now - self._pending_since >= self._flush_seconds
+            ):
+                self._writer.flush()
+                self._pending_bytes = 0
+
+    def _message(self, topic: str, message: dict[str, Any]) -> None:
+        data = _ENCODER.encode(message).encode()
+        # A timing has the number of its command, by which the reader joins them.
+        number = self._sequence[COMMAND if topic == TIMING else topic]
+        self._writer.add_message(
+            self._channels[topic], self._log_time, data, self._log_time, number
+        )
+        self._sequence[topic] += 1
+        self._pending_bytes += len(data)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Turn what the operating system says into an OutputError, and give the file up."""
+        if self._writer is not None and self._stream is None:
+            raise OutputError(
+                f"can't write {str(self.path)!r}: the log is closed, or gave up on an error; "
+                "open a new one"
+            )
+        try:
+            yield
+        except OSError as error:
+            stream, self._stream = self._stream, None
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+            raise output_error(self.path, error) from error
+
+
+def _points(array: np.ndarray) -> list[dict[str, float | None]]:
+    """Rows x, y, z as objects, None for what is not finite."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in _rows(array)]
+
+
+def _quaternions(array: np.ndarray) -> list[dict[str, float | None]]:
+    """Rows w, x, y, z as objects, None for what is not finite."""
+    return [{"w": w, "x": x, "y": y, "z": z} for w, x, y, z in _rows(array)]
+
+
+def _rows(array: np.ndarray) -> list[list[float | None]]:
+    rows: list[list[float | None]] = array.tolist()
+    return rows if np.isfinite(array).all() else [[_number(x) for x in row] for row in rows]
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,237 @@
+"""Reading the project's own log, whole or cut off."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+import zstandard
+from jaxtyping import Float
+from mcap.exceptions import McapError, UnsupportedCompressionError
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.recording.checks import check_side
+from smooth_operator.recording.schemas import COMMAND, CONFIG, HAND, SCHEMAS, TIMING, VERSION
+from smooth_operator.recording.sniff import READABLE, file_kind
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
+
+# What cut-off or damaged bytes raise on their way through the MCAP library and the decompressors
+# (lz4 raises RuntimeError; a wrong checksum and bad UTF-8 are ValueErrors).
+_DAMAGE = (
+    McapError,
+    struct.error,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+    zstandard.ZstdError,
+)
+
+_Messages: TypeAlias = list[tuple[int, dict[str, Any]]]  # with their sequence numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What a log holds.
+
+    Attributes:
+        recording: the hand frames, or None if there are none.
+        commands: the commands with their latencies and status, or None.
+        config: the resolved configuration, or None.
+        truncated: the end is missing or damaged, and what is here is what came before.
+        stages_ms: (T,) time of each stage of the loop [ms] by name, one value per command, NaN
+            where a command did not have the stage.
+    """
+
+    recording: HandRecording | None
+    commands: CommandTrajectory | None
+    config: dict[str, Any] | None
+    truncated: bool
+    stages_ms: dict[str, Float[np.ndarray, " T"]] = field(default_factory=dict)
+
+
+def read_log(path: str | os.PathLike[str]) -> Log:
+    """Read a log that :class:`~smooth_operator.recording.LogWriter` wrote.
+
+    The file is read from the front, so that one whose end is missing (a crash, a full disk) gives
+    every chunk that was completed. Landmarks come back bit for bit, NaN where they were not finite.
+
+    Args:
+        path: the log.
+
+    Returns:
+        What it holds; units are not checked here
+        (:func:`~smooth_operator.recording.read_recording` does).
+
+    Raises:
+        RecordingError: no such file, not an MCAP log, one of another program or a newer version, or
+            messages that can't be understood.
+    """
+    path = Path(path)
+    if file_kind(path) != "log":
+        raise RecordingError(f"{path}: not a log; read it with read_recording or read_commands")
+    messages, truncated = _read_messages(path)
+    try:
+        trajectory, stages = _commands(messages[COMMAND], messages[TIMING])
+        configs = [json.loads(message["configuration"]) for _, message in messages[CONFIG]]
+        recording = _recording([message for _, message in messages[HAND]], path, truncated)
+    except RecordingError:
+        raise  # it is a ValueError too, but has its own message
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise RecordingError(
+            f"{path}: a message of the log lacks a field or has a wrong one "
+            f"({type(error).__name__}: {error}); it was not written by this program's LogWriter"
+        ) from error
+    return Log(recording, trajectory, configs[0] if configs else None, truncated, stages)
+
+
+class _DamagedError(Exception):
+    """The bytes end, or make no sense, from here on."""
+
+
+def _read_messages(path: Path) -> tuple[dict[str, _Messages], bool]:
+    """The messages by topic, and whether the end of the file is missing."""
+    messages: dict[str, _Messages] = {topic: [] for topic in SCHEMAS}
+    topics: dict[int, str] = {}
+    foreign: set[str] = set()
+    truncated = False
+    try:
+        with path.open("rb") as stream:
+            for record in _records(stream, path.stat().st_size):
+                if isinstance(record, Channel):
+                    if _is_ours(record, path):
+                        topics[record.id] = record.topic
+                    else:
+                        foreign.add(record.topic)
+                elif isinstance(record, Message) and record.channel_id in topics:
+                    topic = topics[record.channel_id]
+                    messages[topic].append((record.sequence, _decode(record.data, topic, path)))
+    except _DamagedError:
+        truncated = True
+    if foreign and not any(messages.values()):
+        raise RecordingError(
+            f"{path}: an MCAP file of another program, with the topics "
+            f"{', '.join(sorted(foreign))}. What is read: {READABLE}"
+        )
+    return messages, truncated
+
+
+def _records(stream: IO[bytes], size: int) -> Iterator[Any]:
+    """The records of an MCAP stream; _DamagedError where they stop before their end."""
+    # Chunks are opened here and with their checksum: a chunk cut in its middle can still look
+    # complete to the library, which takes a short read for the whole. No record is larger than the
+    # file, so a damaged length can't ask for the memory.
+    reader = StreamReader(stream, emit_chunks=True, record_size_limit=size)
+    try:
+        for record in reader.records:
+            if isinstance(record, Chunk):
+                yield from breakup_chunk(record, validate_crc=True)
+            else:
+                yield record
+    except UnsupportedCompressionError as error:
+        raise RecordingError(f"{stream.name}: {error}; write it with zstd, lz4 or none") from error
+    except _DAMAGE as error:
+        raise _DamagedError from error
+
+
+def _is_ours(channel: Channel, path: Path) -> bool:
+    version = channel.metadata.get("version")
+    if channel.topic not in SCHEMAS or version is None:
+        return False
+    if version != VERSION:
+        raise RecordingError(
+            f"{path}: the log is of version {version}, this program reads version {VERSION}; "
+            "upgrade it: python -m pip install --upgrade smooth-operator"
+        )
+    return True
+
+
+def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
+    try:
+        message = json.loads(data)
+    except ValueError as error:
+        raise RecordingError(f"{path}: a message on {topic} is not JSON ({error})") from error
+    if not isinstance(message, dict):
+        raise RecordingError(f"{path}: a message on {topic} is not an object")
+    return message
+
+
+def _recording(messages: list[dict[str, Any]], path: Path, truncated: bool) -> HandRecording | None:
+    if not messages:
+        return None
+    stamps = np.array([m["stamp"] for m in messages], np.float64)
+    side, _ = check_side({m["side"] for m in messages}, None, str(path))
+    return HandRecording(
+        _rows(messages, "landmarks", "xyz", NUM_LANDMARKS),
+        stamps,
+        side,
+        valid=np.array([m["valid"] for m in messages], bool),
+        metacarpals=_optional(messages, "metacarpals", "xyz", 4),
+        orientations=_optional(messages, "orientations", "wxyz", NUM_LANDMARKS),
+        name=path.stem,
+        meta={"format": "log", "truncated": truncated},
+    )
+
+
+def _optional(messages: list[dict[str, Any]], key: str, axes: str, count: int) -> np.ndarray | None:
+    return _rows(messages, key, axes, count) if any(key in m for m in messages) else None
+
+
+def _rows(messages: list[dict[str, Any]], key: str, axes: str, count: int) -> np.ndarray:
+    """(T, count, len(axes)), NaN where a value is null or a frame has none."""
+    rows = np.full((len(messages), count, len(axes)), np.nan)
+    for row, message in zip(rows, messages, strict=True):
+        if key in message:
+            # float64 makes NaN of None
+            row[:] = np.array([[p[a] for a in axes] for p in message[key]], np.float64)
+    return rows
+
+
+def _commands(
+    messages: _Messages, timings: _Messages
+) -> tuple[CommandTrajectory | None, dict[str, np.ndarray]]:
+    """The commands, and the stages of those that have a timing with the same sequence number."""
+    if not messages:
+        return None, {}
+    count = len(messages)
+    commands = [message for _, message in messages]
+    names = tuple(commands[0]["names"])
+    if any(tuple(m["names"]) != names for m in commands):
+        raise ValueError("the joint names change")
+    by_number = dict(timings)
+    if len(by_number) != len(timings):
+        raise ValueError("two timings have the same sequence number")
+    latency = np.full(count, np.nan)
+    stages: dict[str, np.ndarray] = {}
+    for i, (number, _) in enumerate(messages):
+        timing = by_number.get(number)
+        if timing is None:
+            continue
+        latency[i] = _float(timing["latency_ms"])
+        for stage in timing["stages"]:
+            column = stages.setdefault(stage["name"], np.full(count, np.nan))
+            column[i] = _float(stage["ms"])
+    positions = np.array([m["positions"] for m in commands], np.float64)
+    trajectory = CommandTrajectory(
+        joint_positions=positions.reshape(count, len(names)),
+        joint_names=names,
+        stamps=np.array([m["stamp"] for m in commands], np.float64),
+        latency_ms=latency,
+        status=np.array([Status(m["status"]) for m in commands], np.int8),
+    )
+    return trajectory, stages
+
+
+def _float(value: float | None) -> float:
+    return float("nan") if value is None else float(value)

@@ -1,0 +1,204 @@
+"""Reading recordings of hands: MANUS gloves, plain landmark arrays, and the project's own log."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import landmarks as schema
+from smooth_operator.errors import RecordingError
+from smooth_operator.recording.arrays import StoredArray, StoredArrays, open_arrays
+from smooth_operator.recording.checks import (
+    check_rate,
+    check_recording,
+    check_side,
+    stamps_from_rate,
+)
+from smooth_operator.recording.log_reader import read_log
+from smooth_operator.recording.manus import manus_nodes
+from smooth_operator.recording.sniff import PICKLE_REMEDY, READABLE, file_kind
+from smooth_operator.types import HandRecording, Side, as_side
+
+# Nodes per frame -> indices of the 21 landmarks and of the four metacarpal bases among them.
+_LAYOUTS: dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]] = {
+    21: (tuple(range(21)), None),
+    25: (schema.FROM_MANUS_25, schema.METACARPALS_MANUS_25),  # WebXR's are the same
+    26: (schema.FROM_OPENXR_26, schema.METACARPALS_OPENXR_26),
+}
+_STAMP_KEYS = ("timestamps", "stamps")
+_SIDE_KEYS = ("chirality", "side")
+
+
+def read_recording(
+    path: str | os.PathLike[str], *, rate: float | None = None, side: Side | None = None
+) -> HandRecording:
+    """Read a recording of one hand.
+
+    What the file is, its first bytes say. Read are:
+
+    - a MANUS ``.npz``: ``data`` (T, 25, 7) px py pz [m] and a quaternion, ``timestamps`` (T,) [s],
+      ``keypoint_ids`` (25,), ``chirality``, ``quaternion_order``;
+    - a ``.npy`` of shape (T, 21, 3) [m], or an ``.npz`` that holds one, named ``joints`` or
+      ``landmarks`` or being its only 3-D array, with ``timestamps`` or ``stamps`` (T,) [s] and
+      ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR) and 26 (OpenXR) are
+      mapped onto the 21; a single frame (21, 3) is a recording of one;
+    - the log that :class:`~smooth_operator.recording.LogWriter` writes, also when it was cut off.
+
+    Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
+    "no hand"), are flagged in ``valid``. Where neither file nor caller says which hand it is, it is
+    taken for a right one and ``meta["side_assumed"]`` is True. ``meta["format"]`` is ``"manus"``,
+    ``"array"`` or ``"log"``.
+
+    Args:
+        path: the file.
+        rate: frames a second [Hz], needed where the file has no stamps.
+        side: which hand; needed where the file does not say and it is a left one.
+
+    Returns:
+        The recording, its units and stamps checked.
+
+    Raises:
+        RecordingError: missing, empty, damaged, pickled or foreign file; wrong shape, units or
+            stamps; no valid landmark; sides that are mixed or contradict ``side``. The message says
+            what was expected, what came and what to do.
+        ConfigError: ``rate`` or ``side`` is not a possible one.
+    """
+    path = Path(path)
+    side = None if side is None else as_side(side)
+    kind = file_kind(path)
+    if kind == "log":
+        recording = _from_log(path, side)
+    else:
+        recording = _from_arrays(open_arrays(path), rate, side)
+    check_recording(recording, str(path))
+    check_rate(recording.stamps, rate, str(path))
+    return recording
+
+
+def _from_log(path: Path, side: Side | None) -> HandRecording:
+    log = read_log(path)
+    if log.recording is None:
+        cut = "; it was cut off before its first frames were written" if log.truncated else ""
+        raise RecordingError(f"{path}: the log holds no hand frames{cut}")
+    check_side([log.recording.side], side, str(path))
+    log.recording.meta["side_assumed"] = False
+    return log.recording
+
+
+def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) -> HandRecording:
+    path = arrays.path
+    where = str(path)
+    data = arrays.get("data")
+    meta: dict[str, Any]
+    orientations = None
+    if data is not None and len(data.shape) == 3 and data.shape[-1] == 7:
+        nodes, quaternions, meta = manus_nodes(arrays)
+    else:
+        nodes = _frames(_find_landmarks(arrays))
+        quaternions, meta = None, {"format": "array"}
+    picked, metacarpals = _LAYOUTS[nodes.shape[1]]
+    positions = nodes[:, picked]
+    if quaternions is not None:
+        orientations = quaternions[:, picked]
+
+    # "No hand in view" is all zeros in some trackers; as positions they would close the hand.
+    lost = (positions == 0.0).all(axis=(1, 2))
+    valid = np.isfinite(positions).all(axis=-1) & ~lost[:, None]
+    if lost.any():
+        meta["zero_frames"] = int(lost.sum())
+
+    labels = [text for key in _SIDE_KEYS if key in arrays for text in arrays[key].texts()]
+    found, meta["side_assumed"] = check_side(labels, side, where)
+    return HandRecording(
+        positions,
+        _stamps(arrays, len(positions), rate),
+        found,
+        valid=valid,
+        metacarpals=None if metacarpals is None else nodes[:, metacarpals],
+        orientations=orientations,
+        name=path.stem,
+        meta=meta,
+    )
+
+
+def _find_landmarks(arrays: StoredArrays) -> StoredArray:
+    """The one array of landmarks in a file, or an error that says what is there instead."""
+    path = arrays.path
+    for item in arrays.values():
+        if item.dtype.hasobject and (len(arrays) == 1 or item.name in ("joints", "landmarks")):
+            raise RecordingError(
+                f"{path}: {f'array {item.name!r}' if item.name else 'the array'} holds pickled "
+                f"objects; {PICKLE_REMEDY}"
+            )
+    named = [arrays[name] for name in ("landmarks", "joints") if name in arrays]
+    if "" in arrays:
+        return arrays[""]
+    if len(named) == 1:
+        return named[0]
+    if len(named) > 1:
+        raise RecordingError(
+            f"{path}: it holds both 'landmarks' and 'joints'; keep the one that is meant"
+        )
+    cubes = [item for item in arrays.values() if len(item.shape) == 3]
+    if len(cubes) == 1:
+        return cubes[0]
+    poses = [item for item in arrays.values() if item.shape in ((21, 3), (25, 3), (26, 3))]
+    if cubes or len(poses) > 1:
+        names = [item.name for item in cubes or poses]
+        what = "recordings" if cubes else "single poses"
+        raise RecordingError(
+            f"{path}: it holds {len(names)} {what}, not one recording: {', '.join(names)}; save "
+            f"one by itself: numpy.save('{names[0]}.npy', numpy.load('{path.name}')['{names[0]}'])"
+        )
+    if poses:
+        return poses[0]
+    raise RecordingError(
+        f"{path}: no array of landmarks in it, but {arrays.describe()}. What is read: {READABLE}"
+    )
+
+
+def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
+    """Load (T, n, 3) with n = 21, 25 or 26; a single (n, 3) becomes one frame."""
+    shape = item.shape
+    if len(shape) == 2 and shape[0] in _LAYOUTS and shape[1] == 3:
+        return item.numbers()[None]
+    if len(shape) == 3 and shape[0] == 0:
+        raise RecordingError(f"{item.path}: the recording holds no frames, its shape is {shape}")
+    if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] == 3:
+        return item.numbers()
+    raise RecordingError(
+        f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR) or 26 (OpenXR) "
+        f"nodes in place of 21, not {shape}{_shape_hint(shape)}"
+    )
+
+
+def _shape_hint(shape: tuple[int, ...]) -> str:
+    if len(shape) == 2 and shape[1] % 3 == 0 and shape[1] // 3 in _LAYOUTS:
+        return f"; if the rows are x, y, z in turn: array.reshape(-1, {shape[1] // 3}, 3)"
+    if len(shape) == 3 and shape[1] == 3 and shape[2] in _LAYOUTS:
+        return "; swap the last two axes: array.transpose(0, 2, 1)"
+    if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] > 3:
+        return "; if x, y, z come first: array[..., :3]"
+    if len(shape) == 4:
+        return "; if there are several hands in it, save one: array[:, 0]"
+    return ""
+
+
+def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> Float[np.ndarray, " T"]:
+    where = str(arrays.path)
+    keys = [key for key in _STAMP_KEYS if key in arrays]
+    if not keys:
+        return stamps_from_rate(count, rate, where)
+    stamps = arrays[keys[0]].numbers()
+    if count == 1 and stamps.ndim == 0:
+        stamps = stamps[None]
+    if stamps.shape != (count,):
+        raise RecordingError(
+            f"{where}: {keys[0]!r} must have one stamp for each of the {count} frames, "
+            f"not shape {stamps.shape}"
+        )
+    return stamps

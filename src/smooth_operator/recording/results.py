@@ -1,0 +1,144 @@
+"""The result of retargeting a recording: ``OUT.npz`` and its configuration, ``OUT.json``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.recording.arrays import StoredArrays, open_arrays
+from smooth_operator.recording.atomic import atomic_write
+from smooth_operator.recording.jsonable import to_json
+from smooth_operator.recording.sniff import file_kind
+from smooth_operator.types import CommandTrajectory, Status
+
+_KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")
+
+
+def config_path(path: str | os.PathLike[str]) -> Path:
+    """Where the configuration of a result stands: beside ``OUT.npz``, as ``OUT.json``."""
+    return Path(path).with_suffix(".json")
+
+
+def write_commands(
+    path: str | os.PathLike[str], commands: CommandTrajectory, config: Mapping[str, Any]
+) -> None:
+    """Write a trajectory of commands and the resolved configuration that made it.
+
+    ``OUT.npz`` holds ``joint_positions`` (T, n) float64 [rad], ``joint_names`` (n,) text,
+    ``timestamps`` (T,) float64 [s], ``latency_ms`` (T,) float64, ``status`` (T,) int8 codes of
+    :class:`~smooth_operator.types.Status`, and ``status_names``, the name of code i at index i.
+    Each file is whole or not there; the configuration is written first, so a result never lacks it.
+
+    Args:
+        path: ``OUT.npz``; its folder must exist, a file that stands there is replaced.
+        commands: what to write.
+        config: what to write beside it; see :func:`~smooth_operator.recording.to_json`.
+
+    Raises:
+        OutputError: the name does not end in ``.npz``, or the files can't be written.
+        RecordingError: the arrays of the trajectory do not fit each other.
+        ConfigError: the configuration holds what JSON can't.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise OutputError(
+            f"can't write {str(path)!r}: the name must end in .npz, as {path.name}.npz"
+        )
+    arrays = {
+        "joint_positions": np.asarray(commands.joint_positions, np.float64),
+        "joint_names": np.asarray(commands.joint_names, np.str_),
+        "timestamps": np.asarray(commands.stamps, np.float64),
+        "latency_ms": np.asarray(commands.latency_ms, np.float64),
+        "status": np.asarray(commands.status, np.int8),
+    }
+    _check_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
+    _statuses(arrays["status"], None, "the commands")
+    # Codes index the names, so that the file explains itself.
+    names = {int(status): status.name for status in Status}
+    arrays["status_names"] = np.array([names.get(code, "") for code in range(max(names) + 1)])
+
+    text = to_json(dict(config), indent=2)
+    with atomic_write(config_path(path)) as file:
+        file.write(text.encode() + b"\n")
+    with atomic_write(path) as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
+    """Read what :func:`write_commands` wrote.
+
+    Args:
+        path: ``OUT.npz``.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        RecordingError: no such file, damaged or pickled; arrays that are missing or do not fit each
+            other; a status that this version does not know.
+    """
+    path = Path(path)
+    if file_kind(path) != "npz":
+        raise RecordingError(
+            f"{path}: not a file of commands; expected the OUT.npz of a retargeting"
+        )
+    arrays = open_arrays(path)
+    missing = [key for key in _KEYS if key not in arrays]
+    if missing:
+        raise RecordingError(
+            f"{path}: not a file of commands: it lacks {', '.join(missing)} (it holds "
+            f"{arrays.describe()}); expected the OUT.npz of a retargeting"
+        )
+    _check_shapes({key: arrays[key].shape for key in _KEYS}, str(path))
+    return CommandTrajectory(
+        joint_positions=arrays["joint_positions"].numbers(),
+        joint_names=tuple(arrays["joint_names"].texts()),
+        stamps=arrays["timestamps"].numbers(),
+        latency_ms=arrays["latency_ms"].numbers(),
+        status=_statuses(arrays["status"].numbers(), _status_names(arrays), str(path)),
+    )
+
+
+def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
+    positions = shapes["joint_positions"]
+    if len(positions) != 2:
+        raise RecordingError(
+            f"{where}: joint_positions must have shape (frames, joints), not {positions}"
+        )
+    frames, joints = positions
+    expected = {
+        "joint_names": (joints,),
+        "timestamps": (frames,),
+        "latency_ms": (frames,),
+        "status": (frames,),
+    }
+    for name, shape in expected.items():
+        if shapes[name] != shape:
+            raise RecordingError(
+                f"{where}: {name} must have shape {shape} to fit joint_positions {positions}, "
+                f"not {shapes[name]}"
+            )
+
+
+def _status_names(arrays: StoredArrays) -> list[str] | None:
+    return arrays["status_names"].texts() if "status_names" in arrays else None
+
+
+def _statuses(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
+    """Codes as those of this version's Status, found by name where the file has the names."""
+    own = {status.name: int(status) for status in Status}
+    known = {code: code for code in own.values()}
+    if names is not None:
+        known = {code: own[name] for code, name in enumerate(names) if name in own}
+    unknown = sorted(set(codes.tolist()) - known.keys())
+    if unknown:
+        raise RecordingError(
+            f"{where}: status {unknown} is not one of {own}; if a newer version wrote it, upgrade: "
+            "python -m pip install --upgrade smooth-operator"
+        )
+    return np.array([known[code] for code in codes.tolist()], np.int8)

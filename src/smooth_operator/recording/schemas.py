@@ -1,0 +1,91 @@
+"""The topics of the log and the JSON schemas of their messages.
+
+The schemas keep to what Foxglove's viewer parses: objects whose fields are scalars, objects, or
+arrays of these; no arrays of arrays, no unions of types. So a point is an object ``{x, y, z}``, a
+stage of the loop ``{name, ms}``, and the configuration, whose fields are not known here, a text.
+JSON has no NaN: a number that is not finite is written as ``null``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from smooth_operator.types import Status
+
+VERSION: Final = "1"
+"""Version of the messages, in the metadata of every channel; raised when a reader must change."""
+
+HAND: Final = "/hand"
+COMMAND: Final = "/command"
+TIMING: Final = "/timing"
+CONFIG: Final = "/config"
+
+_NUMBER = {"type": "number"}
+_STAMP = {"type": "number", "description": "time of the hand frame [s], exact"}
+
+
+def _object(description: str, required: tuple[str, ...], **properties: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "description": description,
+        "properties": properties,
+        "required": list(required),
+    }
+
+
+def _array(items: dict[str, Any], description: str) -> dict[str, Any]:
+    return {"type": "array", "items": items, "description": description}
+
+
+_POINT = _object("a position [m]; null where unknown", (), x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_QUATERNION = _object(
+    "an orientation; null where unknown", (), w=_NUMBER, x=_NUMBER, y=_NUMBER, z=_NUMBER
+)
+_STAGE = _object("a stage of the loop", (), name={"type": "string"}, ms=_NUMBER)
+
+SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
+    HAND: (
+        "smooth_operator.Hand",
+        _object(
+            "A tracked human hand.",
+            ("stamp", "side", "landmarks", "valid"),
+            stamp=_STAMP,
+            side={"type": "string", "description": "right or left"},
+            landmarks=_array(_POINT, "21: wrist, then thumb to pinky, each from base to tip"),
+            valid=_array({"type": "boolean"}, "21: false where the tracker lost the landmark"),
+            metacarpals=_array(_POINT, "4 metacarpal bases, index to pinky; absent if untracked"),
+            orientations=_array(_QUATERNION, "21, one per landmark; absent if untracked"),
+        ),
+    ),
+    COMMAND: (
+        "smooth_operator.Command",
+        _object(
+            "A command to the robot hand.",
+            ("stamp", "names", "positions", "status"),
+            stamp=_STAMP,
+            names=_array({"type": "string"}, "joint names, in the model's order"),
+            positions=_array(_NUMBER, "joint positions [rad]"),
+            # Foxglove's form of an enumeration.
+            status={"oneOf": [{"title": s.name, "const": int(s)} for s in Status]},
+        ),
+    ),
+    TIMING: (
+        "smooth_operator.Timing",
+        _object(
+            "How long the command with the same stamp took.",
+            ("stamp", "latency_ms", "stages"),
+            stamp=_STAMP,
+            latency_ms={"type": "number", "description": "from landmarks to command [ms]"},
+            stages=_array(_STAGE, "its parts [ms]"),
+        ),
+    ),
+    CONFIG: (
+        "smooth_operator.Config",
+        _object(
+            "The resolved configuration, once.",
+            ("configuration",),
+            configuration={"type": "string", "description": "the configuration as JSON"},
+        ),
+    ),
+}
+"""Topic -> (schema name, JSON schema)."""

@@ -1,0 +1,1 @@
+"""Solvers: pure functions of an objective, a start and, where they sample, random words."""

@@ -1,0 +1,103 @@
+"""Standard normals, fresh or fixed, laid out for one fused loop over the candidates.
+
+Fresh draws come from a counter: candidate n of a cycle owns its normals as a function of (key, n).
+Nothing is stored; the elite are drawn again from their indices, and a compiler can fuse drawing,
+kinematics and cost into a single pass that writes one number per candidate. JAX's own generator
+(threefry and an inverse error function) costs more than all the kinematics of Algorithm 1.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt32
+
+from smooth_operator.errors import ConfigError
+
+
+def counter_normals(
+    index: UInt32[Array, "*n"], words: UInt32[Array, "2"], count: int
+) -> list[Float[Array, "*n"]]:
+    """Independent standard normals, addressed by index.
+
+    Two rounds of a 32-bit mixer with full avalanche (Wellons' ``lowbias32`` constants) over the
+    keyed counter give the bits; Box and Muller's transform the normals.
+
+    Args:
+        index: which candidates.
+        words: two random words, the key of the cycle.
+        count: how many normals each candidate has.
+
+    Returns:
+        ``count`` arrays of index's shape.
+    """
+    pairs = (count + 1) // 2
+    out: list[Array] = []
+    for k in range(pairs):
+        counter = index * jnp.uint32(pairs) + jnp.uint32(k)
+        first = _mix(counter ^ words[0])
+        second = _mix(first + words[1])
+        # 23 bits centred in their cells: never 0, and the logarithm stays finite
+        uniform = _to_float(first >> 9) * 2.0**-23 + 2.0**-24
+        angle = jax.lax.bitcast_convert_type(second, jnp.int32).astype(jnp.float32) * 2.0**-31
+        radius = jnp.sqrt(-2 * jnp.log(uniform))
+        size = jnp.abs(angle)  # half turns, in [0, 1]
+        sine = _sin_half_turns(jnp.minimum(size, 1 - size))
+        out += [
+            radius * _sin_half_turns(0.5 - size),
+            radius * jnp.where(angle < 0, -sine, sine),
+        ]
+    return out[:count]
+
+
+def fixed_normals(
+    count: int, samples: int, kind: Literal["sobol", "pseudo"], seed: int
+) -> Float[np.ndarray, "count samples"]:
+    """A set of standard normals to use again in every frame.
+
+    Sampling noise is then a smooth function of the input, which a command that is compared with the
+    last one wants.
+
+    Args:
+        count: normals per candidate.
+        samples: number of candidates.
+        kind: ``sobol`` (scrambled, quasi-random) or ``pseudo`` (random).
+        seed: of the scrambling or drawing.
+
+    Returns:
+        (count, samples) float32.
+
+    Raises:
+        ConfigError: for another kind.
+    """
+    if kind == "pseudo":
+        return np.random.default_rng(seed).standard_normal((count, samples)).astype(np.float32)
+    if kind != "sobol":
+        raise ConfigError(f"base samples must be 'sobol' or 'pseudo', not {kind!r}")
+    from scipy.special import ndtri
+    from scipy.stats import qmc
+
+    power = int(np.ceil(np.log2(samples)))
+    points = qmc.Sobol(count, scramble=True, rng=seed).random_base2(power)[:samples]
+    return ndtri(np.clip(points, 1e-6, 1 - 1e-6)).T.astype(np.float32)
+
+
+def _mix(x: UInt32[Array, "*n"]) -> UInt32[Array, "*n"]:
+    x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
+    x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
+    return x ^ (x >> 16)
+
+
+def _to_float(x: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
+    # through int32: the values fit, and vector units convert signed integers
+    return jax.lax.bitcast_convert_type(x, jnp.int32).astype(jnp.float32)
+
+
+def _sin_half_turns(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """sin(pi x) for |x| <= 1/2, to 2e-7."""
+    y = x * x
+    odd = 2.55016404 + y * (-0.59926453 + y * 0.0821458866)
+    return x * (3.14159265 + y * (-5.16771278 + y * odd))

@@ -1,0 +1,160 @@
+"""Where things stand on the page: side-by-side offsets and a camera that frames both hands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import landmarks
+from smooth_operator.ui.playback import Playback
+
+GAP = 0.03
+"""Free space between the two hands when they stand side by side [m]."""
+FOV = float(np.deg2rad(32.0))
+"""Vertical field of view [rad]; narrow, so that the two hands are seen from the same side."""
+
+_MARGIN = 1.06
+_FOREARM = 0.03  # how much of what is below the wrist is framed [m]
+_LABEL = 0.012  # label above the highest fingertip [m]
+_SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
+_TILT = np.deg2rad(8.0)  # camera a little above and beside the palm normal: depth can be read
+_MCPS = [landmarks.index(f"{finger}_mcp") for finger in landmarks.FINGERS[1:]]
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Axes of the view, and where each hand goes when they stand side by side.
+
+    Attributes:
+        right, up, toward: orthonormal axes in the model's world frame: the screen's right, the
+            fingers' direction, and the palm normal, toward the viewer.
+        human_shift, robot_shift: offsets of the two hands, side by side [m].
+        centre: middle of the whole picture, side by side [m].
+        tops: points above the human and the robot hand, for labels, before the shifts [m].
+        half: half width and half height of the whole picture [m].
+    """
+
+    right: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, "3"]
+    toward: Float[np.ndarray, "3"]
+    human_shift: Float[np.ndarray, "3"]
+    robot_shift: Float[np.ndarray, "3"]
+    centre: Float[np.ndarray, "3"]
+    tops: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+    half: tuple[float, float]
+
+    def camera(
+        self, aspect: float, covered: float = 0.0
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Position and look-at point of a camera on the palm side that shows both hands.
+
+        Args:
+            aspect: width / height of the canvas.
+            covered: share of the canvas height, from below, that controls cover.
+
+        Returns:
+            (3,) position and (3,) look-at point in the model's world frame [m].
+        """
+        tangent = np.tan(FOV / 2)
+        free = 1.0 - covered
+        width, height = self.half
+        distance = _MARGIN * max(height / (free * tangent), width / (aspect * tangent))
+        # the free part's middle is covered / 2 of a canvas height above the canvas's middle
+        target = self.centre - self.up * covered * distance * tangent
+        direction = self.toward + np.tan(_TILT) * (0.6 * self.right + self.up)
+        return target + distance * direction / np.linalg.norm(direction), target
+
+
+def plan(playback: Playback, robot_points: Float[np.ndarray, "N 3"]) -> Layout:
+    """Lay out the scene for a recording.
+
+    Args:
+        playback: what is played.
+        robot_points: (N, 3) points that bound the robot hand over the recording, world frame [m].
+
+    Returns:
+        The layout; without any valid human frame it stands on the robot's fingertips.
+    """
+    right, up, toward = view_axes(playback)
+    human = playback.human[np.isfinite(playback.human).all(axis=-1)]
+    human = human if len(human) else robot_points
+    axes = np.stack([right, up, toward])
+    low_h, high_h = _bounds(human @ axes.T, pad=0.01)
+    robot = robot_points @ axes.T
+    # a forearm may run out of the picture below; framed whole, it would leave the hand small
+    floor = min(low_h[1], float(axes[1] @ playback.robot_wrist)) - _FOREARM
+    low_r, high_r = _bounds(robot[robot[:, 1] > floor])
+    low_r[1] = max(robot[:, 1].min(), floor)
+
+    low, high = np.minimum(low_h, low_r), np.maximum(high_h, high_r)
+    high[1] += 2 * _LABEL
+    middle = (low + high) / 2
+    width = (high_h - low_h)[0] + GAP + (high_r - low_r)[0]
+    left = middle[0] - width / 2
+    return Layout(
+        right=right,
+        up=up,
+        toward=toward,
+        human_shift=(left - low_h[0]) * right,
+        robot_shift=(left + (high_h - low_h)[0] + GAP - low_r[0]) * right,
+        centre=middle @ axes,
+        tops=(_top(low_h, high_h) @ axes, _top(low_r, high_r) @ axes),
+        half=(width / 2, float(high[1] - low[1]) / 2),
+    )
+
+
+def view_axes(
+    playback: Playback,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Right, up and toward-the-viewer axes for looking at the palm, as unit vectors.
+
+    Up is where the fingers point from the wrist. Which side is the palm needs no handedness: over
+    a recording fingers and thumb are bent toward it, never away.
+    """
+    whole = np.isfinite(playback.human).all(axis=(1, 2))
+    if whole.any():
+        hand = playback.human[whole]
+        wrist, knuckles = hand[:, landmarks.WRIST], hand[:, _MCPS]
+        up = (knuckles.mean(axis=1) - wrist).mean(axis=0)
+        across = (knuckles[:, 0] - knuckles[:, -1]).mean(axis=0)
+        bent = (hand[:, list(landmarks.TIPS)].mean(axis=1) - wrist).mean(axis=0)
+    else:
+        tips, wrist = playback.robot_tips, playback.robot_wrist
+        up = (tips[:, 1:].mean(axis=1) - wrist).mean(axis=0)
+        across = (tips[:, 1] - tips[:, -1]).mean(axis=0)
+        if tips.shape[1] == 2:  # a gripper: thumb against finger
+            across = np.eye(3)[np.abs(up).argmin()]
+        bent = (tips[:, 0] - wrist).mean(axis=0)
+    # models are built along their axes: a forearm that leans 10 degrees looks like a mistake
+    up = _snap(_unit(up, np.array([0.0, 0.0, 1.0])))
+    toward = _snap(_unit(np.cross(up, across), np.eye(3)[np.abs(up).argmin()]))
+    toward = _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
+    if toward @ bent < 0:
+        toward = -toward
+    return np.cross(up, toward), up, toward
+
+
+def _unit(
+    vector: Float[np.ndarray, "3"], fallback: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 1e-9 else fallback
+
+
+def _snap(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    axis = int(np.abs(vector).argmax())
+    return np.sign(vector) * np.eye(3)[axis] if abs(vector[axis]) > _SNAP else vector
+
+
+def _bounds(
+    points: Float[np.ndarray, "N 3"], pad: float = 0.0
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    return points.min(axis=0) - pad, points.max(axis=0) + pad
+
+
+def _top(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    return np.array([(low[0] + high[0]) / 2, high[1] + _LABEL, (low[2] + high[2]) / 2])

@@ -1,0 +1,130 @@
+"""Triangle meshes of a MuJoCo model's geoms, one merged mesh per body.
+
+trimesh builds the primitives; meshes of the model come from its compiled arrays, so no file is
+opened and whatever MuJoCo has scaled and re-centred is right here too.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from trimesh.graph import smooth_shade
+
+VISIBLE_GROUPS = 3
+"""MuJoCo's viewer shows geom groups 0, 1 and 2; collision shapes are usually in group 3."""
+
+_CREASE = np.deg2rad(35.0)
+"""Edges sharper than this are drawn as edges; a CAD part with averaged normals looks inflated."""
+
+
+def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """The surface of one geom in its own frame [m]; None for shapes without a finite surface.
+
+    Planes, height fields and signed distance fields are left out: they are scenery, not hand.
+    """
+    size = model.geom_size[geom]
+    kind = int(model.geom_type[geom])
+    kinds = mujoco.mjtGeom
+    if kind == kinds.mjGEOM_SPHERE:
+        return trimesh.creation.icosphere(subdivisions=3, radius=size[0])
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        mesh = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+        mesh.apply_scale(size)
+        return mesh
+    if kind == kinds.mjGEOM_CAPSULE:  # size: radius, half-length of the straight part
+        mesh = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[24, 24])
+        # trimesh releases differ in where they put the origin; MuJoCo's is the middle
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+        return mesh
+    if kind == kinds.mjGEOM_CYLINDER:
+        return trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
+    if kind == kinds.mjGEOM_BOX:
+        return trimesh.creation.box(extents=2 * size)
+    if kind == kinds.mjGEOM_MESH:
+        return _asset(model, int(model.geom_dataid[geom]))
+    return None
+
+
+def body_meshes(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
+    """One merged mesh per body that has something to draw, in the body's frame [m].
+
+    Geoms of the visible groups are taken; if the model has none of those, all geoms are. Vertices
+    are split along sharp edges, so that averaged vertex normals shade both curves and corners.
+
+    Returns:
+        Body index -> mesh.
+    """
+    shown = model.geom_group < VISIBLE_GROUPS
+    if not shown.any():
+        shown[:] = True
+    parts: dict[int, list[trimesh.Trimesh]] = {}
+    for geom in np.flatnonzero(shown):
+        mesh = geom_mesh(model, int(geom))
+        if mesh is None:
+            continue
+        pose = np.eye(4)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
+        mesh.apply_transform(pose)
+        parts.setdefault(int(model.geom_bodyid[geom]), []).append(
+            smooth_shade(mesh, angle=_CREASE)
+        )
+    return {body: trimesh.util.concatenate(meshes) for body, meshes in parts.items()}
+
+
+def finger_of_body(
+    model: mujoco.MjModel,
+    qpos: Float[np.ndarray, "T nq"],
+    tips: Float[np.ndarray, "T F 3"],
+    samples: int = 24,
+) -> Int[np.ndarray, " nbody"]:
+    """Which finger each body belongs to, found from the motion, not from names.
+
+    A fingertip is rigidly fixed to the last body of its finger, so that is the body in whose frame
+    the tip moves least; the finger is its chain up to the first body that other fingers share.
+
+    Args:
+        model: the robot hand.
+        qpos: (T, nq) joint positions [rad].
+        tips: (T, F, 3) fingertips in the world frame [m].
+        samples: how many frames to look at.
+
+    Returns:
+        (nbody,) index of the finger, or -1 for the palm and everything else.
+    """
+    frames = np.unique(np.linspace(0, len(qpos) - 1, samples).astype(int))
+    data = mujoco.MjData(model)
+    local = np.empty((len(frames), tips.shape[1], model.nbody, 3))
+    for row, frame in enumerate(frames):
+        data.qpos[:] = qpos[frame]
+        mujoco.mj_kinematics(model, data)
+        offset = tips[frame][:, None] - data.xpos[None]  # (F, nbody, 3)
+        local[row] = np.einsum("bji,fbj->fbi", data.xmat.reshape(-1, 3, 3), offset)
+    # spread first; where a whole chain is still, the nearest body wins
+    spread = np.ptp(local, axis=0).max(axis=-1) + 1e-3 * np.linalg.norm(local[0], axis=-1)
+    chains = [_chain(model, int(body)) for body in spread.argmin(axis=1)]
+    owner = np.full(model.nbody, -1)
+    for finger, chain in enumerate(chains):
+        others = set().union(*(c for i, c in enumerate(chains) if i != finger))
+        owner[list(set(chain) - others)] = finger
+    return owner
+
+
+def _chain(model: mujoco.MjModel, body: int) -> list[int]:
+    chain = [0]  # the world is nobody's finger
+    while body:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
+    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    return trimesh.Trimesh(
+        model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]].astype(np.float64),
+        model.mesh_face[face : face + model.mesh_facenum[mesh]],
+        process=True,  # merges duplicate vertices, which the crease splitting relies on
+    )

@@ -1,0 +1,102 @@
+"""The three-dimensional part of the page: two hands, their keyvectors, their places."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from smooth_operator.ui.human import HumanView, keyvector_colors
+from smooth_operator.ui.layout import FOV, plan
+from smooth_operator.ui.playback import Playback
+from smooth_operator.ui.robot import RobotView
+
+_LINE = 0.0022  # thickness of a keyvector [m]
+_PHONE = 576  # canvas narrower than this [px]: the panel is a sheet over the picture's lower part
+_SHEET = 0.44  # share of a phone's screen that the sheet covers at first
+
+
+class Scene:
+    """Builds the nodes once, then shows any frame.
+
+    Args:
+        server: the viser server to draw on.
+        playback: what to draw.
+    """
+
+    def __init__(self, server: viser.ViserServer, playback: Playback) -> None:
+        self._playback = playback
+        self._pinches = playback.pinches()
+        scene = server.scene
+        self._roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in _HANDS}
+        self._human = HumanView(scene, playback, "/human")
+        self._robot = RobotView(scene, playback, "/robot")
+        self._layout = plan(playback, self._robot.bounds())
+        count = len(playback.fingers)
+        none = np.zeros(count - 1, bool)
+        self._lines = {
+            name: scene.add_line_segments(
+                f"/{name}/keyvectors",
+                np.zeros((count - 1, 2, 3)),
+                keyvector_colors(count, none),
+                thickness=_LINE,
+            )
+            for name in _HANDS
+        }
+        self._labels = [
+            scene.add_label(f"/{name}/label", name, position=top, anchor="bottom-center")
+            for name, top in zip(_HANDS, self._layout.tops, strict=True)
+        ]
+        self._setup(server)
+        self.set_overlay(False)
+
+    def draw(self, frame: int) -> None:
+        """Show one frame of both hands."""
+        pinched = self._pinches[frame]
+        self._human.draw(frame, pinched)
+        self._robot.draw(frame, pinched)
+        tips = {
+            "human": self._playback.human[frame, list(self._playback.human_tips)],
+            "robot": self._playback.robot_tips[frame],
+        }
+        colors = keyvector_colors(len(self._playback.fingers), pinched)
+        for name, points in tips.items():
+            lines = np.stack([np.broadcast_to(points[0], points[1:].shape), points[1:]], axis=1)
+            # a line to a missing tip has no length
+            lines = np.where(np.isfinite(lines).all(axis=(1, 2), keepdims=True), lines, 0.0)
+            self._lines[name].points = lines
+            self._lines[name].colors = colors
+
+    def set_overlay(self, overlay: bool) -> None:
+        """Put both hands in one place, or side by side."""
+        shifts = (self._layout.human_shift, self._layout.robot_shift)
+        for root, shift in zip(self._roots.values(), shifts, strict=True):
+            root.position = np.zeros(3) if overlay else shift
+        for label in self._labels:
+            label.visible = not overlay
+        self._robot.set_ghost(overlay)
+
+    def set_keyvectors(self, visible: bool) -> None:
+        """Show or hide the thumb-to-tip lines."""
+        for lines in self._lines.values():
+            lines.visible = visible
+
+    def aim(self, client: viser.ClientHandle) -> None:
+        """Point one browser's camera at both hands, whatever the shape of its window."""
+        camera = client.camera
+        covered = _SHEET if camera.image_width < _PHONE else 0.0
+        position, target = self._layout.camera(camera.aspect, covered)
+        with client.atomic():
+            camera.up_direction = self._layout.up
+            camera.fov = FOV
+            camera.position = position
+            camera.look_at = target
+
+    def _setup(self, server: viser.ViserServer) -> None:
+        server.scene.set_up_direction(self._layout.up)
+        server.scene.configure_default_lights(cast_shadow=False)
+        camera, (position, target) = server.initial_camera, self._layout.camera(1.4)
+        camera.position, camera.look_at, camera.up = position, target, self._layout.up
+        camera.fov, camera.near, camera.far = FOV, 0.005, 50.0
+
+
+_HANDS = ("human", "robot")
