@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array
 
 AnyArray: TypeAlias = Array | np.ndarray
@@ -92,29 +93,15 @@ def umeyama(
 def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Right singular vectors, by falling singular value, as a right-handed triad."""
     gram = xp.einsum("...ki,...kj->...ij", cov, cov)
-    g: list[list[Any]] = [[gram[..., i, j] for j in range(3)] for i in range(3)]
-    one, zero = xp.ones_like(g[0][0]), xp.zeros_like(g[0][0])
-    v = [[one if i == j else zero for j in range(3)] for i in range(3)]  # columns are the vectors
-    for _ in range(4):  # cyclic Jacobi converges quadratically: four sweeps reach float64
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            off = g[p][q]
-            negligible = xp.abs(off) < 1e-30  # the sets are normalised
-            safe = xp.where(negligible, one, off)
-            tau = (g[q][q] - g[p][p]) / (2 * safe)
-            t = xp.where(tau >= 0, one, -one) / (xp.abs(tau) + xp.hypot(one, tau))
-            t = xp.where(negligible, zero, t)
-            c = 1 / xp.hypot(one, t)
-            s = t * c
-            g[p][p], g[q][q] = g[p][p] - t * off, g[q][q] + t * off
-            g[p][q] = g[q][p] = zero
-            r = 3 - p - q
-            low, high = g[r][p], g[r][q]
-            g[r][p] = g[p][r] = c * low - s * high
-            g[r][q] = g[q][r] = s * low + c * high
-            for row in v:
-                row[p], row[q] = c * row[p] - s * row[q], s * row[p] + c * row[q]
-    values = [g[i][i] for i in range(3)]
-    columns = [xp.stack([row[i] for row in v], axis=-1) for i in range(3)]
+    entries = [gram[..., i, j] for i, j in _ENTRIES]
+    columns = [xp.broadcast_to(xp.eye(3, dtype=cov.dtype)[i], gram.shape[:-1]) for i in range(3)]
+    state = (*entries, *columns)
+    if xp is np:
+        for _ in range(_SWEEPS):
+            state = _jacobi_sweep(state, xp)
+    else:  # rolled up, for the sake of the compiler
+        state = lax.fori_loop(0, _SWEEPS, lambda _, state: _jacobi_sweep(state, xp), state)
+    values, columns = [state[_ENTRIES.index((i, i))] for i in range(3)], list(state[6:])
     for i, j in ((0, 1), (1, 2), (0, 1)):  # sort by falling value
         swap = values[i] < values[j]
         values[i], values[j] = (
@@ -126,6 +113,32 @@ def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, 
             xp.where(swap[..., None], columns[i], columns[j]),
         )
     return columns[0], columns[1], xp.cross(columns[0], columns[1])
+
+
+_ENTRIES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_SWEEPS = 4  # cyclic Jacobi converges quadratically: four sweeps reach float64
+
+
+def _jacobi_sweep(state: tuple[Any, ...], xp: ModuleType) -> tuple[Any, ...]:
+    """One turn in each coordinate plane; state is six entries of the matrix and three columns."""
+    g = dict(zip(_ENTRIES, state, strict=False))
+    v = list(state[6:])
+    one, zero = xp.ones_like(g[0, 0]), xp.zeros_like(g[0, 0])
+    for p, q in ((0, 1), (0, 2), (1, 2)):
+        off = g[p, q]
+        negligible = xp.abs(off) < 1e-30  # the sets are normalised
+        tau = (g[q, q] - g[p, p]) / (2 * xp.where(negligible, one, off))
+        t = xp.where(tau >= 0, one, -one) / (xp.abs(tau) + xp.hypot(one, tau))
+        t = xp.where(negligible, zero, t)
+        c = 1 / xp.hypot(one, t)
+        s = t * c
+        g[p, p], g[q, q], g[p, q] = g[p, p] - t * off, g[q, q] + t * off, zero
+        r = 3 - p - q
+        rp, rq = (min(r, p), max(r, p)), (min(r, q), max(r, q))
+        g[rp], g[rq] = c * g[rp] - s * g[rq], s * g[rp] + c * g[rq]
+        c, s = c[..., None], s[..., None]
+        v[p], v[q] = c * v[p] - s * v[q], s * v[p] + c * v[q]
+    return (*(g[e] for e in _ENTRIES), *v)
 
 
 def _apply(matrix: AnyArray, vector: AnyArray, xp: ModuleType) -> AnyArray:

@@ -10,12 +10,15 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.recording.sniff import NPY_MAGIC, PICKLE_REMEDY
+
+_Bytes: TypeAlias = Any
+"""A binary file or a member of a zip, which have no common type that holds at run time."""
 
 # What NumPy, zipfile and zlib raise on damaged bytes. RuntimeError: an encrypted member.
 _DAMAGE = (
@@ -52,7 +55,7 @@ class StoredArray:
     name: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    open: Callable[[], IO[bytes]]
+    open: Callable[[], _Bytes]
 
     def load(self) -> np.ndarray:
         """Read the data.
@@ -155,7 +158,7 @@ def open_arrays(path: Path) -> StoredArrays:
 
 
 def _header(
-    stream: IO[bytes], path: Path, name: str, size: int
+    stream: _Bytes, path: Path, name: str, size: int
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
     version = np.lib.format.read_magic(stream)
     # Version 3 differs from 2 only in the encoding of field names, which no array of ours has.
@@ -173,8 +176,8 @@ def _header(
     return shape, dtype
 
 
-def _member_opener(path: Path, member: str) -> Callable[[], IO[bytes]]:
-    def opener() -> IO[bytes]:
+def _member_opener(path: Path, member: str) -> Callable[[], _Bytes]:
+    def opener() -> _Bytes:
         # The member keeps the archive's file alive, and closing the member closes it.
         with zipfile.ZipFile(path) as archive:
             return archive.open(member)

@@ -18,12 +18,12 @@ from smooth_operator.types import HandRecording, Side, as_side
 PALM_RANGE_M = (0.05, 0.14)
 """Bounds [m] on the distance from the wrist to the middle finger's MCP.
 
-Adult hands measure 0.08 to 0.11 m there; the bounds leave room for children and for trackers that
-put the wrist a little off, and are narrow enough that no other unit of length fits between them.
+An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
+a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
 """
 
 RATE_RANGE_HZ = (1.0, 2000.0)
-"""Bounds [Hz] on a tracker's median rate; no unit but the second brings a tracker in between."""
+"""Bounds [Hz] on a tracker's median rate. Stamps of 2 to 1000 Hz in another unit fall outside."""
 
 _TYPICAL_PALM_M = 0.095
 _TYPICAL_RATE_HZ = 60.0

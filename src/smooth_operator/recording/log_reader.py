@@ -180,7 +180,7 @@ def _recording(messages: list[dict[str, Any]], path: Path, truncated: bool) -> H
         metacarpals=_optional(messages, "metacarpals", "xyz", 4),
         orientations=_optional(messages, "orientations", "wxyz", NUM_LANDMARKS),
         name=path.stem,
-        meta={"format": "log", "truncated": truncated},
+        meta={"format": "log", "truncated": truncated, "side_assumed": False},
     )
 
 

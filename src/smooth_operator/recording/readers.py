@@ -85,7 +85,6 @@ def _from_log(path: Path, side: Side | None) -> HandRecording:
         cut = "; it was cut off before its first frames were written" if log.truncated else ""
         raise RecordingError(f"{path}: the log holds no hand frames{cut}")
     check_side([log.recording.side], side, str(path))
-    log.recording.meta["side_assumed"] = False
     return log.recording
 
 

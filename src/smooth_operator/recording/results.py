@@ -54,10 +54,10 @@ def write_commands(
         "joint_names": np.asarray(commands.joint_names, np.str_),
         "timestamps": np.asarray(commands.stamps, np.float64),
         "latency_ms": np.asarray(commands.latency_ms, np.float64),
-        "status": np.asarray(commands.status, np.int8),
+        "status": np.asarray(commands.status),
     }
     _check_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
-    _statuses(arrays["status"], None, "the commands")
+    arrays["status"] = _statuses(arrays["status"], None, "the commands")
     # Codes index the names, so that the file explains itself.
     names = {int(status): status.name for status in Status}
     arrays["status_names"] = np.array([names.get(code, "") for code in range(max(names) + 1)])
@@ -100,7 +100,7 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
         joint_names=tuple(arrays["joint_names"].texts()),
         stamps=arrays["timestamps"].numbers(),
         latency_ms=arrays["latency_ms"].numbers(),
-        status=_statuses(arrays["status"].numbers(), _status_names(arrays), str(path)),
+        status=_statuses(arrays["status"].load(), _status_names(arrays), str(path)),
     )
 
 
@@ -131,6 +131,8 @@ def _status_names(arrays: StoredArrays) -> list[str] | None:
 
 def _statuses(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
     """Codes as those of this version's Status, found by name where the file has the names."""
+    if codes.dtype.kind not in "iu":
+        raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")
     own = {status.name: int(status) for status in Status}
     known = {code: code for code in own.values()}
     if names is not None:

@@ -35,22 +35,43 @@ def counter_normals(
         ``count`` arrays of index's shape.
     """
     pairs = (count + 1) // 2
-    out: list[Array] = []
-    for k in range(pairs):
-        counter = index * jnp.uint32(pairs) + jnp.uint32(k)
-        first = _mix(counter ^ words[0])
-        second = _mix(first + words[1])
-        # 23 bits centred in their cells: never 0, and the logarithm stays finite
-        uniform = _to_float(first >> 9) * 2.0**-23 + 2.0**-24
-        angle = jax.lax.bitcast_convert_type(second, jnp.int32).astype(jnp.float32) * 2.0**-31
-        radius = jnp.sqrt(-2 * jnp.log(uniform))
-        size = jnp.abs(angle)  # half turns, in [0, 1]
-        sine = _sin_half_turns(jnp.minimum(size, 1 - size))
-        out += [
-            radius * _sin_half_turns(0.5 - size),
-            radius * jnp.where(angle < 0, -sine, sine),
-        ]
-    return out[:count]
+    both = [_pair(index * jnp.uint32(pairs) + jnp.uint32(k), words) for k in range(pairs)]
+    return [pair[half] for half in (0, 1) for pair in both][:count]
+
+
+def counter_normal_matrix(
+    index: UInt32[Array, " n"], words: UInt32[Array, "2"], count: int
+) -> Float[Array, "count n"]:
+    """The same numbers as :func:`counter_normals`, as one matrix: less code, for few candidates."""
+    pairs = (count + 1) // 2
+    which = jnp.arange(pairs, dtype=jnp.uint32)[:, None]
+    return jnp.concatenate(_pair(index * jnp.uint32(pairs) + which, words))[:count]
+
+
+def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"]:
+    """``count`` keys for as many cycles, from the key of a frame."""
+    counter = jnp.arange(2 * count, dtype=jnp.uint32).reshape(count, 2)
+    return mix(mix(counter + key[0]) ^ key[1])
+
+
+def _pair(counter: UInt32[Array, "*n"], words: UInt32[Array, "2"]) -> tuple[Array, Array]:
+    first = mix(counter ^ words[0])
+    second = mix(first + words[1])
+    # 23 bits centred in their cells: never 0, and the logarithm stays finite
+    uniform = _to_float(first >> 9) * 2.0**-23 + 2.0**-24
+    angle = _to_float(second) * 2.0**-31  # half turns, in [-1, 1)
+    radius = jnp.sqrt(-2 * jnp.log(uniform))
+    size = jnp.abs(angle)
+    sine = _sin_half_turns(jnp.minimum(size, 1 - size))
+    cosine = _sin_half_turns(0.5 - size)
+    return radius * cosine, radius * jnp.where(angle < 0, -sine, sine)
+
+
+def mix(x: UInt32[Array, "*n"]) -> UInt32[Array, "*n"]:
+    """A bijection of 32-bit words in which every input bit reaches every output bit."""
+    x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
+    x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
+    return x ^ (x >> 16)
 
 
 def fixed_normals(
@@ -85,14 +106,8 @@ def fixed_normals(
     return ndtri(np.clip(points, 1e-6, 1 - 1e-6)).T.astype(np.float32)
 
 
-def _mix(x: UInt32[Array, "*n"]) -> UInt32[Array, "*n"]:
-    x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D)
-    x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
-    return x ^ (x >> 16)
-
-
 def _to_float(x: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
-    # through int32: the values fit, and vector units convert signed integers
+    # as int32, which is what vector units convert
     return jax.lax.bitcast_convert_type(x, jnp.int32).astype(jnp.float32)
 
 

@@ -9,10 +9,16 @@ from typing import Literal, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.solvers.normals import counter_normals, fixed_normals
+from smooth_operator.solvers.normals import (
+    counter_normal_matrix,
+    counter_normals,
+    fixed_normals,
+    random_words,
+)
 
 Cost: TypeAlias = Callable[[Sequence[Array]], Array]
 """m arrays of a common shape (one per variable, batch last) to costs of that shape."""
@@ -62,7 +68,7 @@ def sample_minimise(
     cost: Cost,
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"],
-    key: Array,
+    key: UInt32[Array, "2"],
     config: SamplingConfig,
 ) -> Float[Array, " m"]:
     """Minimise a cost within bounds by Algorithm 1.
@@ -74,7 +80,7 @@ def sample_minimise(
         cost: the cost, over batch-last candidates, only ever asked within the limits.
         start: (m,) initial mean.
         limits: (m, 2) bounds.
-        key: JAX random key of this call; unused when the base normals are fixed.
+        key: two random words; unused when the base normals are fixed.
         config: hyper-parameters.
 
     Returns:
@@ -89,32 +95,30 @@ def sample_minimise(
         else jnp.asarray(fixed_normals(size, config.samples, config.draws, config.base_seed))
     )
 
-    def candidates(
-        index: UInt32[Array, " n"],
-        words: UInt32[Array, "2"],
-        mean: Float[Array, " m"],
-        factor: Float[Array, "m m"],
-    ) -> list[Float[Array, " n"]]:
-        # line 4: u_n ~ N(mu', Sigma'), then within the limits
-        if base is None:
-            normals = counter_normals(index, words, size)
-        else:
-            normals = list(base if index is everyone else base[:, index])
+    # Line 4, u_n ~ N(mu', Sigma') within the limits, twice: written out for all candidates, so that
+    # drawing, kinematics and cost fuse into one loop; and as matrices for the elite, drawn again.
+    def draw_all(words: UInt32[Array, "2"], mean: Array, factor: Array) -> list[Array]:
+        normals = counter_normals(everyone, words, size) if base is None else list(base)
         rows = []
         for i in range(size):
             row = mean[i] + factor[i, 0] * normals[0]
             for j in range(1, i + 1):
                 row = row + factor[i, j] * normals[j]
-            rows.append(jnp.clip(row, low[i], high[i]))
+            rows.append(lax.clamp(low[i], row, high[i]))
         return rows
 
-    def cycle(
-        carry: tuple[Float[Array, " m"], Float[Array, "m m"]], words: UInt32[Array, "2"]
-    ) -> tuple[tuple[Float[Array, " m"], Float[Array, "m m"]], None]:
+    def draw(index: Array, words: UInt32[Array, "2"], mean: Array, factor: Array) -> Array:
+        if base is None:
+            normals = counter_normal_matrix(index.astype(jnp.uint32), words, size)
+        else:
+            normals = base[:, index]
+        return jnp.clip(mean[:, None] + factor @ normals, low[:, None], high[:, None])
+
+    def cycle(carry: tuple[Array, Array], words: Array) -> tuple[tuple[Array, Array], None]:
         mean, factor = carry
-        costs = cost(candidates(everyone, words, mean, factor))  # lines 4-5
-        best, index = jax.lax.top_k(-costs, config.elites)  # line 7
-        elite = jnp.stack(candidates(index.astype(jnp.uint32), words, mean, factor))
+        costs = cost(draw_all(words, mean, factor))  # lines 4-5
+        best, index = lax.top_k(-costs, config.elites)  # line 7
+        elite = draw(index, words, mean, factor)
         weights = jax.nn.softmax(best / config.temperature)  # lines 8-9; softmax subtracts J_min
         mean = elite @ weights  # line 10
         spread = elite - mean[:, None]
@@ -123,6 +127,6 @@ def sample_minimise(
 
     mean = start.astype(dtype)  # lines 1-2
     factor = jnp.sqrt(config.sigma**2 + config.jitter) * jnp.eye(size, dtype=dtype)
-    words = jax.random.bits(key, (config.cycles - 1, 2), jnp.uint32)
-    (mean, _), _ = jax.lax.scan(cycle, (mean, factor), words)
+    words = random_words(key, config.cycles - 1)
+    (mean, _), _ = lax.scan(cycle, (mean, factor), words)
     return jnp.clip(mean, low, high)  # line 14

@@ -47,7 +47,7 @@ class Programme:
 
     def __init__(self, seed: int, gestures: tuple[str, ...], speed: float, max_jerk: float) -> None:
         self._rng = np.random.default_rng([seed, 0x60])
-        self._pinches = pinch_postures(seed)
+        self._seed = seed
         self._speed = speed
         self._max_jerk = max_jerk
         self._posture = self._loosely(FLAT)
@@ -121,9 +121,10 @@ class Programme:
 
     def _pinch(self, label: str) -> Iterator[Segment]:
         finger = PINCHES.index(label)
-        pinch = self._loosely(self._pinches[finger])
+        exact = pinch_postures(self._seed)[finger]
+        pinch = self._loosely(exact)
         moving = [*range(4), *range(4 + 3 * finger, 7 + 3 * finger)]
-        pinch[moving] = self._pinches[finger][moving]  # what makes the tips meet is left exact
+        pinch[moving] = exact[moving]  # what makes the tips meet
         yield self._move(label, pinch, 0.9)
         yield self._hold(label, 0.4)
         yield self._move(label, self._loosely(0.5 * (FLAT + RELAXED)), 0.7)

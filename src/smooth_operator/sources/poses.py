@@ -35,7 +35,7 @@ def _posture(thumb: tuple[float, ...], *fingers: tuple[float, float, float]) -> 
 
 
 # Chosen by eye and against recordings of real hands; degrees.
-FLAT = _posture((-8, -9, 6, 4), (-2, 4, 6), (0, 4, 6), (3, 4, 7), (6, 5, 8))
+FLAT = _posture((-13, -9, 3, 2), (-2, 4, 6), (0, 4, 6), (3, 4, 7), (6, 5, 8))
 RELAXED = _posture((0, 4, 12, 14), (2, 22, 26), (0, 26, 30), (0, 28, 32), (-2, 28, 30))
 SPREAD = _posture((-18, 6, 0, -4), (15, -4, 4), (1, -6, 4), (-11, -5, 5), (-24, -4, 5))
 CURLED = _posture((-8, 12, 10, 12), (-4, 74, 92), (0, 78, 96), (2, 80, 96), (4, 80, 94))

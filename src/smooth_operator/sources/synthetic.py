@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,7 +62,9 @@ class SyntheticOperator:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "side", as_side(self.side))
-        names = (self.gestures,) if isinstance(self.gestures, str) else tuple(self.gestures)
+        gestures: Sequence[str] = self.gestures
+        # One name alone is one gesture, not a gesture per letter.
+        names = (gestures,) if isinstance(gestures, str) else tuple(gestures)
         object.__setattr__(self, "gestures", names)
         check_seed("seed", self.seed)
         check_range("hand_length", self.hand_length, 0.12, 0.25, "m")

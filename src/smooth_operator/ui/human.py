@@ -42,7 +42,7 @@ class HumanView:
         bone_colors = np.where(palm[:, None], np.array(PALM, np.uint8), self._colors[_CHILDREN])
         self._bone_radii = np.where(palm, _PALM_BONE, _BONE)
 
-        ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         rod = trimesh.creation.cylinder(radius=1.0, height=1.0, sections=20, cap=False)
         self._joints = scene.add_batched_meshes_simple(
             f"{root}/joints",
@@ -97,9 +97,7 @@ def lit_tips(pinched: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " F"]:
     return np.concatenate([[pinched.any()], pinched])
 
 
-def keyvector_colors(
-    fingers: int, pinched: Bool[np.ndarray, " G"]
-) -> UInt8[np.ndarray, "G 2 3"]:
+def keyvector_colors(fingers: int, pinched: Bool[np.ndarray, " G"]) -> UInt8[np.ndarray, "G 2 3"]:
     """(F-1, 2, 3) linear colours of the thumb-to-tip lines: the finger's own, or the highlight."""
     colors = np.where(pinched[:, None], np.array(HIGHLIGHT), finger_colors(fingers)[1:])
     return np.repeat(linear(colors)[:, None], 2, axis=1)

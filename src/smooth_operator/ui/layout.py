@@ -15,7 +15,7 @@ GAP = 0.03
 FOV = float(np.deg2rad(32.0))
 """Vertical field of view [rad]; narrow, so that the two hands are seen from the same side."""
 
-_MARGIN = 1.06
+_MARGIN = 1.1
 _FOREARM = 0.03  # how much of what is below the wrist is framed [m]
 _LABEL = 0.012  # label above the highest fingertip [m]
 _SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
@@ -89,7 +89,7 @@ def plan(playback: Playback, robot_points: Float[np.ndarray, "N 3"]) -> Layout:
     low_r[1] = max(robot[:, 1].min(), floor)
 
     low, high = np.minimum(low_h, low_r), np.maximum(high_h, high_r)
-    high[1] += 2 * _LABEL
+    high[1] += _LABEL
     middle = (low + high) / 2
     width = (high_h - low_h)[0] + GAP + (high_r - low_r)[0]
     left = middle[0] - width / 2
@@ -100,7 +100,7 @@ def plan(playback: Playback, robot_points: Float[np.ndarray, "N 3"]) -> Layout:
         human_shift=(left - low_h[0]) * right,
         robot_shift=(left + (high_h - low_h)[0] + GAP - low_r[0]) * right,
         centre=middle @ axes,
-        tops=(_top(low_h, high_h) @ axes, _top(low_r, high_r) @ axes),
+        tops=(_top(low_h, high_h, high[1]) @ axes, _top(low_r, high_r, high[1]) @ axes),
         half=(width / 2, float(high[1] - low[1]) / 2),
     )
 
@@ -155,6 +155,6 @@ def _bounds(
 
 
 def _top(
-    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], top: float
 ) -> Float[np.ndarray, "3"]:
-    return np.array([(low[0] + high[0]) / 2, high[1] + _LABEL, (low[2] + high[2]) / 2])
+    return np.array([(low[0] + high[0]) / 2, top, (low[2] + high[2]) / 2])

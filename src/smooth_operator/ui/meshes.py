@@ -18,6 +18,10 @@ VISIBLE_GROUPS = 3
 _CREASE = np.deg2rad(35.0)
 """Edges sharper than this are drawn as edges; a CAD part with averaged normals looks inflated."""
 
+_SPECK = 5e-4
+"""Parts smaller than this [m] are left out: real models hold stray specks, and in millimetres
+taken for metres, far from where they belong; they would count for the framing of the picture."""
+
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     """The surface of one geom in its own frame [m]; None for shapes without a finite surface.
@@ -62,16 +66,14 @@ def body_meshes(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
     parts: dict[int, list[trimesh.Trimesh]] = {}
     for geom in np.flatnonzero(shown):
         mesh = geom_mesh(model, int(geom))
-        if mesh is None:
+        if mesh is None or mesh.extents is None or mesh.extents.max() < _SPECK:
             continue
         pose = np.eye(4)
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
         mesh.apply_transform(pose)
-        parts.setdefault(int(model.geom_bodyid[geom]), []).append(
-            smooth_shade(mesh, angle=_CREASE)
-        )
+        parts.setdefault(int(model.geom_bodyid[geom]), []).append(smooth_shade(mesh, angle=_CREASE))
     return {body: trimesh.util.concatenate(meshes) for body, meshes in parts.items()}
 
 
@@ -123,8 +125,10 @@ def _chain(model: mujoco.MjModel, body: int) -> list[int]:
 
 def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
     vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-    return trimesh.Trimesh(
+    surface = trimesh.Trimesh(
         model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]].astype(np.float64),
         model.mesh_face[face : face + model.mesh_facenum[mesh]],
         process=True,  # merges duplicate vertices, which the crease splitting relies on
     )
+    surface.update_faces(surface.nondegenerate_faces())  # slivers flicker as stray pixels
+    return surface

@@ -49,7 +49,9 @@ class PlaybackServer:
         self._frame = 0
         self._playing = False
         self._held_until = 0.0
-        self._jobs: list[Callable[[], None]] = []  # changes of the scene, done by the drawing thread
+        self._jobs: list[
+            Callable[[], None]
+        ] = []  # changes of the scene, done by the drawing thread
         self._dirty = True
         self._stopping = False
         self._error: BaseException | None = None
@@ -76,6 +78,7 @@ class PlaybackServer:
             self._panel = Panel(self._server.gui, self.playback, self, self._clock.loop)
             self._scene.draw(0)
         self._server.on_client_connect(self._greet)
+        self._server.on_client_disconnect(self._forget)
         self._thread = threading.Thread(target=self._run, name="playback", daemon=True)
         self._thread.start()
         return self
@@ -224,9 +227,15 @@ class PlaybackServer:
         self._clock.start(frame, time.monotonic())
 
     async def _greet(self, client: viser.ClientHandle) -> None:
-        self._scene.aim(client)
+        self._scene.greet(client)
+        with self._change():  # while nobody watched, nothing was drawn
+            pass
+
+    async def _forget(self, client: viser.ClientHandle) -> None:
+        self._scene.forget(client)
 
     def _run(self) -> None:
+        assert self._server is not None
         try:
             next_text = 0.0
             while True:
@@ -238,8 +247,10 @@ class PlaybackServer:
                     frame, playing, dirty = self._frame, self._playing, self._dirty
                     self._dirty = False
                 begun = time.monotonic()
-                self._draw(frame, playing, jobs, text=dirty or begun >= next_text)
-                if dirty or begun >= next_text:
+                text = dirty or begun >= next_text
+                if dirty or self._server.get_clients():  # else nobody watches: only time runs
+                    self._draw(frame, playing, jobs, text)
+                if text:
                     next_text = begun + _TEXT_TICK
                 with self._changed:
                     # a burst of slider events is drawn at display rate, too
@@ -264,9 +275,7 @@ class PlaybackServer:
         if over:
             self._playing, self._dirty = False, True
 
-    def _draw(
-        self, frame: int, playing: bool, jobs: list[Callable[[], None]], text: bool
-    ) -> None:
+    def _draw(self, frame: int, playing: bool, jobs: list[Callable[[], None]], text: bool) -> None:
         assert self._server is not None
         with self._server.atomic():
             for job in jobs:

@@ -28,9 +28,9 @@ def status_line(playback: Playback, frame: int) -> str:
     latency = playback.latency_ms[frame]
     times = playback.times
     parts = (
-        f"<b>frame {frame}</b> / {len(playback) - 1}",
-        f"<b>{times[frame]:.2f} s</b> / {times[-1]:.2f} s",
-        f"{latency:.2f} ms" if np.isfinite(latency) else "latency unknown",
+        f"<b>frame {frame}</b>/{len(playback) - 1}",
+        f"<b>{times[frame]:.2f}</b>/{times[-1]:.2f} s",
+        f"{latency:.2f} ms" if np.isfinite(latency) else "no latency",
     )
     mark = f"<b>{'✓' if good else '⚠'}</b> {html.escape(reason)}"
     return (
@@ -48,7 +48,7 @@ def legend(playback: Playback) -> str:
         f"⬤</span> {html.escape(name)}</span>"
         for name, color in zip(playback.fingers, colors, strict=True)
     )
-    return f'<div style="padding:0 0.8em 0.5em;font-size:0.8em">{chips}</div>'
+    return f'<div style="padding:0 0.8em 0.5em;font-size:0.75em">{chips}</div>'
 
 
 def metrics_table(metrics: Mapping[str, Any]) -> str:

@@ -43,7 +43,7 @@ class RobotView:
             )
             for body, mesh in meshes.items()
         }
-        ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
         count = len(playback.fingers)
         self._tips = scene.add_batched_meshes_simple(
             f"{root}/tips",

@@ -11,7 +11,9 @@ from smooth_operator.ui.playback import Playback
 from smooth_operator.ui.robot import RobotView
 
 _LINE = 0.0022  # thickness of a keyvector [m]
-_PHONE = 576  # canvas narrower than this [px]: the panel is a sheet over the picture's lower part
+_PHONE = (
+    0.75  # canvas narrower than this times its height: the panel is a sheet over its lower part
+)
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first
 
 
@@ -46,6 +48,7 @@ class Scene:
             scene.add_label(f"/{name}/label", name, position=top, anchor="bottom-center")
             for name, top in zip(_HANDS, self._layout.tops, strict=True)
         ]
+        self._aimed: dict[int, tuple[tuple[int, int], np.ndarray]] = {}
         self._setup(server)
         self.set_overlay(False)
 
@@ -83,13 +86,34 @@ class Scene:
     def aim(self, client: viser.ClientHandle) -> None:
         """Point one browser's camera at both hands, whatever the shape of its window."""
         camera = client.camera
-        covered = _SHEET if camera.image_width < _PHONE else 0.0
+        covered = _SHEET if camera.aspect < _PHONE else 0.0
         position, target = self._layout.camera(camera.aspect, covered)
         with client.atomic():
             camera.up_direction = self._layout.up
             camera.fov = FOV
             camera.position = position
             camera.look_at = target
+        self._aimed[client.client_id] = ((camera.image_width, camera.image_height), position)
+
+    def greet(self, client: viser.ClientHandle) -> None:
+        """Aim a new browser's camera, and again when its canvas changes shape.
+
+        The canvas changes at the start, when the panel docks, and when a window is resized or a
+        phone turned. A view that its user has moved is left alone.
+        """
+        self.aim(client)
+
+        async def reshaped(camera: viser.CameraHandle) -> None:
+            size, position = self._aimed[client.client_id]
+            untouched = np.allclose(camera.position, position, atol=1e-3)
+            if untouched and size != (camera.image_width, camera.image_height):
+                self.aim(client)
+
+        client.camera.on_update(reshaped)
+
+    def forget(self, client: viser.ClientHandle) -> None:
+        """Drop what was kept for a browser that has left."""
+        self._aimed.pop(client.client_id, None)
 
     def _setup(self, server: viser.ViserServer) -> None:
         server.scene.set_up_direction(self._layout.up)

@@ -1,0 +1,248 @@
+"""Data flows one way: the imports of the package hold the levels of ``docs/architecture.md``."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "smooth_operator"
+SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
+
+ROOT = "__init__"
+"""The package itself: the public names, re-exported from the levels up to its own."""
+
+LEVELS = {
+    "types": 0,
+    "landmarks": 0,
+    "errors": 0,
+    "geometry": 0,
+    "recording": 1,
+    "sources": 2,
+    "human": 2,
+    "hands": 2,
+    "objective": 3,
+    "solvers": 4,
+    "retargeters": 5,
+    "sinks": 6,
+    "runtime": 7,
+    ROOT: 8,
+    "metrics": 8,
+    "benchmark": 8,
+    "ablations": 8,
+    "study": 8,
+    "ui": 9,
+    "cli": 10,
+    "__main__": 10,
+}
+"""Top-level module -> level. A new one needs a line here and in ``docs/architecture.md``."""
+
+CEILING = {"metrics": 5}
+"""Modules that stand high because others read them, but themselves reach no higher than this."""
+
+MAX_LINES = 400
+UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+DRAWERS = {"util", "utils", "helpers", "misc"}
+
+
+def modules(source: Path) -> list[Path]:
+    return sorted(source.rglob("*.py"))
+
+
+def top_level(source: Path, path: Path) -> str:
+    """Name of the top-level module that a file belongs to, as in :data:`LEVELS`."""
+    return path.relative_to(source).with_suffix("").parts[0]
+
+
+def imported_modules(source: Path, path: Path) -> Iterator[tuple[int, str]]:
+    """(line, dotted absolute name) of every import in a file, however deep in a function it hides.
+
+    Relative imports are resolved, and so are constant names given to ``import_module``.
+    """
+    package = (PACKAGE, *path.relative_to(source).parent.parts)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            prefix = package[: len(package) - node.level + 1] if node.level else ()
+            base = ".".join((*prefix, *filter(None, [node.module])))
+            # `from package import name` may name a module: only the files can tell.
+            yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
+        elif isinstance(node, ast.Call) and node.args:
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            argument = node.args[0]
+            if name in {"import_module", "__import__"} and isinstance(argument, ast.Constant):
+                yield node.lineno, str(argument.value).lstrip(".")
+
+
+def own_imports(source: Path, path: Path) -> Iterator[tuple[int, str]]:
+    """(line, top-level module) of every import of this package in a file."""
+    for line, name in imported_modules(source, path):
+        parts = name.split(".")
+        if parts[0] != PACKAGE:
+            continue
+        child = parts[1] if len(parts) > 1 else ROOT
+        is_module = (source / child).is_dir() or (source / f"{child}.py").is_file()
+        yield line, child if is_module else ROOT
+
+
+def level_violations(source: Path) -> list[str]:
+    found = []
+    for path in modules(source):
+        module = top_level(source, path)
+        where = path.relative_to(source.parent).as_posix()
+        if module not in LEVELS:
+            found.append(
+                f"{where}: no level for the new top-level module {module!r}; "
+                "give it one in LEVELS here and in docs/architecture.md"
+            )
+            continue
+        limit = CEILING.get(module, LEVELS[module])
+        for line, target in own_imports(source, path):
+            if target != module and LEVELS.get(target, 0) > limit:
+                found.append(
+                    f"{where}:{line}: {module} may import up to level {limit}, "
+                    f"but {target} is at level {LEVELS[target]}; "
+                    "import from below, or move what both need down"
+                )
+    return found
+
+
+def unpickling(source: Path) -> list[str]:
+    found = []
+    for path in modules(source):
+        where = path.relative_to(source.parent).as_posix()
+        found += [
+            f"{where}:{line}: imports {name}: data files hold no code, nothing unpickles"
+            for line, name in imported_modules(source, path)
+            if name.split(".")[0] in UNPICKLERS
+        ]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+            if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+                off = isinstance(node.value, ast.Constant) and node.value.value is False
+                if not off:
+                    found.append(f"{where}:{node.value.lineno}: allow_pickle must be False")
+    return found
+
+
+def misshapen(source: Path) -> list[str]:
+    found = []
+    for path in modules(source):
+        where = path.relative_to(source.parent).as_posix()
+        count = len(path.read_text(encoding="utf-8").splitlines())
+        if count > MAX_LINES:
+            found.append(f"{where}: {count} lines, more than {MAX_LINES}: split it by concept")
+        if DRAWERS & {part.strip("_") for part in path.relative_to(source).with_suffix("").parts}:
+            found.append(f"{where}: name a module after what it holds, not 'utils'")
+    return found
+
+
+def test_source_is_where_the_tests_look() -> None:
+    assert {"types", "landmarks", "errors"} <= {top_level(SOURCE, p) for p in modules(SOURCE)}
+
+
+def test_modules_import_only_from_their_own_level_or_below() -> None:
+    assert not level_violations(SOURCE), "\n".join(level_violations(SOURCE))
+
+
+def test_nothing_unpickles() -> None:
+    assert not unpickling(SOURCE), "\n".join(unpickling(SOURCE))
+
+
+def test_modules_are_small_and_named_after_what_they_hold() -> None:
+    assert not misshapen(SOURCE), "\n".join(misshapen(SOURCE))
+
+
+# The checks themselves, on a package that breaks each rule.
+
+
+def package(root: Path, files: dict[str, str]) -> Path:
+    source = root / PACKAGE
+    for name, text in {"__init__.py": "", **files}.items():
+        path = source / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return source
+
+
+@pytest.mark.parametrize(
+    ("importer", "statement"),
+    [
+        ("types.py", "from smooth_operator.hands import HandSpec"),
+        ("types.py", "import smooth_operator.hands as h"),
+        ("types.py", "from smooth_operator import hands"),
+        ("types.py", "from . import hands"),
+        ("types.py", "from .hands import spec"),
+        ("types.py", "from smooth_operator import __version__"),
+        ("types.py", "def f():\n    from smooth_operator.hands import spec"),
+        ("types.py", "import importlib\nimportlib.import_module('smooth_operator.hands.spec')"),
+        ("solvers/sampling.py", "from smooth_operator.cli import main"),
+        ("solvers/sampling.py", "from ..cli import main"),
+        ("metrics/cosine.py", "from smooth_operator.runtime import Loop"),
+        ("ui/live.py", "from smooth_operator.cli import main"),
+        ("__init__.py", "from smooth_operator.ui import live as live"),
+    ],
+)
+def test_an_upward_import_is_found(tmp_path: Path, importer: str, statement: str) -> None:
+    files = {"hands/spec.py": "", "cli.py": "", "runtime.py": "", "ui/__init__.py": ""}
+    source = package(tmp_path, files | {importer: statement})
+    found = level_violations(source)
+    assert len(found) == 1, found
+    assert found[0].startswith(f"{PACKAGE}/{importer}:")
+
+
+@pytest.mark.parametrize(
+    ("importer", "statement"),
+    [
+        ("hands/spec.py", "from smooth_operator.types import Side\nfrom . import limits"),
+        ("hands/spec.py", "import smooth_operator.human.filters"),
+        ("hands/mjcf/load.py", "from ..limits import Limits\nfrom ...types import Side"),
+        ("metrics/cosine.py", "from smooth_operator.retargeters import sbr"),
+        ("cli.py", "from smooth_operator import __version__\nfrom smooth_operator.ui import live"),
+        ("__init__.py", "from smooth_operator.runtime import Loop as Loop"),
+        ("types.py", "import numpy as np\nfrom hands import spec"),
+    ],
+)
+def test_a_downward_import_passes(tmp_path: Path, importer: str, statement: str) -> None:
+    files = {"types.py": "", "human/filters.py": "", "retargeters/sbr.py": "", "runtime.py": ""}
+    files |= {"hands/__init__.py": "", "hands/limits.py": "", "ui/live.py": ""}
+    assert level_violations(package(tmp_path, files | {importer: statement})) == []
+
+
+def test_a_module_without_a_level_is_named(tmp_path: Path) -> None:
+    (found,) = level_violations(package(tmp_path, {"gadget.py": ""}))
+    assert "'gadget'" in found
+    assert "LEVELS" in found
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import pickle",
+        "def f():\n    from pickle import load",
+        "import joblib.memory",
+        "np.load(path, allow_pickle=True)",
+        "np.load(path, allow_pickle=trusted)",
+    ],
+)
+def test_unpickling_is_found(tmp_path: Path, statement: str) -> None:
+    assert len(unpickling(package(tmp_path, {"recording.py": statement}))) == 1
+
+
+def test_refusing_to_unpickle_passes(tmp_path: Path) -> None:
+    text = "np.load(path, allow_pickle=False)  # never import pickle"
+    assert unpickling(package(tmp_path, {"recording.py": text})) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("types.py", "x = 1\n" * 401), ("hands/utils.py", ""), ("human/_utils/a.py", "")],
+)
+def test_a_misshapen_module_is_found(tmp_path: Path, name: str, text: str) -> None:
+    assert len(misshapen(package(tmp_path, {name: text}))) == 1
+
+
+def test_a_module_of_400_lines_passes(tmp_path: Path) -> None:
+    assert misshapen(package(tmp_path, {"types.py": "x = 1\n" * 400})) == []

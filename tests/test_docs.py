@@ -1,0 +1,129 @@
+"""The documentation is true: its Python runs, its links lead somewhere, its tables hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from smooth_operator import landmarks
+from smooth_operator.types import Status
+
+PROJECT = Path(__file__).resolve().parents[1]
+README = PROJECT / "README.md"
+PAGES = [README, *sorted((PROJECT / "docs").glob("**/*.md"))]
+SKIP = "<!-- no-test -->"
+FENCE = re.compile(r"^(?P<fence>`{3,}|~{3,})(?P<language>[\w+-]*)")
+
+
+def python_blocks(text: str) -> Iterator[tuple[int, str]]:
+    """(line of its first statement, code) of each ``python`` block that is not marked with SKIP."""
+    lines = iter(enumerate(text.splitlines(), 1))
+    before = ""
+    for number, line in lines:
+        if opening := FENCE.match(line):
+            body = []
+            for _, inner in lines:
+                if inner.strip() == opening["fence"]:
+                    break
+                body.append(inner)
+            if opening["language"] == "python" and before != SKIP:
+                yield number + 1, "\n".join(body)
+        before = line.strip() or before
+
+
+def relative_name(path: Path) -> str:
+    return path.relative_to(PROJECT).as_posix()
+
+
+def runnable(page: Path) -> list[tuple[int, str]]:
+    return list(python_blocks(page.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("page", list(filter(runnable, PAGES)), ids=relative_name)
+def test_python_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of the page, in one namespace, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    for line, code in runnable(page):
+        # Blank lines in front, so that a traceback names the line of the page.
+        padded = "\n" * (line - 1) + code
+        exec(compile(padded, str(page), "exec", dont_inherit=True), namespace)
+
+
+def test_readme_shows_python_that_runs() -> None:
+    assert runnable(README), "README.md needs a ```python block: from landmarks to a command"
+
+
+def test_readme_gives_the_test_command_that_ci_runs() -> None:
+    (command,) = re.findall(
+        r"^ *(python3 -m venv .*-m pytest\b.*?)(?: \|\| exit)?$",
+        (PROJECT / ".ci" / "run").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    assert command in README.read_text(encoding="utf-8"), f"README.md does not give: {command}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative_name)
+def test_links_into_the_project_exist(page: Path) -> None:
+    text = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    targets = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r"(?:src|href)=\"([^\"]+)\"", text)
+    paths = [t.split("#")[0] for t in targets if not re.match(r"[a-z]+:|#", t)]
+    assert [path for path in paths if not (page.parent / path).exists()] == []
+
+
+def test_landmark_table_is_the_code() -> None:
+    """Index, name and indices in each tracker, as ``docs/conventions.md`` tabulates them."""
+    text = (PROJECT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \|", text, re.MULTILINE)
+    maps = (landmarks.FROM_MANUS_25, landmarks.FROM_WEBXR_25, landmarks.FROM_OPENXR_26)
+    expected = zip(range(landmarks.NUM_LANDMARKS), landmarks.LANDMARKS, *maps, strict=True)
+    assert rows == [tuple(str(value) for value in row) for row in expected]
+
+    bases = re.findall(r"^\| – \| (\w+) metacarpal base \| (\d+) \| (\d+) \| (\d+) \|", text, re.M)
+    maps = (
+        landmarks.METACARPALS_MANUS_25,
+        landmarks.METACARPALS_WEBXR_25,
+        landmarks.METACARPALS_OPENXR_26,
+    )
+    expected = zip(landmarks.FINGERS[1:], *maps, strict=True)
+    assert bases == [tuple(str(value) for value in row) for row in expected]
+
+
+def test_status_table_is_the_code() -> None:
+    text = (PROJECT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| `([A-Z_]+)` \| (.+?) \|$", text, re.MULTILINE)
+    assert rows == [(str(int(status)), status.name, status.reason) for status in Status]
+
+
+PAGE = """
+```python
+a = 1
+```
+<!-- no-test -->
+
+```python
+a = skipped
+```
+```bash
+not python
+```
+Text.
+````python
+text = '''
+```python
+'''
+````
+"""
+
+
+def test_blocks_are_found_in_order_and_skipped_where_marked() -> None:
+    assert list(python_blocks(PAGE)) == [(3, "a = 1"), (15, "text = '''\n```python\n'''")]
+
+
+def test_a_mark_skips_only_the_next_block() -> None:
+    text = f"{SKIP}\n```python\na\n```\n```python\nb\n```\n"
+    assert [code for _, code in python_blocks(text)] == ["b"]

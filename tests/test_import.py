@@ -1,0 +1,159 @@
+"""``import smooth_operator``: quick, without side effects, and with a fixed list of names."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+IMPORT_BUDGET_S = 2.0
+HEAVY = ("matplotlib", "viser", "mcap", "tyro", "rich")
+"""What only some commands need: no part of it may come with the library."""
+
+PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
+REGENERATE = (
+    'python -c "import pathlib, smooth_operator as s; '
+    "pathlib.Path('tests/public_names.txt').write_text('\\n'.join(sorted(s.__all__)) + '\\n')\""
+)
+
+# Runs in a fresh interpreter, with the statements to judge, one by one, as its arguments. JAX is
+# imported first: what it does to the process is not ours to answer for.
+PROBE = """
+import json, locale, logging, os, random, signal, sys, threading, warnings
+import jax, numpy as np
+
+def signals():
+    return {s.name: str(signal.getsignal(s)) for s in signal.valid_signals() if hasattr(s, "name")}
+
+def loggers():
+    named = {n: x for n, x in logging.root.manager.loggerDict.items() if hasattr(x, "handlers")}
+    return {
+        name: (logger.level, logger.disabled, [str(h) for h in logger.handlers])
+        for name, logger in {"root": logging.root, **named}.items()
+        if logger.handlers or logger.level or logger.disabled
+    }
+
+def picture():
+    return {
+        "jax config": {k: repr(v) for k, v in jax.config.values.items()},
+        "environment": dict(os.environ),
+        "warning filters": [str(f) for f in warnings.filters],
+        "log handlers": loggers(),
+        "numpy error state": np.geterr(),
+        "numpy print options": {k: repr(v) for k, v in np.get_printoptions().items()},
+        "numpy random state": repr(np.random.get_state()),
+        "python random state": hash(random.getstate()),
+        "module search path": list(sys.path),
+        "hooks": [repr(sys.excepthook), repr(sys.displayhook), repr(threading.excepthook)],
+        "signal handlers": signals(),
+        "locale": locale.setlocale(locale.LC_ALL),
+        "threads": sorted(t.name for t in threading.enumerate()),
+        "working directory": os.getcwd(),
+        "recursion limit": sys.getrecursionlimit(),
+    }
+
+changed = []
+for statement in sys.argv[1:]:
+    before = picture()
+    exec(statement)
+    after = picture()
+    changed.append({k: [before[k], after[k]] for k in before if before[k] != after[k]})
+print(json.dumps({"changed": changed, "modules": sorted(sys.modules)}))
+"""
+
+TIMER = """
+import time
+start = time.perf_counter()
+import smooth_operator
+print(time.perf_counter() - start)
+"""
+
+
+def python(*arguments: str, **environment: str) -> str:
+    """Standard output of a fresh interpreter."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def probe(*statements: str) -> dict[str, Any]:
+    """What each statement changed, and the modules that are loaded after the last."""
+    return json.loads(python("-c", PROBE, *statements))
+
+
+@pytest.fixture(scope="module")
+def imported() -> dict[str, Any]:
+    return probe("import smooth_operator")
+
+
+def test_import_takes_less_than_two_seconds() -> None:
+    # Best of three: the first may compile byte code, and other work may run on the machine.
+    best = min(float(python("-c", TIMER)) for _ in range(3))
+    assert best < IMPORT_BUDGET_S, (
+        f"import smooth_operator took {best:.2f} s, more than {IMPORT_BUDGET_S} s; "
+        "find out why with: python -X importtime -c 'import smooth_operator'"
+    )
+
+
+def test_import_changes_no_global_state(imported: dict[str, Any]) -> None:
+    assert imported["changed"] == [{}]
+
+
+def test_import_leaves_the_heavy_libraries_alone(imported: dict[str, Any]) -> None:
+    loaded = {name.split(".")[0] for name in imported["modules"]} & set(HEAVY)
+    assert not loaded, f"import smooth_operator also imports {sorted(loaded)}; import them lazily"
+
+
+def test_import_initialises_no_jax_backend() -> None:
+    # With a platform that does not exist, whatever touches a backend raises.
+    nowhere = {"JAX_PLATFORMS": "no_such_platform"}
+    python("-c", "import smooth_operator", **nowhere)
+    with pytest.raises(AssertionError, match="no_such_platform"):
+        python("-c", "import jax.numpy as jnp; jnp.zeros(3)", **nowhere)
+
+
+def test_the_probe_sees_every_kind_of_change() -> None:
+    culprits = {
+        "jax config": "jax.config.update('jax_enable_x64', True)",
+        "environment": "os.environ['XLA_FLAGS'] = '--x'",
+        "warning filters": "warnings.simplefilter('ignore')",
+        "log handlers": "logging.basicConfig()",
+        "numpy error state": "np.seterr(all='ignore')",
+        "numpy print options": "np.set_printoptions(precision=3)",
+        "numpy random state": "np.random.seed(0)",
+        "python random state": "random.seed(0)",
+        "module search path": "sys.path.insert(0, 'elsewhere')",
+        "signal handlers": "signal.signal(signal.SIGTERM, print)",
+        "working directory": "os.chdir('..')",
+    }
+    changed = probe("pass", *culprits.values())["changed"]
+    assert [list(change) for change in changed] == [[], *([what] for what in culprits)]
+
+
+def test_public_names_are_the_recorded_ones() -> None:
+    package = importlib.import_module("smooth_operator")
+    names = sorted(package.__all__)
+    recorded = PUBLIC_NAMES.read_text(encoding="utf-8").split()
+    assert names == recorded, (
+        f"added: {sorted(set(names) - set(recorded))}, gone: {sorted(set(recorded) - set(names))}. "
+        f"If that is meant, note it in CHANGELOG.md and run in the project's folder: {REGENERATE}"
+    )
+
+
+def test_public_names_exist_once() -> None:
+    package = importlib.import_module("smooth_operator")
+    assert len(set(package.__all__)) == len(package.__all__)
+    assert [name for name in package.__all__ if not hasattr(package, name)] == []

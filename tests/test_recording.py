@@ -1,0 +1,542 @@
+"""Reading recordings: every format, and every way in which a file can be bad."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.landmarks import FROM_MANUS_25, FROM_OPENXR_26, METACARPALS_MANUS_25
+from smooth_operator.recording import frame_slice, read_recording
+from smooth_operator.recording.checks import check_units
+from smooth_operator.types import HandRecording
+
+FRAMES = 12
+
+
+def hand(frames: int = FRAMES, nodes: int = 21, seed: int = 0) -> np.ndarray:
+    """(frames, nodes, 3) of a rough hand: right palm size, every node at a place of its own."""
+    rng = np.random.default_rng(seed)
+    points = 0.02 * rng.normal(size=(frames, nodes, 3))
+    wrist, middle = {21: (0, 9), 25: (0, 11), 26: (1, 12)}[nodes]
+    points[:, wrist] = 0.0
+    points[:, middle] = (0.0, 0.0, 0.095)
+    return points
+
+
+def manus(frames: int = FRAMES, **changes: object) -> dict[str, object]:
+    rng = np.random.default_rng(1)
+    quaternions = rng.normal(size=(frames, 25, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    arrays: dict[str, object] = {
+        "data": np.concatenate([hand(frames, 25), quaternions], axis=-1).astype(np.float32),
+        "timestamps": 1.7e9 + np.arange(frames) / 115.0,
+        "keypoint_ids": np.arange(25, dtype=np.int32),
+        "chirality": np.array("RIGHT"),
+        "quaternion_order": np.array("wxyz"),
+        "glove_ids": np.array([7], np.int64),
+    }
+    arrays.update(changes)
+    return {name: value for name, value in arrays.items() if value is not None}
+
+
+def save(path: Path, arrays: dict[str, object]) -> Path:
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    return path
+
+
+def refused(path: Path, match: str, **options: object) -> str:
+    with pytest.raises(RecordingError, match=match) as caught:
+        read_recording(path, **options)  # type: ignore[arg-type]
+    message = str(caught.value)
+    assert str(path) in message
+    return message
+
+
+# --- the real recordings ---------------------------------------------------------------------
+
+
+@pytest.mark.shared
+def test_real_manus_recording(shared: Path) -> None:
+    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    recording = read_recording(path)
+    assert recording.landmarks.shape == (5000, 21, 3)
+    assert recording.side == "right"
+    assert recording.meta["side_assumed"] is False
+    assert recording.meta["glove_ids"] == [3064964832]
+    assert recording.rate_hz == pytest.approx(118.5, abs=0.1)
+    assert recording.duration == pytest.approx(43.38, abs=0.01)
+    assert recording.valid is not None
+    assert recording.valid.all()
+    with np.load(path, allow_pickle=False) as stored:
+        data = stored["data"].astype(float)
+    np.testing.assert_array_equal(recording.landmarks, data[:, FROM_MANUS_25, :3])
+    np.testing.assert_array_equal(recording.metacarpals, data[:, METACARPALS_MANUS_25, :3])
+    assert recording.orientations is not None
+    np.testing.assert_allclose(np.linalg.norm(recording.orientations, axis=-1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(recording.orientations, data[:, FROM_MANUS_25, 3:], atol=0.011)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("name", "rate", "frames"),
+    [
+        ("human_alex_21x3.npy", 100.0, 3498),
+        ("wilor_test_long_21x3.npz", 30.0, 1647),
+        ("wilor_workspace_21x3.npz", 30.0, 1929),
+    ],
+)
+def test_real_landmark_arrays(shared: Path, name: str, rate: float, frames: int) -> None:
+    path = shared / "recordings" / name
+    recording = read_recording(path, rate=rate, side="right")
+    assert recording.landmarks.shape == (frames, 21, 3)
+    assert recording.rate_hz == pytest.approx(rate)
+    assert recording.stamps[0] == 0.0
+    assert recording.meta["side_assumed"] is False
+    assert "--rate 100" in refused(path, "no time stamps")
+
+
+@pytest.mark.shared
+def test_real_static_poses_are_no_recording(shared: Path) -> None:
+    path = shared / "recordings" / "pinch_poses_wilor_21x3.npz"
+    message = refused(path, "4 single poses")
+    for finger in ("index", "middle", "ring", "little"):
+        assert f"thumb_to_{finger}_tip" in message
+
+
+# --- MANUS -----------------------------------------------------------------------------------
+
+
+def test_manus_ids_and_quaternion_order_are_honoured(tmp_path: Path) -> None:
+    plain = read_recording(save(tmp_path / "a.npz", manus()))
+    order = np.random.default_rng(2).permutation(25)
+    data = np.asarray(manus()["data"])[:, order]
+    data = data[..., [0, 1, 2, 4, 5, 6, 3]]  # wxyz -> xyzw
+    shuffled = manus(data=data, keypoint_ids=order, quaternion_order=np.array("xyzw"))
+    restored = read_recording(save(tmp_path / "b.npz", shuffled))
+    np.testing.assert_array_equal(restored.landmarks, plain.landmarks)
+    np.testing.assert_array_equal(restored.metacarpals, plain.metacarpals)
+    np.testing.assert_array_equal(restored.orientations, plain.orientations)
+    assert plain.orientations is not None
+    expected = np.asarray(manus()["data"], float)[:, 6, 3:]  # node 6: index MCP, landmark 5
+    np.testing.assert_allclose(plain.orientations[:, 5], expected, atol=1e-6)
+
+
+def test_manus_extra_node_is_left_out(tmp_path: Path) -> None:
+    data = np.asarray(manus()["data"])
+    wider = manus(
+        data=np.concatenate([np.full_like(data[:, :1], 9.0), data], axis=1),
+        keypoint_ids=np.r_[99, np.arange(25)],
+    )
+    recording = read_recording(save(tmp_path / "a.npz", wider))
+    assert np.abs(recording.landmarks).max() < 1.0
+
+
+def test_manus_without_ids_is_assumed_and_says_so(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.npz", manus(keypoint_ids=None, quaternion_order=None))
+    assert read_recording(path).meta["assumed"] == ["keypoint_ids", "quaternion_order"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"keypoint_ids": np.r_[np.arange(24), 30]}, r"\[24\] are missing"),
+        ({"keypoint_ids": np.arange(24)}, "must name each of the 25 nodes"),
+        ({"data": np.ones((3, 26, 7)), "keypoint_ids": np.r_[np.arange(25), 3]}, "more than once"),
+        ({"data": np.ones((3, 20, 7)), "keypoint_ids": None}, "25 nodes, this one 20"),
+        ({"quaternion_order": np.array("zyxw")}, "must be 'wxyz' or 'xyzw', not"),
+        ({"data": np.zeros((0, 25, 7)), "timestamps": np.zeros(0)}, "holds no frames"),
+        ({"chirality": np.array(["RIGHT", "LEFT"])}, "mixes left and right"),
+        ({"chirality": np.array("BOTH")}, "side must be 'right' or 'left', not 'BOTH'"),
+        ({"chirality": np.array(1)}, "must hold text"),
+        ({"timestamps": np.arange(5.0)}, "one stamp for each of the 12 frames"),
+        ({"timestamps": None}, "no time stamps"),
+        ({"data": np.asarray(manus()["data"]).astype(str)}, "must hold real numbers"),
+    ],
+)
+def test_bad_manus_files(tmp_path: Path, changes: dict[str, object], match: str) -> None:
+    refused(save(tmp_path / "a.npz", manus(**changes)), match)
+
+
+def test_zero_quaternion_is_unknown(tmp_path: Path) -> None:
+    data = np.asarray(manus()["data"]).copy()
+    data[3, 6, 3:] = 0.0
+    recording = read_recording(save(tmp_path / "a.npz", manus(data=data)))
+    assert recording.orientations is not None
+    assert np.isnan(recording.orientations[3, 5]).all()
+    assert np.isfinite(np.delete(recording.orientations, 3, axis=0)).all()
+
+
+# --- plain arrays ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_npy_with_rate(tmp_path: Path, dtype: type) -> None:
+    points = hand().astype(dtype)
+    np.save(tmp_path / "a.npy", points)
+    recording = read_recording(tmp_path / "a.npy", rate=50.0, side="left")
+    assert recording.landmarks.dtype == np.float64
+    np.testing.assert_array_equal(recording.landmarks, points)
+    np.testing.assert_allclose(recording.stamps, np.arange(FRAMES) / 50.0)
+    assert (recording.side, recording.name) == ("left", "a")
+
+
+def test_content_decides_not_the_suffix(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", hand())
+    (tmp_path / "a.npy").rename(tmp_path / "a.npz")
+    assert len(read_recording(tmp_path / "a.npz", rate=50.0)) == FRAMES
+    save(tmp_path / "b.npz", manus())
+    (tmp_path / "b.npz").rename(tmp_path / "b.pkl")  # a misnamed recording is still a recording
+    assert len(read_recording(str(tmp_path / "b.pkl"))) == FRAMES
+
+
+@pytest.mark.parametrize("key", ["joints", "landmarks", "whatever"])
+def test_npz_of_landmarks(tmp_path: Path, key: str) -> None:
+    stamps = np.arange(FRAMES) / 30.0
+    path = save(
+        tmp_path / "a.npz",
+        {key: hand(), "confidence": np.ones(FRAMES), "stamps": stamps, "side": np.array("Left")},
+    )
+    recording = read_recording(path)
+    np.testing.assert_array_equal(recording.landmarks, hand())
+    np.testing.assert_array_equal(recording.stamps, stamps)
+    assert recording.side == "left"
+    assert recording.meta == {"format": "array", "side_assumed": False}
+
+
+def test_named_array_wins_over_other_cubes(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.npz", {"joints": hand(), "images": np.ones((4, 5, 6))})
+    assert len(read_recording(path, rate=30.0)) == FRAMES
+
+
+def test_side_is_assumed_right_and_recorded(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", hand())
+    recording = read_recording(tmp_path / "a.npy", rate=30.0)
+    assert recording.side == "right"
+    assert recording.meta["side_assumed"] is True
+
+
+def test_side_as_bytes_and_per_frame(tmp_path: Path) -> None:
+    arrays = {"joints": hand(), "chirality": np.array([b"L"] * FRAMES)}
+    assert read_recording(save(tmp_path / "a.npz", arrays), rate=30.0).side == "left"
+
+
+@pytest.mark.parametrize(("nodes", "picked"), [(25, FROM_MANUS_25), (26, FROM_OPENXR_26)])
+def test_more_nodes_are_mapped(tmp_path: Path, nodes: int, picked: tuple[int, ...]) -> None:
+    points = hand(nodes=nodes)
+    np.save(tmp_path / "a.npy", points)
+    recording = read_recording(tmp_path / "a.npy", rate=30.0)
+    np.testing.assert_array_equal(recording.landmarks, points[:, picked])
+    left_out = sorted(set(range(nodes)) - set(picked) - ({0} if nodes == 26 else set()))
+    np.testing.assert_array_equal(recording.metacarpals, points[:, left_out])
+
+
+@pytest.mark.parametrize("form", ["npy", "npz"])
+def test_single_frame_needs_no_rate(tmp_path: Path, form: str) -> None:
+    path = tmp_path / f"a.{form}"
+    if form == "npy":
+        np.save(path, hand(1)[0])
+    else:
+        np.savez(path, pose=hand(1)[0], timestamp_text=np.array("noon"))
+    recording = read_recording(path)
+    np.testing.assert_array_equal(recording.landmarks, hand(1))
+    assert recording.stamps.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("shape", "hint"),
+    [
+        ((FRAMES, 63), r"reshape\(-1, 21, 3\)"),
+        ((FRAMES, 3, 21), r"transpose\(0, 2, 1\)"),
+        ((FRAMES, 21, 4), r"\[\.\.\., :3\]"),
+        ((FRAMES, 2, 21, 3), "several hands"),
+        ((FRAMES, 20, 3), r"must have shape \(T, 21, 3\)"),
+        ((63,), r"not \(63,\)"),
+        ((0, 21, 3), "holds no frames"),
+    ],
+)
+def test_wrong_shapes(tmp_path: Path, shape: tuple[int, ...], hint: str) -> None:
+    np.save(tmp_path / "a.npy", np.ones(shape))
+    refused(tmp_path / "a.npy", hint, rate=30.0)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "match"),
+    [
+        ({"a": hand(), "b": hand()}, "2 recordings, not one recording: a, b"),
+        ({"joints": hand(), "landmarks": hand()}, "both 'landmarks' and 'joints'"),
+        ({"x": np.ones(3), "y": np.ones((4, 2))}, r"no array of landmarks.*x \(3,\), y \(4, 2\)"),
+        ({}, "no arrays"),
+        ({"joints": hand() > 0}, "must hold real numbers, not bool"),
+        ({"joints": hand(), "side": np.array("")}, "side must be"),
+        ({"joints": hand(), "chirality": np.array("R"), "side": np.array("L")}, "mixes left"),
+    ],
+)
+def test_bad_npz(tmp_path: Path, arrays: dict[str, object], match: str) -> None:
+    refused(save(tmp_path / "a.npz", arrays), match, rate=30.0)
+
+
+def test_caller_contradicts_file(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.npz", manus())
+    message = refused(path, "recording of a right hand, but side 'left'", side="left")
+    assert "--side right" in message
+    refused(path, "contradict --rate 60", rate=60.0)
+    assert len(read_recording(path, rate=115.0, side="right")) == FRAMES
+    with pytest.raises(ConfigError, match="side must be"):
+        read_recording(path, side="both")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 0.5, 5000.0, float("nan"), float("inf")])
+def test_impossible_rate(tmp_path: Path, rate: float) -> None:
+    np.save(tmp_path / "a.npy", hand())
+    with pytest.raises(ConfigError, match="rate must be 1 to 2000"):
+        read_recording(tmp_path / "a.npy", rate=rate)
+
+
+# --- values ----------------------------------------------------------------------------------
+
+
+def test_nan_and_zero_frames_are_invalid_not_refused(tmp_path: Path) -> None:
+    points = hand()
+    points[2, 8] = np.nan
+    points[3, :, 1] = np.inf
+    points[5] = 0.0
+    np.save(tmp_path / "a.npy", points)
+    recording = read_recording(tmp_path / "a.npy", rate=30.0)
+    expected = np.ones((FRAMES, 21), bool)
+    expected[2, 8] = False
+    expected[[3, 5]] = False
+    np.testing.assert_array_equal(recording.valid, expected)
+    np.testing.assert_array_equal(recording.landmarks, points)
+    assert recording.meta["zero_frames"] == 1
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "factor"),
+    [
+        (1e3, "millimetres", "0.001"),
+        (1e2, "centimetres", "0.01"),
+        (1 / 0.0254, "inches", "0.0254"),
+        (1e6, "micrometres", "1e-06"),
+        (1 / 0.3048, "feet", "0.3048"),
+        (10.0, "decimetres", "0.1"),
+    ],
+)
+def test_wrong_units_name_the_factor(tmp_path: Path, scale: float, unit: str, factor: str) -> None:
+    np.save(tmp_path / "a.npy", hand() * scale)
+    message = refused(tmp_path / "a.npy", "0.05 to 0.14", rate=30.0)
+    assert f"looks like {unit} (multiply by {factor})" in message
+
+
+def test_unknown_units_say_so(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", hand() * 1e-3)
+    assert "multiply by 1e+03" in refused(tmp_path / "a.npy", "no common unit fits", rate=30.0)
+
+
+def test_units_are_judged_by_the_median_of_valid_frames(tmp_path: Path) -> None:
+    points = hand()
+    points[: FRAMES // 3] *= 1e3  # a glitch in a third of the frames
+    points[-2:, 9] = np.nan
+    np.save(tmp_path / "a.npy", points)
+    assert len(read_recording(tmp_path / "a.npy", rate=30.0)) == FRAMES
+
+
+@pytest.mark.parametrize("palm", [0.0501, 0.1399])
+def test_unit_bounds(palm: float) -> None:
+    points = hand(1) * palm / 0.095
+    check_units(points, np.ones((1, 21), bool), "here")
+    for outside in (0.0499, 0.1401):
+        with pytest.raises(RecordingError, match="here: the distance from the wrist"):
+            check_units(hand(1) * outside / 0.095, np.ones((1, 21), bool), "here")
+
+
+def test_all_nan_no_wrist_and_all_zero(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.full((FRAMES, 21, 3), np.nan))
+    refused(path, "no landmark of any frame is a finite number", rate=30.0)
+    np.save(path, np.zeros((FRAMES, 21, 3)))
+    refused(path, "never saw the hand", rate=30.0)
+    points = hand()
+    points[::2, 0] = np.nan
+    points[1::2, 9] = np.nan
+    np.save(path, points)
+    refused(path, "no frame has both the wrist and the middle finger's MCP", rate=30.0)
+    np.save(path, np.ones((FRAMES, 21, 3)))
+    refused(path, "landmarks coincide", rate=30.0)
+
+
+def stamps_with(**changes: float) -> np.ndarray:
+    stamps = np.arange(FRAMES) / 100.0
+    for name, value in changes.items():
+        stamps[int(name[1:])] = value
+    return stamps
+
+
+@pytest.mark.parametrize(
+    ("stamps", "match"),
+    [
+        (stamps_with(i5=0.001), "go backwards at frame 5: 0.04 s, then 0.001 s"),
+        (stamps_with(i5=0.04), "frames 4 and 5 have the same stamp, 0.04 s"),
+        (stamps_with()[::-1], "go backwards at frame 1"),
+        (np.random.default_rng(0).permutation(stamps_with()), "shuffled"),
+        (stamps_with(i3=np.nan), "stamp of frame 3 is nan"),
+        (stamps_with(i0=np.inf), "stamp of frame 0 is inf"),
+        (stamps_with() * 1e3, r"milliseconds \(multiply by 0.001\)"),
+        (stamps_with() * 1e6, r"microseconds \(multiply by 1e-06\)"),
+        ((stamps_with() * 1e9).astype(np.int64), r"nanoseconds \(multiply by 1e-09\)"),
+        (stamps_with() / 60.0, r"minutes \(multiply by 60\)"),
+        (stamps_with() * 1e15, "no other common unit"),
+        (stamps_with()[:-1], "one stamp for each of the 12 frames"),
+    ],
+)
+def test_bad_stamps(tmp_path: Path, stamps: np.ndarray, match: str) -> None:
+    refused(save(tmp_path / "a.npz", {"joints": hand(), "timestamps": stamps}), match)
+    refused(save(tmp_path / "b.npz", manus(timestamps=stamps)), match)
+
+
+# --- files -----------------------------------------------------------------------------------
+
+
+def test_missing_folder_and_empty_files(tmp_path: Path) -> None:
+    refused(tmp_path / "nothing.npz", "no such file")
+    refused(tmp_path, "this is a folder")
+    (tmp_path / "a.npz").touch()
+    refused(tmp_path / "a.npz", r"empty \(0 bytes\)")
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_pickles_are_refused_and_not_run(tmp_path: Path, protocol: int) -> None:
+    path = tmp_path / "a.pkl"
+    path.write_bytes(pickle.dumps(Bomb(), protocol))
+    assert "numpy.savez" in refused(path, "this is a pickle")
+    if protocol >= 2:  # by content too
+        other = tmp_path / "a.npz"
+        other.write_bytes(path.read_bytes())
+        refused(other, "this is a pickle")
+
+
+class Bomb:
+    """Says so if it is unpickled."""
+
+    def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+        return pytest.fail, ("unpickled",)
+
+
+def test_object_arrays_are_pickles(tmp_path: Path) -> None:
+    boxed = np.empty(1, object)
+    boxed[0] = Bomb()
+    np.save(tmp_path / "a.npy", boxed, allow_pickle=True)
+    assert "numpy.savez" in refused(tmp_path / "a.npy", "pickled objects")
+    refused(save(tmp_path / "b.npz", {"joints": boxed}), "array 'joints' holds pickled objects")
+    refused(save(tmp_path / "c.npz", manus(timestamps=boxed)), "array 'timestamps' holds pickled")
+    # One that is not needed does no harm.
+    path = save(tmp_path / "d.npz", {"joints": hand(), "notes": boxed})
+    assert len(read_recording(path, rate=30.0)) == FRAMES
+
+
+def test_torch_files_are_pickles(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("archive/data.pkl", pickle.dumps([1]))
+    refused(tmp_path / "a.pt", r"holds the pickle 'archive/data.pkl'")
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"\x89HDF\r\n\x1a\n" + bytes(50), "HDF5"),
+        (b"\x1f\x8b" + bytes(50), "gzip"),
+        (b"time,x,y,z\n0,1,2,3\n", "not a recording: it starts with b'time,x,y'"),
+        (b"\x93NUM", "cut off after 4 bytes"),
+        (b"\x89MCAP0", "cut off after 6 bytes"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'}", "damaged or cut off"),
+    ],
+)
+def test_foreign_and_stunted_files(tmp_path: Path, content: bytes, match: str) -> None:
+    (tmp_path / "a.bin").write_bytes(content)
+    refused(tmp_path / "a.bin", match)
+
+
+@pytest.mark.parametrize("form", ["npy", "npz", "npz-compressed", "manus"])
+def test_cut_off_files(tmp_path: Path, form: str) -> None:
+    buffer = io.BytesIO()
+    if form == "npy":
+        np.save(buffer, hand())
+    elif form == "npz":
+        np.savez(buffer, joints=hand())
+    elif form == "npz-compressed":
+        np.savez_compressed(buffer, joints=hand())
+    else:
+        np.savez(buffer, **manus())  # type: ignore[arg-type]
+    whole = buffer.getvalue()
+    path = tmp_path / "a"
+    rng = np.random.default_rng(3)
+    for length in {*rng.integers(1, len(whole), 20).tolist(), len(whole) - 1, 9}:
+        path.write_bytes(whole[:length])
+        refused(path, "damaged or cut off|cut off after", rate=30.0)
+
+
+def test_flipped_bytes_never_escape_the_error_family(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **manus())  # type: ignore[arg-type]
+    whole = buffer.getvalue()
+    path = tmp_path / "a.npz"
+    rng = np.random.default_rng(4)
+    refusals = 0
+    for _ in range(60):
+        broken = bytearray(whole)
+        broken[rng.integers(0, len(whole))] ^= 1 << rng.integers(0, 8)
+        path.write_bytes(broken)
+        try:
+            recording = read_recording(path)
+        except RecordingError:
+            refusals += 1
+        else:  # the flip was in a field that the reader does not need
+            assert isinstance(recording, HandRecording)
+    assert refusals > 30
+
+
+def test_header_of_absurd_size_asks_for_no_memory(tmp_path: Path) -> None:
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999, 21, 3), }"
+    header = header.ljust(117) + "\n"
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
+    (tmp_path / "a.npy").write_bytes(content + bytes(100))
+    refused(tmp_path / "a.npy", "should take 503999999999")
+
+
+# --- frames A:B ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", [":500", "2600:3100", "-500:", ":", " 3 : -2 ", "-9999:7", "+1:"])
+def test_frame_slice_means_what_python_means(text: str) -> None:
+    frames = list(range(4000))
+    expected = eval(f"frames[{text}]")
+    assert frames[frame_slice(text, 4000)] == expected
+    assert expected
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "range A:B"),
+        ("5", "the one frame 5 is '5:6'"),
+        ("1:9:2", "a step is not supported"),
+        ("a:b", "not 'a:b'"),
+        ("1.5:3", "whole numbers"),
+        ("1e3:", "whole numbers"),
+        ("٣:٥", "whole numbers"),
+        ("10:", "selects nothing: the recording has 10 frames, 0 to 9"),
+        ("5:5", "selects nothing"),
+        ("-2:3", "selects nothing"),
+    ],
+)
+def test_frame_slice_nonsense(text: str, match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        frame_slice(text, 10)
+    with pytest.raises(ConfigError):
+        frame_slice(":", 0)

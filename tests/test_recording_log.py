@@ -1,0 +1,487 @@
+"""The project's own log: exact round trips, and what is left after a crash."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
+
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording import LogWriter, read_log, read_recording
+from smooth_operator.types import HandFrame, HandRecording, JointCommand, Side, Status
+
+NAMES = ("base", "tip")
+
+
+def recording(frames: int = 40, *, side: Side = "right", rich: bool = True) -> HandRecording:
+    rng = np.random.default_rng(0)
+    points = 0.02 * rng.normal(size=(frames, 21, 3))
+    points[:, 0] = 0.0
+    points[:, 9] = (0.0, 0.0, 0.095)
+    points[3:5, 8] = np.nan
+    points[5:6, 4, 1] = -0.0
+    valid = rng.random((frames, 21)) > 0.02
+    valid[:, [0, 9]] = True
+    return HandRecording(
+        points,
+        1.7e9 + np.cumsum(rng.uniform(0.005, 0.015, frames)),
+        side,
+        valid=valid,
+        metacarpals=rng.normal(size=(frames, 4, 3)) if rich else None,
+        orientations=rng.normal(size=(frames, 21, 4)) if rich else None,
+    )
+
+
+def command(stamp: float, value: float = 0.1) -> JointCommand:
+    return JointCommand(np.array([value, np.pi * value]), NAMES, stamp)
+
+
+def write(path: Path, hands: HandRecording, **options: object) -> Path:
+    with LogWriter(path, **options) as log:  # type: ignore[arg-type]
+        log.write_config({"method": "sbr", "limit": float("inf")})
+        for i, frame in enumerate(hands):
+            log.write_hand(frame)
+            status = Status.OK if i % 3 else Status.INVALID_LANDMARKS
+            log.write_command(command(frame.stamp, i / 7), status, 0.1 * i, {"solve": 0.03 * i})
+    return path
+
+
+def assert_same(a: HandRecording, b: HandRecording) -> None:
+    for name in ("landmarks", "stamps", "valid", "metacarpals", "orientations"):
+        left, right = getattr(a, name), getattr(b, name)
+        assert (left is None) == (right is None), name
+        if left is not None:
+            np.testing.assert_array_equal(left, right, err_msg=name)
+    for name in ("landmarks", "stamps"):  # the sign of zero too
+        np.testing.assert_array_equal(np.signbit(getattr(a, name)), np.signbit(getattr(b, name)))
+    assert a.side == b.side
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize(("side", "rich"), [("right", True), ("left", False)])
+def test_round_trip_is_exact(tmp_path: Path, compression: str, side: Side, rich: bool) -> None:
+    hands = recording(side=side, rich=rich)
+    path = write(tmp_path / "a.mcap", hands, compression=compression)
+    log = read_log(path)
+    assert log.truncated is False
+    assert log.config == {"method": "sbr", "limit": "inf"}
+    assert log.recording is not None
+    assert_same(hands, log.recording)
+    assert log.commands is not None
+    i = np.arange(len(hands))
+    assert log.commands.joint_names == NAMES
+    expected = np.stack([i / 7, np.pi * (i / 7)], axis=1)
+    np.testing.assert_array_equal(log.commands.joint_positions, expected)
+    np.testing.assert_array_equal(log.commands.stamps, hands.stamps)
+    np.testing.assert_array_equal(log.commands.latency_ms, 0.1 * i)
+    np.testing.assert_array_equal(log.commands.status, np.where(i % 3, 0, 1))
+    np.testing.assert_array_equal(log.stages_ms["solve"], 0.03 * i)
+    assert_same(hands, read_recording(path))
+    assert read_recording(path).meta == {
+        "format": "log",
+        "truncated": False,
+        "side_assumed": False,
+    }
+
+
+@pytest.mark.shared
+def test_real_recording_through_the_log(shared: Path, tmp_path: Path) -> None:
+    hands = read_recording(shared / "recordings" / "manus_right_subject-000_run-010.npz")[:400]
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for frame in hands:
+            log.write_hand(frame)
+    assert_same(hands, read_recording(tmp_path / "a.mcap"))
+    assert read_log(tmp_path / "a.mcap").commands is None
+    assert (tmp_path / "a.mcap").stat().st_size < 400 * 4000
+
+
+def test_opens_in_the_mcap_library_and_keeps_to_what_viewers_parse(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", recording(10))
+    with path.open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 31
+        topics = {c.topic: c for c in summary.channels.values()}
+        assert set(topics) == {"/hand", "/command", "/timing", "/config"}
+        messages = list(make_reader(stream).iter_messages())
+    times = [message.log_time for _, _, message in messages]
+    assert times == sorted(times)
+    assert times[0] == round(recording(10).stamps[0] * 1e9)  # the configuration comes with it
+    for schema, channel, message in messages:
+        assert schema is not None
+        assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+        check(json.loads(message.data), json.loads(schema.data))
+
+
+def check(value: object, schema: dict[str, object]) -> None:
+    """A message against its schema, both within the subset that Foxglove's parser knows."""
+    if "oneOf" in schema:
+        assert value in [option["const"] for option in schema["oneOf"]]  # type: ignore[attr-defined]
+        return
+    kind = schema["type"]
+    assert isinstance(kind, str)  # no unions of types
+    if kind == "object":
+        assert isinstance(value, dict)
+        assert value.keys() <= schema["properties"].keys()  # type: ignore[attr-defined]
+        assert value.keys() >= set(schema["required"])  # type: ignore[call-overload]
+        for key, item in value.items():
+            check(item, schema["properties"][key])  # type: ignore[index]
+    elif kind == "array":
+        assert schema["items"]["type"] != "array"  # type: ignore[index]
+        for item in value:  # type: ignore[attr-defined]
+            check(item, schema["items"])  # type: ignore[arg-type]
+    else:
+        types = {"number": (float, int, type(None)), "string": str, "boolean": bool}
+        assert isinstance(value, types[kind])  # type: ignore[arg-type]
+
+
+def test_partial_logs(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "empty.mcap"):
+        pass
+    log = read_log(tmp_path / "empty.mcap")
+    assert (log.recording, log.commands, log.config, log.truncated) == (None, None, None, False)
+    with pytest.raises(RecordingError, match="holds no hand frames"):
+        read_recording(tmp_path / "empty.mcap")
+
+    with LogWriter(tmp_path / "config.mcap") as writer:
+        writer.write_config({"a": [1, (2,)]})
+    assert read_log(tmp_path / "config.mcap").config == {"a": [1, [2]]}
+
+    with LogWriter(tmp_path / "commands.mcap") as writer:
+        writer.write_command(command(1.0), Status.OK, 0.5)
+        writer.write_config({"late": True})
+        writer.write_command(command(1.0), Status.SOLVER_FAILED, float("nan"), {"solve": 1.0})
+    log = read_log(tmp_path / "commands.mcap")
+    assert log.recording is None
+    assert log.config == {"late": True}
+    assert log.commands is not None
+    np.testing.assert_array_equal(log.commands.latency_ms, [0.5, np.nan])
+    np.testing.assert_array_equal(log.stages_ms["solve"], [np.nan, 1.0])
+
+
+def test_optional_fields_may_come_and_go(tmp_path: Path) -> None:
+    hands = recording(3)
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write_hand(HandFrame(hands.landmarks[0], -2.5))  # before zero is a time as well
+        log.write_hand(hands[1])
+    back = read_log(tmp_path / "a.mcap").recording
+    assert back is not None
+    assert back.metacarpals is not None
+    assert np.isnan(back.metacarpals[0]).all()
+    assert hands.metacarpals is not None
+    np.testing.assert_array_equal(back.metacarpals[1], hands.metacarpals[1])
+    assert back.stamps[0] == -2.5
+
+
+# --- crashes ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path: Path, compression: str) -> None:
+    hands = recording(60)
+    whole = write(tmp_path / "a.mcap", hands, compression=compression, chunk_bytes=20_000)
+    content = whole.read_bytes()
+    with whole.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    ends = np.array([c.chunk_start_offset + c.chunk_length for c in summary.chunk_indexes])
+    topics = {number: channel.topic for number, channel in summary.channels.items()}
+    counts: dict[str, list[int]] = {topic: [] for topic in topics.values()}
+    with whole.open("rb") as stream:
+        for chunk in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(chunk, Chunk):
+                held = [
+                    topics[m.channel_id] for m in breakup_chunk(chunk) if isinstance(m, Message)
+                ]
+                for topic, numbers in counts.items():
+                    numbers.append(held.count(topic))
+    assert len(ends) > 5
+    assert sum(counts["/hand"]) == len(hands)
+
+    cut = tmp_path / "cut.mcap"
+    rng = np.random.default_rng(5)
+    edges = [
+        len(content) - 1,
+        len(content) - 8,
+        len(content) - 9,
+        int(ends[0]),
+        int(ends[0]) - 1,
+        8,
+    ]
+    for length in {*rng.integers(8, len(content), 20).tolist(), *edges}:
+        cut.write_bytes(content[:length])
+        log = read_log(cut)
+        assert log.truncated is True
+        complete = int((ends <= length).sum())
+        if not complete:
+            assert log.recording is None
+            with pytest.raises(RecordingError, match="cut off before its first frames"):
+                read_recording(cut)
+            continue
+        assert log.recording is not None
+        assert log.commands is not None
+        assert_same(hands[: sum(counts["/hand"][:complete])], log.recording)
+        commands = sum(counts["/command"][:complete])
+        np.testing.assert_array_equal(log.commands.stamps, hands.stamps[:commands])
+        assert np.isfinite(log.commands.latency_ms).all()
+        assert log.config is not None
+        assert read_recording(cut).meta["truncated"] is True
+
+
+def test_damage_in_the_middle_keeps_what_came_before(tmp_path: Path) -> None:
+    hands = recording(60)
+    whole = write(tmp_path / "a.mcap", hands, chunk_bytes=20_000)
+    content = whole.read_bytes()
+    rng = np.random.default_rng(6)
+    for _ in range(25):
+        broken = bytearray(content)
+        place = int(rng.integers(8, len(content)))
+        broken[place : place + 4] = rng.bytes(4)
+        whole.write_bytes(broken)
+        try:
+            log = read_log(whole)
+        except RecordingError:
+            continue
+        if log.recording is not None:
+            assert_same(hands[: len(log.recording)], log.recording)
+            assert log.truncated or len(log.recording) == len(hands)
+    # A crash of the machine can leave zeros where the last blocks should be.
+    whole.write_bytes(content[: len(content) // 2] + bytes(5000))
+    log = read_log(whole)
+    assert log.truncated
+    assert log.recording is not None
+    assert 10 < len(log.recording) < 40
+
+
+def test_killed_writer_leaves_a_readable_log(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    script = textwrap.dedent(
+        """
+        import sys, time
+        import numpy as np
+        from smooth_operator.recording import LogWriter
+        from smooth_operator.types import HandFrame
+
+        points = np.linspace(0.0, 0.1, 63).reshape(21, 3)
+        with LogWriter(sys.argv[1], flush_seconds=0.05) as log:
+            for i in range(1_000_000):
+                log.write_hand(HandFrame(points + i, i / 100))
+                if i == 100:
+                    time.sleep(0.06)
+                if i == 102:
+                    print("ready", flush=True)
+                time.sleep(0.0005)
+        """
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+    log = read_log(path)
+    assert log.truncated
+    assert log.recording is not None
+    assert len(log.recording) > 100  # all that was older than flush_seconds
+    np.testing.assert_array_equal(log.recording.stamps, np.arange(len(log.recording)) / 100)
+    assert log.recording.landmarks[100, 0, 0] == 100.0
+
+
+def test_flush_and_time_bring_frames_to_the_file(tmp_path: Path) -> None:
+    hands = recording(8)
+    log = LogWriter(tmp_path / "a.mcap", flush_seconds=3600.0)
+    assert read_log(log.path).truncated  # readable from the first moment on
+    log.write_hand(hands[0])
+    assert read_log(log.path).recording is None
+    log.flush(sync=True)
+    assert len(read_recording(log.path)) == 1
+    log.write_hand(hands[1])
+    assert len(read_recording(log.path)) == 1
+    log.close()
+    log.close()
+    assert len(read_recording(log.path)) == 2
+    with pytest.raises(OutputError, match="log is closed"):
+        log.write_hand(hands[2])
+
+    with LogWriter(tmp_path / "b.mcap", flush_seconds=1e-9) as log:
+        log.write_hand(hands[0])
+        log.write_hand(hands[1])
+        assert len(read_recording(log.path)) == 2
+
+
+def test_exception_in_the_block_still_ends_the_log(tmp_path: Path) -> None:
+    def crash() -> None:
+        with LogWriter(tmp_path / "a.mcap") as log:
+            log.write_hand(recording(1)[0])
+            raise RuntimeError("robot")
+
+    with pytest.raises(RuntimeError, match="robot"):
+        crash()
+    assert read_log(tmp_path / "a.mcap").truncated is False
+
+
+# --- refusals --------------------------------------------------------------------------------
+
+
+def test_writer_refuses_what_could_not_be_read(tmp_path: Path) -> None:
+    hands = recording(5)
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write_hand(hands[1])
+        for stamp in (hands.stamps[1], hands.stamps[0], np.nan, np.inf):
+            with pytest.raises(RecordingError, match="stamps must increase"):
+                log.write_hand(HandFrame(hands.landmarks[0], stamp))
+        with pytest.raises(RecordingError, match="log of a right hand, the frame is of a left"):
+            log.write_hand(HandFrame(hands.landmarks[0], hands.stamps[2], "left"))
+        log.write_command(command(1.0), Status.OK, 1.0)
+        with pytest.raises(RecordingError, match="joints of the command are not those"):
+            log.write_command(JointCommand(np.zeros(1), ("x",), 1.0), Status.OK, 1.0)
+        with pytest.raises(RecordingError, match="one position for each of its 2 joints"):
+            log.write_command(JointCommand(np.zeros(3), NAMES, 1.0), Status.OK, 1.0)
+        with pytest.raises(RecordingError, match="must be finite"):
+            log.write_command(command(np.nan), Status.OK, 1.0)
+        with pytest.raises(ConfigError, match=r"configuration\.f is a function"):
+            log.write_config({"f": lambda: None})
+        log.write_config({})
+        with pytest.raises(ConfigError, match="already has its configuration"):
+            log.write_config({})
+        log.write_hand(hands[2])
+    result = read_log(tmp_path / "a.mcap")  # none of it left a trace
+    assert result.recording is not None
+    assert result.commands is not None
+    assert (len(result.recording), len(result.commands), result.config) == (2, 1, {})
+
+
+@pytest.mark.parametrize(
+    "options", [{"compression": "gzip"}, {"chunk_bytes": 0}, {"flush_seconds": float("nan")}]
+)
+def test_bad_options(tmp_path: Path, options: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        LogWriter(tmp_path / "a.mcap", **options)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_paths_that_can_not_be_written(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="does not exist; create it first"):
+        LogWriter(tmp_path / "no" / "a.mcap")
+    with pytest.raises(OutputError, match="a folder stands there"):
+        LogWriter(tmp_path)
+    (tmp_path / "a.mcap").write_text("precious")
+    with pytest.raises(OutputError, match="stands there already") as caught:
+        LogWriter(tmp_path / "a.mcap")
+    assert caught.value.errno == errno.EEXIST
+    assert (tmp_path / "a.mcap").read_text() == "precious"
+    write(tmp_path / "a.mcap", recording(2), overwrite=True)
+    assert len(read_recording(tmp_path / "a.mcap")) == 2
+    with pytest.raises(OutputError, match="a file stands where a folder is expected"):
+        LogWriter(tmp_path / "a.mcap" / "b.mcap")
+
+
+def test_permission_denied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "a.mcap")
+
+    monkeypatch.setattr(Path, "open", denied)
+    with pytest.raises(OutputError, match="permission denied; choose a folder"):
+        LogWriter(tmp_path / "a.mcap")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full, a disk always full")
+def test_disk_full() -> None:
+    with pytest.raises(OutputError, match="no space is left") as caught:
+        LogWriter("/dev/full", overwrite=True)
+    assert caught.value.errno == errno.ENOSPC
+
+
+def test_disk_that_fills_up_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hands = recording(30)
+    log = LogWriter(tmp_path / "a.mcap", chunk_bytes=1)
+    for frame in hands[:10]:
+        log.write_hand(frame)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Writer, "flush", full)
+    with log, pytest.raises(OutputError, match="no space is left on the device; free some"):
+        log.write_hand(hands[10])
+    with pytest.raises(OutputError, match="gave up on an error"):
+        log.write_hand(hands[11])
+    monkeypatch.undo()
+    assert_same(hands[:10], read_recording(tmp_path / "a.mcap"))
+
+
+def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("x", "jsonschema", b'{"type":"object"}')
+        metadata = {} if version is None else {"version": version}
+        channel = writer.register_channel(topic, "json", schema, metadata)
+        writer.add_message(channel, 0, data, 0)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("topic", "data", "version", "match"),
+    [
+        ("/camera", b"{}", None, "MCAP file of another program, with the topics /camera"),
+        ("/hand", b"{}", None, "MCAP file of another program"),
+        ("/hand", b"{}", "2", "version 2, this program reads version 1; upgrade"),
+        ("/hand", b"{}", "1", "lacks a field or has a wrong one"),
+        ("/hand", b"\xff", "1", "a message on /hand is not JSON"),
+        ("/command", b"[1]", "1", "a message on /command is not an object"),
+        ("/config", b'{"configuration": "{"}', "1", "has a wrong one"),
+        (
+            "/command",
+            b'{"stamp": 0, "names": ["a"], "positions": [0, 1], "status": 0}',
+            "1",
+            "has a wrong one",
+        ),
+        (
+            "/command",
+            b'{"stamp": 0, "names": ["a"], "positions": [0], "status": 77}',
+            "1",
+            "77 is not a valid Status",
+        ),
+    ],
+)
+def test_logs_of_others(
+    tmp_path: Path, topic: str, data: bytes, version: str | None, match: str
+) -> None:
+    path = foreign(tmp_path / "a.mcap", topic, data, version)
+    with pytest.raises(RecordingError, match=match):
+        read_log(path)
+
+
+def test_read_log_of_something_else(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros(3))
+    with pytest.raises(RecordingError, match="not a log; read it with read_recording"):
+        read_log(tmp_path / "a.npy")
+    with pytest.raises(RecordingError, match="no such file"):
+        read_log(tmp_path / "b.mcap")
+
+
+def test_log_side_and_rate_contradicted(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", recording(side="left"))
+    with pytest.raises(RecordingError, match="recording of a left hand, but side 'right'"):
+        read_recording(path, side="right")
+    with pytest.raises(RecordingError, match="contradict --rate 30"):
+        read_recording(path, rate=30.0)

@@ -1,0 +1,296 @@
+"""Results: OUT.npz with OUT.json beside it, and files that are whole or not there."""
+
+from __future__ import annotations
+
+import enum
+import errno
+import json
+import os
+import stat
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording import (
+    atomic_write,
+    config_path,
+    output_error,
+    read_commands,
+    to_json,
+    write_commands,
+)
+from smooth_operator.types import CommandTrajectory, Status
+
+
+def trajectory(frames: int = 6, joints: int = 3) -> CommandTrajectory:
+    rng = np.random.default_rng(0)
+    return CommandTrajectory(
+        joint_positions=rng.normal(size=(frames, joints)),
+        joint_names=tuple(f"joint_{i}" for i in range(joints)),
+        stamps=1.7e9 + np.arange(frames) / 115.0,
+        latency_ms=rng.uniform(0.5, 2.0, frames),
+        status=np.arange(frames) % len(Status),
+    )
+
+
+@pytest.mark.parametrize("frames", [6, 0])
+def test_round_trip(tmp_path: Path, frames: int) -> None:
+    commands = trajectory(frames)
+    path = tmp_path / "run.1.npz"
+    write_commands(path, commands, {"method": "sbr", "seed": np.int64(3)})
+    back = read_commands(path)
+    for name in ("joint_positions", "stamps", "latency_ms", "status"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(commands, name))
+    assert back.joint_names == commands.joint_names
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.1.json", "run.1.npz"]
+    assert json.loads(config_path(path).read_text()) == {"method": "sbr", "seed": 3}
+
+
+def test_stored_form(tmp_path: Path) -> None:
+    write_commands(tmp_path / "a.npz", trajectory(), {})
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
+        forms = {name: (stored[name].dtype.str[1:], stored[name].shape) for name in stored}
+        names = stored["status_names"]
+        assert [str(names[code]) for code in stored["status"]] == [
+            Status(i % 4).name for i in range(6)
+        ]
+    assert forms["joint_positions"] == ("f8", (6, 3))
+    assert forms["joint_names"] == ("U7", (3,))
+    assert forms["timestamps"] == ("f8", (6,))
+    assert forms["latency_ms"] == ("f8", (6,))
+    assert forms["status"] == ("i1", (6,))
+
+
+def test_status_is_found_by_name(tmp_path: Path) -> None:
+    write_commands(tmp_path / "a.npz", trajectory(4), {})
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as stored:
+        arrays = dict(stored)
+    arrays["status"] = np.array([1, 0, 0, 2])
+    arrays["status_names"] = np.array(["SOLVER_FAILED", "OK", "FROM_THE_FUTURE"])
+    np.savez(tmp_path / "b.npz", **arrays)
+    with pytest.raises(RecordingError, match=r"status \[2\] is not one of"):
+        read_commands(tmp_path / "b.npz")
+    arrays["status"][3] = 1
+    np.savez(tmp_path / "b.npz", **arrays)
+    assert read_commands(tmp_path / "b.npz").status.tolist() == [0, 3, 3, 0]
+    del arrays["status_names"]
+    np.savez(tmp_path / "b.npz", **arrays)
+    assert read_commands(tmp_path / "b.npz").status.tolist() == [1, 0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("joint_positions", None, "it lacks joint_positions"),
+        ("status", None, r"it lacks status .*it holds .*timestamps \(6,\)"),
+        ("joint_positions", np.zeros(6), "must have shape \\(frames, joints\\)"),
+        ("joint_positions", np.zeros((6, 4)), r"joint_names must have shape \(4,\)"),
+        ("timestamps", np.zeros(5), r"timestamps must have shape \(6,\).*not \(5,\)"),
+        ("latency_ms", np.zeros((6, 1)), "latency_ms must have shape"),
+        ("latency_ms", np.array(["a"] * 6), "must hold real numbers"),
+        ("joint_names", np.zeros(3), "must hold text"),
+        ("joint_names", np.array([None, 1, 2]), "pickled objects"),
+        ("status", np.full(6, 9), r"status \[9\] is not one of"),
+        ("status", np.array(["OK"] * 6), "status must hold whole numbers"),
+    ],
+)
+def test_bad_results(tmp_path: Path, key: str, value: Any, match: str) -> None:
+    path = tmp_path / "a.npz"
+    write_commands(path, trajectory(), {})
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = dict(stored)
+    arrays[key] = value
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    with pytest.raises(RecordingError, match=match) as caught:
+        read_commands(path)
+    assert str(path) in str(caught.value)
+
+
+def test_other_files_are_no_results(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros(3))
+    with pytest.raises(RecordingError, match="not a file of commands"):
+        read_commands(tmp_path / "a.npy")
+    (tmp_path / "b.npz").write_bytes(b"PK\x03\x04rubbish")
+    with pytest.raises(RecordingError, match="damaged or cut off"):
+        read_commands(tmp_path / "b.npz")
+    with pytest.raises(RecordingError, match="no such file"):
+        read_commands(tmp_path / "c.npz")
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"joint_names": ("a",)}, "joint_names must have shape"),
+        ({"latency_ms": np.zeros(2)}, "latency_ms must have shape"),
+        ({"joint_positions": np.zeros(3)}, "must have shape"),
+        ({"status": np.full(6, 42)}, r"status \[42\]"),
+    ],
+)
+def test_inconsistent_trajectories_are_not_written(
+    tmp_path: Path, change: dict[str, Any], match: str
+) -> None:
+    with pytest.raises(RecordingError, match=match):
+        write_commands(tmp_path / "a.npz", replace(trajectory(), **change), {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_unwritable_results(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"must end in .npz, as out.npz"):
+        write_commands(tmp_path / "out", trajectory(), {})
+    with pytest.raises(OutputError, match="does not exist; create it first"):
+        write_commands(tmp_path / "no" / "a.npz", trajectory(), {})
+    with pytest.raises(ConfigError, match=r"configuration\.x is a object"):
+        write_commands(tmp_path / "a.npz", trajectory(), {"x": object()})
+    assert not list(tmp_path.iterdir())
+
+
+# --- atomic_write ----------------------------------------------------------------------------
+
+
+def test_old_file_survives_a_failure(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def interrupted() -> None:
+        with atomic_write(path) as file:
+            file.write(b"half of the n")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+    with atomic_write(path) as file:
+        file.write(b"new")
+        file.flush()
+        assert path.read_text() == "old"  # until the block ends
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
+def test_mode_is_that_of_any_new_file(tmp_path: Path) -> None:
+    (tmp_path / "plain").touch()
+    with atomic_write(tmp_path / "atomic") as file:
+        file.write(b"x")
+    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("plain", "atomic")]
+    assert modes[0] == modes[1]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
+def test_links_are_followed_and_devices_left_alone(tmp_path: Path) -> None:
+    target = tmp_path / "target"
+    target.write_text("old")
+    link = tmp_path / "link"
+    link.symlink_to(target)
+    with atomic_write(link) as file:
+        file.write(b"new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    with pytest.raises(OutputError, match="not a plain file"), atomic_write(fifo):
+        pytest.fail("the block must not run")
+    assert stat.S_ISFIFO(fifo.stat().st_mode)
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(OutputError, match="no space is left") as caught, atomic_write(path):
+        raise OSError(errno.ENOSPC, "No space left on device")  # as file.write does
+    assert caught.value.errno == errno.ENOSPC
+    assert isinstance(caught.value, OSError)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_errors_about_other_files_are_not_relabelled(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as caught, atomic_write(tmp_path / "a.txt"):
+        (tmp_path / "input.txt").read_bytes()
+    assert not isinstance(caught.value, OutputError)
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_targets(tmp_path: Path) -> None:
+    for path, match in (
+        (tmp_path, "it is a folder"),
+        (tmp_path / "no" / "a", "does not exist"),
+        (tmp_path / ("x" * 400), "name is too long|choose another path"),
+    ):
+        with pytest.raises(OutputError, match=match), atomic_write(path) as file:
+            file.write(b"x")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("number", "match"),
+    [
+        (errno.EACCES, "permission denied; choose a folder"),
+        (errno.EROFS, "read-only"),
+        (errno.EIO, "choose another path"),
+    ],
+)
+def test_output_error_says_what_to_do(number: int, match: str) -> None:
+    error = output_error("some/file.npz", OSError(number, os.strerror(number)))
+    assert match in str(error)
+    assert "file.npz" in str(error)
+    assert error.errno == number
+
+
+# --- to_json ---------------------------------------------------------------------------------
+
+
+class Colour(enum.Enum):
+    RED = 1
+
+
+@dataclass(frozen=True)
+class Inner:
+    limit: float = float("inf")
+    colour: Colour = Colour.RED
+
+
+@dataclass(frozen=True)
+class Outer:
+    inner: Inner = Inner()
+    names: tuple[str, ...] = ("a", "b")
+    table: dict[Any, Any] = field(default_factory=lambda: {Status.OK: np.float32(0.5), 3: None})
+
+
+def test_to_json_is_strict_and_complete() -> None:
+    value = {
+        "outer": Outer(),
+        "array": np.array([[1.0, np.nan]]),
+        "flag": np.bool_(True),
+        "path": Path("a") / "b",
+        "set": {3, 1, 2},
+        "status": Status.SOLVER_FAILED,
+        "text": "é",
+    }
+
+    def reject(constant: str) -> None:
+        pytest.fail(f"{constant} is not JSON")
+
+    assert json.loads(to_json(value), parse_constant=reject) == {
+        "outer": {
+            "inner": {"limit": "inf", "colour": "RED"},
+            "names": ["a", "b"],
+            "table": {"OK": 0.5, "3": None},
+        },
+        "array": [[1.0, "nan"]],
+        "flag": True,
+        "path": str(Path("a") / "b"),
+        "set": [1, 2, 3],
+        "status": "SOLVER_FAILED",
+        "text": "é",
+    }
+
+
+def test_to_json_names_the_place() -> None:
+    with pytest.raises(ConfigError, match=r"configuration\.a\[1\].b is a builtin_function"):
+        to_json({"a": [0, {"b": print}]})

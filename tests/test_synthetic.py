@@ -1,0 +1,548 @@
+"""The synthetic operator: anatomy, motion, pinches, tracker imperfections, and its form."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.landmarks import (
+    BONES,
+    FROM_MANUS_25,
+    METACARPALS_MANUS_25,
+    NUM_LANDMARKS,
+    TIPS,
+)
+from smooth_operator.sources import GESTURES, SyntheticOperator, TrackerModel, WristMotion
+from smooth_operator.sources.anatomy import JOINTS, LOWER, UPPER, couple
+from smooth_operator.sources.gestures import Programme
+from smooth_operator.sources.kinematics import pose_hand
+from smooth_operator.sources.poses import FREE_LOWER, FREE_UPPER, pinch_postures
+from smooth_operator.types import HandFrame, HandRecording
+
+PINCHES = GESTURES[1:5]
+SMALL = 1e-12
+
+
+@pytest.fixture(scope="module")
+def recording() -> HandRecording:
+    return SyntheticOperator(seed=3).record(40.0)
+
+
+def bone_lengths(landmarks: np.ndarray) -> np.ndarray:
+    parents, children = np.array(BONES).T
+    return np.linalg.norm(landmarks[:, children] - landmarks[:, parents], axis=-1)
+
+
+def rotate(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    w, v = quaternion[..., :1], quaternion[..., 1:]
+    turn = 2.0 * np.cross(v, np.broadcast_to(vector, v.shape))
+    return vector + w * turn + np.cross(v, turn)
+
+
+def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(landmarks[:, TIPS[1:]] - landmarks[:, [TIPS[0]]], axis=-1)
+
+
+# Anatomy
+
+
+@pytest.mark.parametrize("seed", [0, 7, 123])
+def test_bones_are_rigid_and_scale_with_the_hand(seed: int) -> None:
+    lengths = {}
+    for hand_length in (0.15, 0.19, 0.22):
+        recorded = SyntheticOperator(seed=seed, hand_length=hand_length).record(6.0)
+        bones = bone_lengths(recorded.landmarks)
+        assert np.ptp(bones, axis=0).max() < SMALL
+        assert 0.05 < np.linalg.norm(recorded.landmarks[0, 9]) < 0.14  # the readers' unit check
+        lengths[hand_length] = bones[0] / hand_length
+    np.testing.assert_allclose(lengths[0.15], lengths[0.22], rtol=1e-12)
+    np.testing.assert_allclose(lengths[0.19], lengths[0.22], rtol=1e-12)
+    # Bones 8 .. 11 go from the wrist to the middle fingertip.
+    assert lengths[0.19][8:12].sum() == pytest.approx(1.0)
+
+
+def test_proportions_are_the_published_ones_within_a_few_percent() -> None:
+    # Buryanov & Kotiuk 2010, [mm]: proximal, middle, distal + tip of index, middle, ring, pinky.
+    published = np.array([[39.78, 22.38, 19.66], [44.63, 26.33, 21.35],
+                          [41.37, 25.65, 21.25], [32.74, 18.11, 19.69]])  # fmt: skip
+    people = [SyntheticOperator(seed=seed).anatomy for seed in range(40)]
+    hands = np.concatenate([pose_hand(person, np.zeros((1, 20))).landmarks for person in people])
+    drawn = bone_lengths(hands).reshape(40, 5, 4)
+    fingers = drawn[:, 1:, 1:]
+    ratio = fingers / fingers.mean((1, 2), keepdims=True) / (published / published.mean())
+    assert np.abs(ratio.mean(0) - 1.0).max() < 0.02
+    assert 0.01 < ratio.std(0).mean() < 0.03
+    wrist_to_middle = drawn[:, 2, 0]
+    assert 0.085 < wrist_to_middle.min() < wrist_to_middle.max() < 0.10
+
+
+def test_joints_stay_in_their_ranges_and_dips_follow(recording: HandRecording) -> None:
+    angles = recording.meta["joint_angles"]
+    assert angles.shape == (len(recording), len(JOINTS)) == (len(recording), 20)
+    assert (angles >= LOWER - SMALL).all()
+    assert (angles <= UPPER + SMALL).all()
+    names = recording.meta["joint_names"]
+    for finger in ("index", "middle", "ring", "pinky"):
+        pip, dip = names.index(f"{finger}_pip"), names.index(f"{finger}_dip")
+        np.testing.assert_allclose(angles[:, dip], angles[:, pip] * 2.0 / 3.0)
+        assert np.ptp(angles[:, pip]) > np.deg2rad(70.0)  # the programme uses the range
+
+
+def test_frames_are_what_the_joint_angles_say(recording: HandRecording) -> None:
+    operator = SyntheticOperator(seed=3)
+    poses = pose_hand(operator.anatomy, recording.meta["joint_angles"])
+    np.testing.assert_array_equal(poses.landmarks, recording.landmarks)
+    # Angles read off the bones, not through the model's own formulas.
+    for k, base in enumerate((5, 9, 13, 17)):
+        bones = np.diff(recording.landmarks[:, base : base + 4], axis=1)
+        bones /= np.linalg.norm(bones, axis=-1, keepdims=True)
+        bend = np.arccos(np.clip((bones[:, :-1] * bones[:, 1:]).sum(-1), -1.0, 1.0))
+        measured = recording.meta["joint_angles"][:, 6 + 4 * k : 8 + 4 * k]
+        np.testing.assert_allclose(bend, measured, atol=1e-6)
+
+
+def test_flexion_is_towards_the_palm_and_the_thumb_is_radial() -> None:
+    angles = np.zeros((3, 20))
+    angles[1, [5, 9, 13, 17]] = np.deg2rad(60.0)
+    angles[2, [4, 8, 12, 16]] = np.deg2rad(15.0)
+    straight, bent, radial = pose_hand(SyntheticOperator().anatomy, angles).landmarks
+    tips = list(TIPS[1:])
+    assert (bent[tips, 0] - straight[tips, 0] > 0.03).all()  # x is palmar
+    assert (radial[tips, 1] - straight[tips, 1] > 0.01).all()  # y is towards the thumb
+    assert straight[4, 1] > straight[8, 1] > straight[12, 1] > straight[16, 1] > straight[20, 1]
+
+
+@pytest.mark.parametrize("tracker", [TrackerModel(), TrackerModel(frame_loss=0.1)])
+def test_left_mirrors_right_exactly(tracker: TrackerModel) -> None:
+    right = SyntheticOperator(seed=5, side="right", tracker=tracker).record(10.0)
+    left = SyntheticOperator(seed=5, side="left", tracker=tracker).record(10.0)
+    flip = np.array([1.0, -1.0, 1.0])
+    assert (right.side, left.side) == ("right", "left")
+    np.testing.assert_array_equal(left.landmarks, right.landmarks * flip)
+    np.testing.assert_array_equal(left.metacarpals, right.metacarpals * flip)
+    np.testing.assert_array_equal(left.stamps, right.stamps)
+    assert left.orientations is not None
+    assert right.orientations is not None
+    dorsal = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(
+        rotate(left.orientations, dorsal), rotate(right.orientations, dorsal) * flip, atol=1e-14
+    )
+
+
+def test_orientations_point_along_the_bones_and_never_jump(recording: HandRecording) -> None:
+    quaternions = recording.orientations
+    assert quaternions is not None
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=-1), 1.0)
+    assert np.abs(np.diff(quaternions, axis=0)).max() < 0.1  # no sign flips either
+    axis = rotate(quaternions, np.array([1.0, 0.0, 0.0]))
+    for base in (1, 5, 9, 13, 17):
+        bones = np.diff(recording.landmarks[:, base : base + 4], axis=1)
+        bones /= np.linalg.norm(bones, axis=-1, keepdims=True)
+        np.testing.assert_allclose(axis[:, base : base + 3], bones, atol=1e-12)
+        np.testing.assert_array_equal(quaternions[:, base + 3], quaternions[:, base + 2])
+
+
+def test_digits_do_not_pass_through_one_another(recording: HandRecording) -> None:
+    # Points along the bones; pinching tips may meet, whole fingers may not.
+    share = np.linspace(0.0, 1.0, 6)[:, None]
+    digits = []
+    for base in (1, 5, 9, 13, 17):
+        joints = recording.landmarks[::5, base : base + 4]
+        points = joints[:, :-1, None] + share * np.diff(joints, axis=1)[:, :, None]
+        digits.append(points.reshape(len(points), -1, 3))
+    labels = np.array(recording.meta["gesture"])[::5]
+    for a, b in itertools.combinations(range(5), 2):
+        apart = np.linalg.norm(digits[a][:, :, None] - digits[b][:, None], axis=-1).min((1, 2))
+        if a == 0:
+            apart = apart[labels != f"pinch_{('index', 'middle', 'ring', 'pinky')[b - 1]}"]
+        assert apart.min() > 0.007
+
+
+# Motion
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_pinching_tips_really_meet_within_the_joint_ranges(seed: int) -> None:
+    postures = pinch_postures(seed)
+    assert (postures > FREE_LOWER).all()
+    assert (postures < FREE_UPPER).all()
+    for hand_length in (0.15, 0.22):
+        anatomy = SyntheticOperator(seed=seed, hand_length=hand_length).anatomy
+        gaps = tip_gaps(pose_hand(anatomy, couple(postures)).landmarks)
+        assert (np.diag(gaps) < 0.003).all()
+        assert gaps[~np.eye(4, dtype=bool)].min() > 0.02  # and no other tip does
+
+
+def test_each_pinch_closes_in_motion_and_opens_again(recording: HandRecording) -> None:
+    gaps, labels = tip_gaps(recording.landmarks), np.array(recording.meta["gesture"])
+    for finger, name in enumerate(PINCHES):
+        (rows,) = np.nonzero(labels == name)
+        runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+        assert runs
+        for run in runs[:-1] or runs:  # the last may be cut off by the recording's end
+            gap = gaps[run, finger]
+            assert gap.min() < 0.003
+            assert (gap < 0.003).sum() > 20  # held, not brushed
+            assert min(gap[0], gap[-1]) > 0.03
+            closing = gap[: gap.argmin()]
+            assert np.diff(closing).max() < 2e-4  # never away again on the way
+    assert gaps[~np.isin(labels, PINCHES)].min() > 0.01
+
+
+@pytest.mark.parametrize(("max_jerk", "speed"), [(500.0, 1.0), (150.0, 1.0), (2000.0, 2.0)])
+def test_jerk_is_bounded_across_all_joins(max_jerk: float, speed: float) -> None:
+    # A third difference is a mean of the third derivative wherever two derivatives are continuous;
+    # a jump in velocity or acceleration at a join would make it grow with the rate.
+    rate = 1000.0
+    recorded = SyntheticOperator(seed=1, rate_hz=rate, max_jerk=max_jerk, speed=speed).record(30.0)
+    jerk = np.diff(recorded.meta["joint_angles"], 3, axis=0) * rate**3
+    assert np.abs(jerk).max() <= max_jerk * 1.001
+    assert np.abs(jerk).max() > 0.3 * max_jerk
+    assert len(set(recorded.meta["gesture"])) == len(GESTURES)
+
+
+def test_motion_is_smooth_and_at_human_speed(recording: HandRecording) -> None:
+    rate = recording.rate_hz
+    velocity = np.diff(recording.landmarks[:, TIPS], axis=0) * rate
+    speed = np.linalg.norm(velocity, axis=-1)
+    assert 0.3 < speed.max() < 0.8
+    acceleration = np.linalg.norm(np.diff(velocity, axis=0) * rate, axis=-1)
+    assert acceleration.max() < 10.0  # a jump of 1 mm between frames would be 10
+
+
+def test_speed_and_jerk_settings_change_the_tempo() -> None:
+    def first_round(operator: SyntheticOperator) -> float:
+        recorded = operator.record(80.0)
+        labels = np.array(recorded.meta["gesture"])
+        return float(recorded.stamps[np.flatnonzero(labels == "wander")[0]])
+
+    natural = first_round(SyntheticOperator(rate_hz=20))
+    assert 12.0 < natural < 20.0
+    assert first_round(SyntheticOperator(rate_hz=20, speed=0.5)) == pytest.approx(
+        2 * natural, rel=0.1
+    )
+    assert first_round(SyntheticOperator(rate_hz=20, max_jerk=50.0)) > 1.3 * natural
+
+
+def test_gestures_can_be_chosen_and_go_on_for_ever_with_new_draws() -> None:
+    chosen = ("spread", "pinch_ring", "spread")
+    recorded = SyntheticOperator(gestures=chosen, rate_hz=50).record(60.0)
+    labels = [name for name, _ in itertools.groupby(recorded.meta["gesture"])]
+    # The third and the first of the next round are both "spread".
+    assert labels[:4] == ["spread", "pinch_ring", "spread", "pinch_ring"]
+    assert set(labels) == set(chosen)
+    assert len(labels) > 12
+    pinching = np.array([name == "pinch_ring" for name in recorded.meta["gesture"]], int)
+    (begun,) = np.nonzero(np.diff(pinching) == 1)
+    tops = [recorded.meta["joint_angles"][i : i + 60].max(0) for i in begun[:5]]
+    assert np.abs(np.diff(np.array(tops), axis=0)).max(1).min() > 1e-3
+    assert SyntheticOperator(gestures="wander").gestures == ("wander",)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("gesture", GESTURES)
+def test_every_gesture_works_alone(gesture: str) -> None:
+    recorded = SyntheticOperator(seed=2, gestures=(gesture,), rate_hz=60, side="left").record(12.0)
+    assert set(recorded.meta["gesture"]) == {gesture}
+    assert np.ptp(recorded.landmarks[:, TIPS], axis=0).max() > 0.01
+
+
+def test_wandering_does_not_repeat_or_stand_still() -> None:
+    recorded = SyntheticOperator(seed=4, gestures=("wander",)).record(20.0)
+    free = recorded.meta["joint_angles"]
+    moving = np.abs(np.diff(free, axis=0)).max(1) > 1e-5
+    assert moving.mean() > 0.95
+    fresh = SyntheticOperator(seed=5, gestures=("wander",)).record(20.0).meta["joint_angles"]
+    assert np.abs(np.corrcoef(free[:, 6], fresh[:, 6])[0, 1]) < 0.6
+
+
+# Determinism
+
+
+def test_same_seed_same_bits_other_seed_other_person() -> None:
+    noisy = TrackerModel(noise=1e-3, rate_jitter=0.1, frame_loss=0.05, landmark_loss=0.05, seed=9)
+    operator = SyntheticOperator(seed=11, tracker=noisy, wrist=WristMotion(0.1, 0.4))
+    a, b = operator.record(5.0), replace(operator).record(5.0)
+    np.testing.assert_array_equal(a.landmarks, b.landmarks)
+    np.testing.assert_array_equal(a.stamps, b.stamps)
+    other = SyntheticOperator(seed=12).record(5.0)
+    same = SyntheticOperator(seed=11).record(5.0)
+    assert np.abs(bone_lengths(other.landmarks)[0] - bone_lengths(same.landmarks)[0]).max() > 5e-4
+    assert np.abs(other.meta["joint_angles"] - same.meta["joint_angles"]).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    "tracker",
+    [
+        TrackerModel(),
+        TrackerModel(
+            noise=2e-3, noise_time=0.1, rate_jitter=0.2, frame_loss=0.2, landmark_loss=0.1, seed=1
+        ),
+    ],
+)
+def test_frames_are_those_of_the_recording(tracker: TrackerModel) -> None:
+    operator = SyntheticOperator(seed=6, side="left", tracker=tracker)
+    longer, shorter = operator.record(9.0), operator.record(3.0)
+    endless = operator.frames()
+    for k, frame in enumerate(itertools.islice(endless, len(longer))):
+        np.testing.assert_array_equal(frame.landmarks, longer.landmarks[k])
+        np.testing.assert_array_equal(frame.orientations, longer.orientations[k])  # type: ignore[index]
+        np.testing.assert_array_equal(frame.valid, longer.valid[k])  # type: ignore[index]
+        assert (frame.stamp, frame.side) == (longer.stamps[k], "left")
+    np.testing.assert_array_equal(shorter.landmarks, longer.landmarks[: len(shorter)])
+    assert next(endless).stamp > longer.stamps[-1]
+    assert sum(1 for _ in operator.frames(3.0)) == len(shorter)
+
+
+def test_the_programme_does_not_depend_on_how_it_is_asked() -> None:
+    times = np.arange(3000) / 100.0
+    whole, labels = Programme(2, GESTURES, 1.0, 500.0).at(times)
+    piecewise = Programme(2, GESTURES, 1.0, 500.0)
+    parts = [piecewise.at(part) for part in np.split(times, [1, 700, 701, 2400])]
+    np.testing.assert_allclose(np.concatenate([angles for angles, _ in parts]), whole, atol=1e-11)
+    assert [name for _, names in parts for name in names] == labels
+
+
+# Tracker
+
+
+def test_motion_underneath_is_the_same_with_and_without_imperfections() -> None:
+    clean = SyntheticOperator(seed=8).record(15.0)
+    tracker = TrackerModel(noise=2e-3, frame_loss=0.1, landmark_loss=0.1, seed=4)
+    real = SyntheticOperator(seed=8, tracker=tracker).record(15.0)
+    rows = np.searchsorted(clean.stamps, real.stamps)
+    np.testing.assert_array_equal(clean.stamps[rows], real.stamps)
+    np.testing.assert_array_equal(clean.meta["joint_angles"][rows], real.meta["joint_angles"])
+    assert [clean.meta["gesture"][k] for k in rows] == real.meta["gesture"]
+    error = (real.landmarks - clean.landmarks[rows])[real.valid]
+    assert np.abs(error).max() < 2e-3 * 6
+    # Another tracker seed: same motion, other noise.
+    again = SyntheticOperator(seed=8, tracker=replace(tracker, seed=5)).record(15.0)
+    assert len(again) != len(real) or not np.array_equal(again.valid, real.valid)
+
+
+@pytest.mark.parametrize("noise_time", [0.0, 0.1])
+def test_noise_has_the_standard_deviation_and_correlation_asked_for(noise_time: float) -> None:
+    clean = SyntheticOperator(seed=1).record(40.0)
+    noisy = SyntheticOperator(
+        seed=1, tracker=TrackerModel(noise=1.5e-3, noise_time=noise_time)
+    ).record(40.0)
+    assert noisy.metacarpals is not None
+    assert clean.metacarpals is not None
+    noise = np.concatenate(
+        [noisy.landmarks - clean.landmarks, noisy.metacarpals - clean.metacarpals], 1
+    )
+    assert noise.std() == pytest.approx(1.5e-3, rel=0.03)
+    assert noise[0].std() == pytest.approx(1.5e-3, rel=0.3)  # from the first frame on
+    assert abs(noise.mean()) < 2e-5
+    for lag in (1, 10):
+        measured = (noise[lag:] * noise[:-lag]).mean() / noise.var()
+        expected = np.exp(-lag * 0.01 / noise_time) if noise_time else 0.0
+        assert measured == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize("jitter", [0.05, 0.45])
+def test_stamps_jitter_and_still_increase(jitter: float) -> None:
+    even = SyntheticOperator(rate_hz=120).record(20.0)
+    np.testing.assert_allclose(even.stamps, np.arange(2400) / 120.0, atol=1e-12)
+    recorded = SyntheticOperator(
+        rate_hz=120, tracker=TrackerModel(rate_jitter=jitter, frame_loss=0.1)
+    ).record(20.0)
+    steps = np.diff(recorded.stamps)
+    assert (steps > 0.05 / 120).all()
+    off = recorded.stamps * 120 - np.round(recorded.stamps * 120)
+    assert off.std() == pytest.approx(jitter if jitter < 0.1 else 0.3, rel=0.2)
+    assert recorded.rate_hz == pytest.approx(120, rel=0.05)
+    # The hand is seen at its stamp, not at the even tick.
+    angles = Programme(0, GESTURES, 1.0, 500.0).at(recorded.stamps)[0]
+    np.testing.assert_allclose(couple(angles), recorded.meta["joint_angles"], atol=1e-11)
+
+
+def test_lost_frames_have_the_share_and_bursts_asked_for() -> None:
+    tracker = TrackerModel(frame_loss=0.2, frame_loss_burst=0.05, seed=2)
+    recorded = SyntheticOperator(gestures=("spread",), tracker=tracker).record(300.0)
+    assert len(recorded) / 30_000 == pytest.approx(0.8, abs=0.02)
+    gaps = np.round(np.diff(recorded.stamps) * 100).astype(int) - 1
+    assert gaps[gaps > 0].mean() == pytest.approx(5.0, rel=0.1)
+    assert recorded.stamps[0] == 0.0
+
+
+def test_lost_landmarks_are_nan_and_invalid_in_bursts() -> None:
+    tracker = TrackerModel(landmark_loss=0.15, landmark_loss_burst=0.1, seed=3)
+    recorded = SyntheticOperator(gestures=("gait",), tracker=tracker).record(100.0)
+    assert recorded.valid is not None
+    assert recorded.orientations is not None
+    lost = ~recorded.valid
+    assert lost.mean() == pytest.approx(0.15, abs=0.015)
+    np.testing.assert_array_equal(np.isnan(recorded.landmarks), np.repeat(lost[..., None], 3, -1))
+    np.testing.assert_array_equal(np.isnan(recorded.orientations).any(-1), lost)
+    begun = np.diff(lost.astype(int), axis=0) == 1
+    assert lost.sum() / begun.sum() == pytest.approx(10.0, rel=0.1)
+    # Landmarks come and go on their own.
+    assert np.abs(np.corrcoef(lost.T.astype(float))[np.triu_indices(21, 1)]).max() < 0.2
+    frame = recorded[int(np.flatnonzero(lost.any(1))[0])]
+    assert frame.valid is not None
+    assert not frame.valid.all()
+
+
+def test_wrist_motion_carries_the_hand_rigidly() -> None:
+    still = SyntheticOperator(seed=2, side="left").record(60.0)
+    moved = SyntheticOperator(seed=2, side="left", wrist=WristMotion(0.1, 0.5, seed=1)).record(60.0)
+    np.testing.assert_allclose(
+        bone_lengths(moved.landmarks), bone_lengths(still.landmarks), atol=1e-12
+    )
+    wrist = moved.landmarks[:, 0]
+    assert wrist.std() == pytest.approx(0.1, rel=0.4)
+    assert np.linalg.norm(np.diff(wrist, axis=0), axis=-1).max() * 100 < 1.5
+    # A point in the wrist's own frame is where it was.
+    for name in ("landmarks", "metacarpals"):
+        np.testing.assert_allclose(in_wrist(moved, name), in_wrist(still, name), atol=1e-12)
+
+
+def in_wrist(recorded: HandRecording, name: str) -> np.ndarray:
+    assert recorded.orientations is not None
+    inverse = recorded.orientations[:, :1] * np.array([1.0, -1.0, -1.0, -1.0])
+    points = getattr(recorded, name) - recorded.landmarks[:, :1]
+    return rotate(np.broadcast_to(inverse, (*points.shape[:2], 4)), points)
+
+
+# Form
+
+
+def test_form_is_that_of_a_glove(recording: HandRecording) -> None:
+    assert recording.landmarks.shape == (4000, NUM_LANDMARKS, 3)
+    assert recording.metacarpals is not None
+    assert recording.orientations is not None
+    assert recording.valid is not None
+    assert recording.metacarpals.shape == (4000, 4, 3)
+    assert recording.orientations.shape == (4000, NUM_LANDMARKS, 4)
+    assert recording.valid.all()
+    np.testing.assert_array_equal(recording.landmarks[:, 0], 0.0)
+    assert np.isfinite(recording.landmarks).all()
+    assert len(recording.meta["gesture"]) == 4000
+    assert recording.name == "synthetic-right-3"
+    frame = next(SyntheticOperator(seed=3).frames())
+    assert isinstance(frame, HandFrame)
+    assert frame.metacarpals is not None
+    assert frame.orientations is not None
+    # Metacarpals lie between the wrist and their knuckles.
+    knuckles = frame.landmarks[[5, 9, 13, 17]]
+    to_base, to_knuckle = (
+        np.linalg.norm(frame.metacarpals, axis=-1),
+        np.linalg.norm(knuckles, axis=-1),
+    )
+    assert (to_base < 0.4 * to_knuckle).all()
+
+
+@pytest.mark.shared
+def test_palm_and_pinches_resemble_a_real_glove(shared: Path, recording: HandRecording) -> None:
+    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    with np.load(path, allow_pickle=False) as file:
+        data = file["data"].astype(float)
+    glove = data[:, FROM_MANUS_25, :3]
+    palm = [0, 1, 5, 9, 13, 17]
+
+    def fit(ours: np.ndarray, theirs: np.ndarray) -> tuple[float, np.ndarray]:
+        a, b = ours - ours.mean(0), theirs - theirs.mean(0)
+        u, s, vt = np.linalg.svd(b.T @ a)
+        sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+        scale = float((s * np.diag(sign)).sum() / (a**2).sum())
+        return scale, np.linalg.norm(scale * a @ (u @ sign @ vt).T - b, axis=-1)
+
+    scale, residual = fit(recording.landmarks[0, palm], glove[0, palm])
+    assert scale == pytest.approx(1.07, abs=0.08)  # that operator's hand is larger
+    assert residual.max() < 0.005
+    bases = np.concatenate([data[0, :1, :3], data[0, METACARPALS_MANUS_25, :3]])
+    assert recording.metacarpals is not None
+    ours = np.concatenate([recording.landmarks[0, :1], recording.metacarpals[0]])
+    assert fit(ours, bases)[1].max() < 0.006
+    # The hand's own frame is turned as the glove's: x distal, z dorsal in both.
+    for source, landmarks in ((data[0, 0, 3:], glove[0]), (None, recording.landmarks[0])):
+        quaternion = recording.orientations[0, 0] if source is None else source  # type: ignore[index]
+        distal = landmarks[9] - landmarks[0]
+        assert rotate(quaternion, np.array([1.0, 0, 0])) @ distal / np.linalg.norm(distal) > 0.95
+    # Whole pinching hands, each at the glove's closest frame.
+    for finger, posture in enumerate(pinch_postures(3)):
+        closest = glove[tip_gaps(glove)[:, finger].argmin()]
+        pinch = pose_hand(SyntheticOperator(seed=3).anatomy, couple(posture[None])).landmarks[0]
+        chains = [*palm, 2, 3, 4, *range(6 + 4 * finger, 9 + 4 * finger)]
+        assert fit(pinch[chains], closest[chains])[1].mean() < 0.015
+
+
+# Settings
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"seed": -1}, "seed must be a whole number"),
+        ({"seed": 1.5}, "seed must be a whole number"),
+        ({"side": "both"}, "side must be"),
+        ({"hand_length": 190.0}, "hand_length must be 0.12 to 0.25 m, not 190"),
+        ({"hand_length": float("nan")}, "hand_length"),
+        ({"rate_hz": 0.0}, "rate_hz must be 1 to 10000 Hz"),
+        ({"speed": 0.0}, "speed"),
+        ({"max_jerk": -5.0}, "max_jerk"),
+        ({"gestures": ()}, "gestures must name"),
+    ],
+)
+def test_bad_settings_are_refused(settings: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        SyntheticOperator(**settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"noise": 2.0}, "tracker noise must be 0 to 0.05 m"),
+        ({"noise": -1e-3}, "tracker noise"),
+        ({"noise_time": float("inf")}, "noise_time must be finite"),
+        ({"rate_jitter": 0.6}, "rate_jitter must be 0 to 0.45"),
+        ({"frame_loss": 1.0}, "frame_loss must be 0 to 0.9"),
+        ({"landmark_loss": float("nan")}, "landmark_loss"),
+        ({"landmark_loss_burst": -1.0}, "landmark_loss_burst must be finite and from 0 on"),
+        ({"seed": "a"}, "tracker seed"),
+    ],
+)
+def test_bad_tracker_settings_are_refused(settings: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        TrackerModel(**settings)  # type: ignore[arg-type]
+
+
+def test_other_bad_input_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'pinch_index'"):
+        SyntheticOperator(gestures=("pinch_indx",))
+    with pytest.raises(ConfigError, match=r"wrist rotation must be 0 to 1\.5 rad"):
+        WristMotion(rotation=90.0)
+    for duration in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match="duration must be finite"):
+            SyntheticOperator().record(duration)
+        with pytest.raises(ConfigError, match="duration must be finite"):
+            SyntheticOperator().frames(duration)
+    assert len(SyntheticOperator(rate_hz=30).record(1 / 30)) == 1
+
+
+# Cost
+
+
+def test_twenty_seconds_take_well_under_a_second() -> None:
+    pinch_postures.cache_clear()
+    began = time.perf_counter()
+    assert len(SyntheticOperator(seed=77).record(20.0)) == 2000
+    assert time.perf_counter() - began < 1.0
+
+
+def test_no_heavy_import() -> None:
+    code = (
+        "import sys; from smooth_operator.sources import SyntheticOperator as S; S().record(1.0);"
+        "print([m for m in ('jax', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,691 @@
+"""The browser page: its clock, meshes, layout and words; the server; and the page in a Chromium."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from smooth_operator import landmarks
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.types import Status
+from smooth_operator.ui import Playback, PlaybackServer, serve
+from smooth_operator.ui import player as player_module
+from smooth_operator.ui.clock import PlaybackClock
+from smooth_operator.ui.human import _turn_z, lit_tips
+from smooth_operator.ui.layout import FOV, plan, view_axes
+from smooth_operator.ui.meshes import body_meshes, finger_of_body, geom_mesh
+from smooth_operator.ui.palette import FINGER_COLORS, HIGHLIGHT, linear
+from smooth_operator.ui.readout import WINDOW, GapPlot, metrics_table, status_line
+
+FINGERS = ("thumb", "index", "pinky")
+TIPS = (4, 8, 20)
+
+
+def hand_xml(sign: int = 1) -> str:
+    """A three-fingered hand: palm box, two hinges a finger, palm toward -y; sign mirrors it."""
+    fingers = "".join(
+        f"""
+        <body name="{name}_1" pos="{sign * x} {y} {z}" {turn}>
+          <joint name="{name}_a" axis="1 0 0" range="0 1.6"/>
+          <geom type="capsule" fromto="0 0 0 0 0 {size}" size="0.008"/>
+          <body name="{name}_2" pos="0 0 {size}">
+            <joint name="{name}_b" axis="1 0 0" range="0 1.6"/>
+            <geom type="capsule" fromto="0 0 0 0 0 {size}" size="0.007"/>
+            <geom type="sphere" pos="0 0 {size}" size="0.008"/>
+            <site name="{name}_tip" pos="0 0 {size}"/>
+          </body>
+        </body>"""
+        for name, x, y, z, turn, size in (
+            ("thumb", 0.035, -0.01, 0.03, f'euler="0 {50 * sign} 0"', 0.035),
+            ("index", 0.03, 0.0, 0.10, "", 0.045),
+            ("pinky", -0.03, 0.0, 0.09, "", 0.035),
+        )
+    )
+    return f"""
+    <mujoco><worldbody>
+      <geom type="plane" size="1 1 0.1" pos="0 0 -0.2"/>
+      <body name="palm">
+        <geom type="box" size="0.038 0.012 0.045" pos="0 0 0.05"/>
+        <geom type="cylinder" size="0.02 0.01" pos="0 0 0"/>
+        <geom type="ellipsoid" size="0.03 0.012 0.02" pos="0 0.005 0.05"/>
+        <geom type="sphere" size="0.3" group="3"/>
+        {fingers}
+      </body>
+    </worldbody></mujoco>"""
+
+
+def human_hand(curl: np.ndarray, sign: int = 1) -> np.ndarray:
+    """(T, 21, 3) a plain hand whose fingers bend toward -y by ``curl`` [rad] at each joint."""
+    hand = np.zeros((len(curl), 21, 3))
+    bases = [(0.03, -0.01, 0.03), (0.03, 0, 0.09), (0.01, 0, 0.095), (-0.01, 0, 0.09),
+             (-0.03, 0, 0.08)]  # fmt: skip
+    for finger, base in enumerate(bases):
+        first = 1 + 4 * finger
+        hand[:, first] = base
+        for joint, size in enumerate((0.04, 0.025, 0.02)):
+            angle = curl * (joint + 1)
+            out = 0.8 if finger == 0 else 0.0
+            step = np.stack(
+                [out * np.ones_like(angle), -np.sin(angle), (1 - out) * np.cos(angle)], -1
+            )
+            hand[:, first + joint + 1] = hand[:, first + joint] + size * step
+    return hand * [sign, 1, 1]
+
+
+def make_playback(frames: int = 60, rate: float = 100.0, sign: int = 1, **changes: Any) -> Playback:
+    model = mujoco.MjModel.from_xml_string(hand_xml(sign))
+    data = mujoco.MjData(model)
+    curl = 0.4 - 0.4 * np.cos(np.linspace(0, 3, frames))
+    qpos = np.repeat(curl[:, None], model.nq, axis=1)
+    tips = np.empty((frames, 3, 3))
+    for row in range(frames):
+        data.qpos[:] = qpos[row]
+        mujoco.mj_kinematics(model, data)
+        tips[row] = [data.site(f"{name}_tip").xpos for name in FINGERS]
+    fields: dict[str, Any] = dict(
+        title="test hand",
+        model=model,
+        qpos=qpos,
+        stamps=5.0 + np.arange(frames) / rate,
+        human=human_hand(curl, sign),
+        status=np.zeros(frames, int),
+        robot_tips=tips,
+        robot_wrist=np.zeros(3),
+        latency_ms=np.full(frames, 0.8),
+        human_tips=TIPS,
+        fingers=FINGERS,
+        metrics={"cosine_thumb": 0.99, "latency_ms": {"p50": 0.81}},
+    )
+    return Playback(**(fields | changes))
+
+
+@pytest.fixture(scope="module")
+def playback() -> Playback:
+    return make_playback()
+
+
+@pytest.fixture
+def server(playback: Playback) -> Iterator[PlaybackServer]:
+    with PlaybackServer(playback, port=0) as running:
+        yield running
+
+
+def eventually(check: Any, seconds: float = 5.0) -> Any:
+    """The first true value of ``check()``; an assertion error when time is up."""
+    end = time.monotonic() + seconds
+    while True:
+        value = check()
+        if value:
+            return value
+        assert time.monotonic() < end, "nothing happened in time"
+        time.sleep(0.01)
+
+
+# -- the recording ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"stamps": np.zeros(60)}, RecordingError, "strictly increasing"),
+        ({"stamps": np.zeros(0)}, RecordingError, "at least one frame"),
+        ({"stamps": np.full(60, np.nan)}, RecordingError, "finite"),
+        ({"human": np.zeros((60, 25, 3))}, RecordingError, r"\(60, 21, 3\)"),
+        ({"status": np.zeros(59)}, RecordingError, r"status must have shape \(60,\)"),
+        ({"qpos": np.zeros((60, 5))}, HandModelError, r"qpos must have shape \(60, 6\)"),
+        ({"qpos": np.full((60, 6), np.nan)}, HandModelError, "NaN"),
+        ({"robot_tips": np.zeros((60, 5, 3))}, HandModelError, r"\(60, 3, 3\)"),
+        ({"human_tips": (4, 8)}, HandModelError, "same two or more fingers"),
+        ({"human_tips": (4, 8, 21)}, RecordingError, "0..20"),
+    ],
+)
+def test_a_broken_recording_is_refused(
+    changes: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
+        make_playback(**changes)
+
+
+def test_pinches_are_under_15_mm_and_never_of_a_lost_hand() -> None:
+    human = human_hand(np.zeros(4))
+    human[1, 8] = human[1, 4] + [0.0149, 0, 0]
+    human[2, 20] = human[2, 4] + [0, 0.0151, 0]
+    human[3, 8] = human[3, 4]
+    human[3, 4] = np.nan
+    pinches = make_playback(4, human=human).pinches()
+    assert pinches.tolist() == [[False, False], [True, False], [False, False], [False, False]]
+    assert lit_tips(pinches[1]).tolist() == [True, True, False]
+
+
+# -- the clock --------------------------------------------------------------------------------
+
+
+def test_the_clock_drops_frames_and_never_stretches_time() -> None:
+    times = np.array([0.0, 0.01, 0.02, 0.5, 0.51])  # a gap in tracking is a gap on the page
+    clock = PlaybackClock(times, loop=False)
+    clock.start(0, now=100.0)
+    shown = [clock.frame(100.0 + dt)[0] for dt in (0.0, 0.015, 0.4, 0.505, 0.511)]
+    assert shown == [0, 1, 2, 3, 4]
+    assert clock.frame(101.0) == (4, True)
+
+
+def test_the_clock_changes_speed_without_a_jump_and_loops() -> None:
+    clock = PlaybackClock(np.arange(100) / 100, speed=1.0, loop=True)
+    clock.start(10, now=0.0)
+    assert clock.frame(0.105)[0] == 20
+    clock.set_speed(4.0, now=0.105)
+    assert clock.frame(0.105)[0] == 20
+    assert clock.frame(0.2051)[0] == 60
+    assert clock.frame(0.105 + (1.0 - 0.205) / 4 + 0.01) == (4, False)
+
+
+def test_the_clock_ends_at_once_on_a_single_frame() -> None:
+    clock = PlaybackClock(np.array([3.0]), loop=True)
+    clock.start(0, now=0.0)
+    assert clock.frame(0.0) == (0, True)
+
+
+# -- the meshes -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "half", "volume"),
+    [
+        ("sphere", "0.02", (0.02, 0.02, 0.02), 4 / 3 * np.pi * 0.02**3),
+        ("box", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 8 * 0.01 * 0.02 * 0.03),
+        ("cylinder", "0.02 0.05", (0.02, 0.02, 0.05), np.pi * 0.02**2 * 0.1),
+        ("capsule", "0.02 0.05", (0.02, 0.02, 0.07),
+         np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3),
+        ("ellipsoid", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 4 / 3 * np.pi * 6e-6),
+    ],
+)  # fmt: skip
+def test_primitive_meshes_have_mujocos_size(
+    kind: str, size: str, half: tuple[float, ...], volume: float
+) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><geom type="{kind}" size="{size}"/></worldbody></mujoco>'
+    )
+    mesh = geom_mesh(model, 0)
+    assert mesh is not None
+    np.testing.assert_allclose(mesh.bounds, [-np.array(half), half], atol=2e-4)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(volume, rel=0.03)
+
+
+def test_mesh_geoms_land_where_mujoco_puts_them() -> None:
+    # an off-centre tetrahedron: MuJoCo re-centres and turns it, which the geom's pose undoes
+    corners = np.array([[0.1, 0, 0], [0.14, 0, 0], [0.1, 0.05, 0], [0.1, 0, 0.06]])
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><asset><mesh name="t" vertex="{" ".join(map(str, corners.ravel()))}"/></asset>
+        <worldbody><body pos="1 2 3"><geom type="mesh" mesh="t"/></body></worldbody></mujoco>"""
+    )
+    mesh = body_meshes(model)[1]
+    got = np.unique(np.round(mesh.vertices, 6), axis=0)
+    np.testing.assert_allclose(got, np.unique(corners, axis=0), atol=1e-6)
+
+
+def test_bodies_draw_visible_groups_and_no_scenery(playback: Playback) -> None:
+    meshes = body_meshes(playback.model)
+    names = {playback.model.body(body).name for body in meshes}
+    assert names == {"palm", *(f"{f}_{i}" for f in FINGERS for i in (1, 2))}  # no world: a plane
+    palm = meshes[playback.model.body("palm").id]
+    assert palm.extents.max() < 0.2  # the 0.3 m collision sphere is not drawn
+
+
+def test_a_model_with_collision_shapes_only_is_drawn_by_them() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="box" size=".1 .1 .1" group="3"/></worldbody></mujoco>'
+    )
+    assert body_meshes(model)[0].extents == pytest.approx([0.2] * 3)
+
+
+@pytest.mark.parametrize("frames", [1, 60])
+def test_fingers_are_found_without_names(frames: int) -> None:
+    playback = make_playback(frames)
+    owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
+    for finger, name in enumerate(FINGERS):
+        for part in (1, 2):
+            assert owner[playback.model.body(f"{name}_{part}").id] == finger
+    assert owner[playback.model.body("palm").id] == -1
+    assert owner[0] == -1
+
+
+# -- the layout -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["right", "left"])
+@pytest.mark.parametrize(("aspect", "covered"), [(0.46, 0.44), (1.0, 0.0), (1.9, 0.0)])
+def test_the_camera_sees_both_hands_from_the_palm_side(
+    sign: int, aspect: float, covered: float
+) -> None:
+    playback = make_playback(sign=sign)
+    layout = plan(playback, playback.robot_tips.reshape(-1, 3))
+    axes = np.stack([layout.right, layout.up, layout.toward])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_allclose(layout.toward, [0, -1, 0], atol=1e-9)  # where the fingers bend to
+
+    position, target = layout.camera(aspect, covered)
+    forward = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(forward, layout.up)
+    right /= np.linalg.norm(right)
+    view = np.stack([right, np.cross(right, forward), forward])
+    low, high = [], []
+    for points, shift in (
+        (playback.human.reshape(-1, 3), layout.human_shift),
+        (playback.robot_tips.reshape(-1, 3), layout.robot_shift),
+    ):
+        x, y, depth = ((points + shift - position) @ view.T).T
+        assert depth.min() > 0
+        screen = np.stack([x / aspect, y]) / (depth * np.tan(FOV / 2))  # -1 .. 1 is the canvas
+        assert np.abs(screen).max() <= 1.0
+        assert screen[1].min() >= -1 + 2 * covered  # nothing behind the controls
+        low.append(screen[0].min())
+        high.append(screen[0].max())
+    assert high[0] < low[1]  # human left of robot, apart
+
+
+def test_without_a_human_the_view_stands_on_the_robot() -> None:
+    playback = make_playback(human=np.full((60, 21, 3), np.nan))
+    right, up, toward = view_axes(playback)
+    assert up[2] > 0.9
+    np.testing.assert_allclose(np.cross(right, up), toward, atol=1e-9)
+    layout = plan(playback, playback.robot_tips.reshape(-1, 3))
+    assert all(np.isfinite(part).all() for part in layout.camera(1.0))
+
+
+def test_bones_point_from_joint_to_joint() -> None:
+    rng = np.random.default_rng(3)
+    directions = np.concatenate([rng.normal(size=(50, 3)), [[0, 0, 2], [0, 0, -2]]])
+    for direction, quat in zip(directions, _turn_z(directions), strict=True):
+        turned = np.empty(3)
+        mujoco.mju_rotVecQuat(turned, np.array([0.0, 0.0, 1.0]), quat)
+        np.testing.assert_allclose(turned, direction / np.linalg.norm(direction), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(_turn_z(np.zeros((1, 3)))), 1.0)
+
+
+# -- the words --------------------------------------------------------------------------------
+
+
+def test_the_status_line_says_frame_time_reason_and_latency() -> None:
+    status = np.zeros(60, int)
+    status[7], status[8] = Status.DEGENERATE_PALM, 99
+    latency = np.full(60, 1.25)
+    latency[8] = np.nan
+    playback = make_playback(status=status, latency_ms=latency)
+    line = status_line(playback, 7)
+    assert 'data-frame="7"' in line
+    assert "0.07" in line
+    assert "1.25 ms" in line
+    assert Status.DEGENERATE_PALM.reason in line
+    assert "status 99" in status_line(playback, 8)
+    assert "no latency" in status_line(playback, 8)
+
+
+def test_the_metrics_table_flattens_and_cannot_be_broken_by_its_content() -> None:
+    table = metrics_table(
+        {"scale_ratio": 0.93712345, "latency_ms": {"p50": 1}, "q|": "<b>{x}|", "n": None,
+         "curve": np.zeros(100), "pair": (1.5, 2)}
+    )  # fmt: skip
+    rows = table.splitlines()
+    assert rows[0] == "| metric | value |"
+    assert "| scale ratio | 0.9371 |" in rows
+    assert "| latency ms p50 | 1 |" in rows
+    assert "| pair | 1.5, 2 |" in rows
+    assert "| n | – |" in rows
+    assert not any("curve" in row for row in rows)
+    assert all(row.count("|") == 3 for row in rows)
+    assert "<b>" not in table
+    assert "{" not in table
+
+
+def test_the_plot_is_a_short_window_that_ends_now() -> None:
+    playback = make_playback(1000, rate=100.0)
+    plot = GapPlot(playback)
+    times, *curves = plot.window(900)
+    assert len(curves) == 4  # index and pinky, human and robot
+    assert times[0] >= -WINDOW
+    assert times[-1] == 0.0
+    assert len(times) <= 402
+    assert curves[2][-1] == pytest.approx(1e3 * playback.robot_gaps()[900, 0], rel=1e-5)
+    assert max(curve.max() for curve in curves) <= plot.top
+    assert [len(part) for part in plot.window(0)] == [1] * 5
+
+
+def test_linear_light_keeps_the_ends_and_darkens_the_middle() -> None:
+    np.testing.assert_array_equal(linear(np.array([0, 128, 255], np.uint8)), [0, 55, 255])
+
+
+def cielab(rgb: np.ndarray) -> np.ndarray:
+    """(N, 3) CIE L*a*b* of linear sRGB in 0..1, white point D65."""
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    xyz = rgb @ to_xyz.T / [0.9505, 1.0, 1.089]
+    x, y, z = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116).T
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+def test_finger_colors_differ_for_the_colour_blind() -> None:
+    # Viénot, Brettel and Mollon 1999: what a protanope and a deuteranope see, in linear RGB
+    missing = {
+        "protan": [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
+        "deutan": [[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]],
+    }
+    colors = linear(np.array([*FINGER_COLORS, HIGHLIGHT], np.uint8)) / 255
+    for matrix in missing.values():
+        seen = cielab(np.clip(colors @ np.array(matrix).T, 0, 1))
+        gaps = np.linalg.norm(seen[:, None] - seen[None], axis=-1)
+        # CIE 1976: 2.3 is just noticeable
+        assert gaps[~np.eye(len(gaps), dtype=bool)].min() > 15
+
+
+# -- the server -------------------------------------------------------------------------------
+
+
+def test_the_scene_shows_the_kinematics_of_its_frame(
+    server: PlaybackServer, playback: Playback
+) -> None:
+    robot, joints = server._scene._robot, server._scene._human._joints
+    server.set_frame(40)
+    eventually(lambda: np.allclose(robot._tips.batched_positions, playback.robot_tips[40]))
+    data = mujoco.MjData(playback.model)
+    data.qpos[:] = playback.qpos[40]
+    mujoco.mj_kinematics(playback.model, data)
+    eventually(lambda: server._panel._slider.value == 40)
+    for body, node in robot._bodies.items():
+        np.testing.assert_allclose(node.position, data.xpos[body], atol=1e-5)
+        np.testing.assert_allclose(node.wxyz, data.xquat[body], atol=1e-4)
+    np.testing.assert_allclose(joints.batched_positions, playback.human[40], atol=1e-6)
+
+
+def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
+    human = human_hand(np.zeros(3))
+    human[1, 6] = np.nan
+    human[2, 8] = human[2, 4]
+    with PlaybackServer(make_playback(3, human=human), port=0) as server:
+        hand, lines = server._scene._human, server._scene._lines
+        for frame in (1, 2):
+            server.set_frame(frame)
+            eventually(lambda frame=frame: server._panel._slider.value == frame)
+            scales = hand._joints.batched_scales
+            assert np.isfinite(hand._joints.batched_positions).all()
+            assert (scales == 0).nonzero()[0].tolist() == ([6] if frame == 1 else [])
+            lit = np.all(hand._joints.batched_colors == linear(np.array(HIGHLIGHT)), axis=-1)
+            assert lit.nonzero()[0].tolist() == ([] if frame == 1 else [4, 8])
+            shown = np.all(lines["robot"].colors[:, 0] == linear(np.array(HIGHLIGHT)), axis=-1)
+            assert shown.tolist() == [frame == 2, False]
+
+
+def test_playback_keeps_real_time_at_any_rate() -> None:
+    with PlaybackServer(make_playback(2000, rate=2000.0), port=0, loop=False) as server:
+        begun = time.monotonic()
+        server.play()
+        eventually(lambda: not server.playing)
+        assert 0.9 < time.monotonic() - begun < 1.5
+        assert server.frame == 1999
+
+
+def test_pause_step_and_speed(server: PlaybackServer) -> None:
+    server.set_speed(0.5)
+    server.set_frame(-1)
+    server.play()  # from the end: over again
+    eventually(lambda: 0 < server.frame < 59)
+    server.pause()
+    held = server.frame
+    time.sleep(0.1)
+    assert server.frame == held
+    server.set_frame(0)
+    server.step(-1)
+    assert server.frame == 59
+    server.set_loop(False)
+    server.step(5)
+    assert server.frame == 59
+    with pytest.raises(ConfigError, match=r"-60\.\.59, not 60"):
+        server.set_frame(60)
+    with pytest.raises(ConfigError, match="speed"):
+        server.set_speed(9.0)
+
+
+def test_scrubbing_holds_time_until_the_slider_rests(server: PlaybackServer) -> None:
+    server.play()
+    server.scrub(20)
+    time.sleep(0.1)
+    assert server.frame == 20
+    assert server.playing
+    eventually(lambda: server.frame > 20)
+
+
+def test_a_taken_port_gives_the_next_free_one(playback: Playback, capfd: Any) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        server = serve(playback, port=taken, open_browser=False, block=False)
+        try:
+            assert server.port > taken
+            assert server.url == f"http://127.0.0.1:{server.port}"
+            assert server.playing
+        finally:
+            server.stop()
+    output = capfd.readouterr()
+    assert output.out == ""  # standard output belongs to results
+    assert f"http://127.0.0.1:{server._wanted_port}" not in output.err
+    assert f"(port {taken} was taken)" in output.err
+
+
+def test_ctrl_c_ends_serve_cleanly(playback: Playback, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = set(threading.enumerate())
+
+    def interrupted(self: PlaybackServer) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PlaybackServer, "wait", interrupted)
+    server = serve(playback, port=0, open_browser=False)
+    with pytest.raises(ConfigError, match="start"):
+        _ = server.url
+    server.stop()  # twice is fine
+    assert set(threading.enumerate()) <= before
+
+
+def test_an_error_while_drawing_reaches_the_caller(
+    server: PlaybackServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(frame: int) -> None:
+        raise RuntimeError("lost the scene")
+
+    monkeypatch.setattr(server._scene, "draw", broken)
+    server.set_frame(3)
+    with pytest.raises(RuntimeError, match="lost the scene"):
+        server.wait()
+
+
+@pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 8080), ("no.such.host.invalid", 8080),
+                                            ("127.0.0.1", 70000)])  # fmt: skip
+def test_an_impossible_address_is_refused(playback: Playback, host: str, port: int) -> None:
+    with pytest.raises(ConfigError):
+        PlaybackServer(playback, host=host, port=port).start()
+
+
+def test_a_single_frame_can_be_shown() -> None:
+    with PlaybackServer(make_playback(1), port=0) as server:
+        server.play()
+        eventually(lambda: not server.playing)
+        assert server.frame == 0
+
+
+def test_no_browser_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(player_module.sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert not player_module._has_desktop()
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert player_module._has_desktop()
+
+
+@pytest.mark.shared
+def test_the_real_hand_of_meshes_is_drawn(shared: Path) -> None:
+    path = shared / "hands" / "mimic_p050_hand" / "right_hand.xml"
+    model = mujoco.MjModel.from_xml_path(str(path))
+    rng = np.random.default_rng(0)
+    qpos = rng.uniform(model.jnt_range[:, 0], model.jnt_range[:, 1], (20, model.nq))
+    data = mujoco.MjData(model)
+    tips = np.empty((20, 5, 3))
+    for row in range(20):
+        data.qpos[:] = qpos[row]
+        mujoco.mj_kinematics(model, data)
+        tips[row] = [data.body(f"{name}_fingertip").xpos for name in landmarks.FINGERS]
+    owner = finger_of_body(model, qpos, tips)
+    meshes = body_meshes(model)
+    for body, mesh in meshes.items():
+        name = model.body(body).name
+        expected = [i for i, finger in enumerate(landmarks.FINGERS) if name.startswith(finger)]
+        assert [owner[body]] == (expected or [-1]), name
+        assert mesh.extents.max() > 5e-3
+    assert len(meshes) == 21  # palm and four parts a finger; the specks at the tips are left out
+
+
+# -- the page ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next((found for name in names if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+             "--enable-unsafe-swiftshader", "--disable-background-networking",
+             "--disable-component-update", "--disable-sync"]  # fmt: skip
+    with sync_api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, headless=True, args=flags)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def opened(chromium: Any) -> Iterator[tuple[PlaybackServer, Any, list[str]]]:
+    """A server, a page that shows it, and what the page has complained about so far."""
+    with PlaybackServer(make_playback(300), port=0) as server:
+        page = chromium.new_page(viewport={"width": 800, "height": 600})
+        page.set_default_timeout(60_000)  # software rendering on a busy machine
+        problems: list[str] = []
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+        page.goto(server.url)
+        page.wait_for_selector("#playback-status")
+        page.locator(".mantine-Notification-closeButton").first.click()  # "software rendering"
+        yield server, page, problems
+        page.close()
+
+
+def picture(page: Any, width: int, height: int) -> np.ndarray:
+    """(height, width, 3) the page's upper left part, where the hands are."""
+    from PIL import Image
+
+    clip = {"x": 0, "y": 0, "width": width, "height": height}
+    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB"), float)
+
+
+def settled(page: Any, width: int, height: int, bare: float = 20.0) -> np.ndarray:
+    """The picture once two in a row are alike and there is something on it."""
+    last = picture(page, width, height)
+
+    def still() -> np.ndarray | None:
+        nonlocal last
+        page.wait_for_timeout(150)
+        before, last = last, picture(page, width, height)
+        return last if np.abs(last - before).max() < 8 and last.max() > bare else None
+
+    for _ in range(60):
+        if (found := still()) is not None:
+            return found
+    raise AssertionError("the picture never came to rest")
+
+
+def page_frame(page: Any) -> int:
+    return int(page.get_attribute("#playback-status", "data-frame"))
+
+
+FRAME = "+document.querySelector('#playback-status').dataset.frame"
+
+
+@pytest.mark.browser
+def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, list[str]]) -> None:
+    server, page, problems = opened
+    for label in ("Frame", "Step", "Speed", "Loop", "Overlay", "Keyvectors"):
+        assert page.get_by_text(label, exact=True).is_visible(), label
+    assert page.get_by_text("test hand").first.is_visible()
+    start = settled(page, 470, 600)
+    pixels = start[start.max(axis=-1) > 60]
+    for color in (*FINGER_COLORS[:2], HIGHLIGHT):
+        hue = np.array(color) / np.linalg.norm(color)
+        near = pixels @ hue / np.linalg.norm(pixels, axis=-1) > 0.985
+        assert near.any() == (color != HIGHLIGHT), color  # nothing pinches at the start
+
+    page.get_by_role("button", name="Play", exact=True).click()
+    page.wait_for_function(f"{FRAME} > 20")
+    assert server.playing
+    page.get_by_role("button", name="Pause", exact=True).click()
+    page.get_by_role("button", name="Play", exact=True).wait_for()
+    held = server.frame
+    page.wait_for_timeout(400)
+    assert server.frame == held == int(page.evaluate(FRAME))
+
+    page.get_by_role("slider").first.press("End")
+    page.wait_for_function(f"{FRAME} == 299")
+    assert server.frame == 299
+    moved = settled(page, 470, 600)
+    assert (np.abs(moved - start).max(axis=-1) > 30).mean() > 0.01  # the hands have moved
+    page.get_by_role("button", name="-1", exact=True).click()
+    page.wait_for_function(f"{FRAME} == 298")
+    page.keyboard.press("k")
+    eventually(lambda: server.playing)
+    server.pause()
+
+    page.get_by_label("Overlay").check()
+    eventually(lambda: np.allclose(server._scene._roots["robot"].position, 0))
+    page.get_by_role("tab", name="Metrics").click()
+    page.get_by_role("cell", name="cosine thumb").wait_for()
+    assert problems == []
+
+
+@pytest.mark.browser
+def test_the_page_fits_a_phone(opened: tuple[PlaybackServer, Any, list[str]]) -> None:
+    server, page, problems = opened
+    server.pause()
+    server.set_frame(0)
+    server.set_overlay(False)
+    page.set_viewport_size({"width": 390, "height": 844})
+    play = page.get_by_role("button", name="Play", exact=True)
+    play.wait_for()
+    box = play.bounding_box()
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= 390
+    assert box["y"] + box["height"] <= 844
+    eventually(lambda: shown_width(page) > 200, 30)  # both hands, not one or specks
+    drawn = drawn_columns(settled(page, 390, 440))  # above the controls
+    assert drawn.min() >= 2
+    assert drawn.max() <= 387
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert problems == []
+
+
+def drawn_columns(shown: np.ndarray) -> np.ndarray:
+    """Columns of a picture in which something bright is drawn."""
+    return (shown.max(axis=-1) > 60).any(axis=0).nonzero()[0]
+
+
+def shown_width(page: Any) -> int:
+    columns = drawn_columns(picture(page, 390, 440))
+    return int(np.ptp(columns)) if len(columns) else 0
