@@ -87,7 +87,7 @@ class Objective:
         total: Array = jnp.zeros((), q[0].dtype)
         for k, (i, j) in enumerate(self.layout.pairs):
             error = [points[j][c] - points[i][c] - goal.vectors[k, c] for c in range(3)]
-            terms = [self._penalty(e) for e in error]
+            terms = [self.penalty(e) for e in error]
             total = total + goal.weights[k] * (terms[0] + terms[1] + terms[2])
         return total
 
@@ -114,9 +114,17 @@ class Objective:
         pull = sum((row - centre[i]) ** 2 for i, row in enumerate(q))
         return total + (weight * pull + constant)
 
-    def _penalty(self, error: Array) -> Array:
+    def penalty(self, error: Array) -> Array:
+        """l of Eq. (1), per component [m] -> cost."""
         if self.config.loss == "squared":
             return error * error
         size = jnp.abs(error)
         near = jnp.minimum(size, self.config.transition)
         return near * (size - 0.5 * near) * (1 / self.config.transition)
+
+    def slopes(self, error: Array) -> tuple[Array, Array]:
+        """First and second derivative of the penalty."""
+        if self.config.loss == "squared":
+            return 2 * error, jnp.full_like(error, 2.0)
+        slope = jnp.clip(error / self.config.transition, -1, 1)
+        return slope, (jnp.abs(slope) < 1) / self.config.transition
