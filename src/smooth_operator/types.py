@@ -186,6 +186,25 @@ class JointCommand:
 
 
 @dataclass(frozen=True, eq=False)
+class Result:
+    """Answer to one hand frame.
+
+    Attributes:
+        command: joint positions; the last good ones unless the status is OK.
+        status: whether the command answers the frame, and if not, why.
+        latency_ms: time from landmarks to command [ms].
+        tracking_loss: weighted keyvector loss of the command, first term of Eq. (1).
+        scale: robot size over human size in this frame's alignment.
+    """
+
+    command: JointCommand
+    status: Status
+    latency_ms: float
+    tracking_loss: float
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
 class CommandTrajectory:
     """A sequence of joint commands with its book-keeping; what ``OUT.npz`` holds.
 

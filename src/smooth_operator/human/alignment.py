@@ -10,6 +10,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.geometry import AnyArray, Similarity, umeyama
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import HandRecording
 
 MIN_CONDITION = 0.02
@@ -70,7 +71,7 @@ def align_recording(
     valid = np.asarray(recording.valid)
     landmarks = np.where(valid[..., None], recording.landmarks, np.nan)
     palm = np.isfinite(landmarks[:, list(hand.align_indices)]).all(axis=(1, 2))
-    safe = np.where(palm[:, None, None], landmarks, recording_reference(hand))
+    safe = np.where(palm[:, None, None], landmarks, reference_landmarks(hand))
     fit = palm_alignment(safe, hand, config)
     usable = palm & (np.asarray(fit.condition) >= MIN_CONDITION)
     aligned: np.ndarray = np.where(usable[:, None, None], fit.apply(safe), np.nan)
@@ -94,13 +95,11 @@ def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
     )
 
 
-def recording_reference(hand: Hand) -> Float[np.ndarray, "21 3"]:
+def reference_landmarks(hand: Hand) -> Float[np.ndarray, "21 3"]:
     """A harmless well-posed set of landmarks: the robot's own at its neutral pose [m].
 
     Stands in for a frame that can't be used, so that the arithmetic around it stays finite. Fingers
     that the robot lacks sit at its wrist.
     """
-    from smooth_operator.landmarks import LANDMARKS
-
     at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
     return np.stack([at.get(name, hand.wrist) for name in LANDMARKS])

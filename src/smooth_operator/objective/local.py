@@ -60,20 +60,24 @@ class LocalObjective:
         hessian = hessian + self.kinematics.curvature(motion, force)
         gradient = jnp.einsum("fc,fjc->j", force, motion.velocities)
         matrix = jnp.asarray(objective.hand.expansion[0][list(self.kinematics.order)], q.dtype)
-        reg, vel = objective.config.pose_weight, objective.config.velocity_weight
+        reg, vel = objective.config.pose_weight, goal.velocity_weight
         neutral = jnp.asarray(objective.hand.neutral, q.dtype)
         pull = 2 * reg * (q - neutral) + 2 * vel * (q - goal.previous)
         stiffness = 2 * (reg + vel) * jnp.eye(len(q), dtype=q.dtype)
         return gradient @ matrix + pull, matrix.T @ hessian @ matrix + stiffness
 
-    def _cost(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
-        objective = self.objective
+    def tracking(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
+        """First term of Eq. (1) at a pose."""
         error = self._errors(self.kinematics(self._expand(q)).points, goal)
-        neutral = jnp.asarray(objective.hand.neutral, q.dtype)
+        return (goal.weights[:, None] * self.objective.penalty(error)).sum()
+
+    def _cost(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
+        config = self.objective.config
+        neutral = jnp.asarray(self.objective.hand.neutral, q.dtype)
         return (
-            (goal.weights[:, None] * objective.penalty(error)).sum()
-            + objective.config.pose_weight * ((q - neutral) ** 2).sum()
-            + objective.config.velocity_weight * ((q - goal.previous) ** 2).sum()
+            self.tracking(q, goal)
+            + config.pose_weight * ((q - neutral) ** 2).sum()
+            + goal.velocity_weight * ((q - goal.previous) ** 2).sum()
         )
 
     def _expand(self, q: Float[Array, " m"]) -> Float[Array, " n"]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -25,7 +27,7 @@ class ObjectiveConfig:
             the paper, or ``squared``, as Eq. (1) is printed.
         transition: where smooth-L1 turns from quadratic to linear [m].
         pose_weight: lambda_reg (gamma of the paper's table), pull to the neutral pose.
-        velocity_weight: lambda_vel (w_v of the table), penalty on the change since the last command.
+        velocity_weight: lambda_vel (w_v of the table), penalty on the change of the command.
     """
 
     targets: DexPilotTargets | PlainTargets = field(default_factory=DexPilotTargets)
@@ -53,11 +55,13 @@ class FrameGoal(NamedTuple):
         vectors: (K, 3) keyvector targets [m].
         weights: (K,) their weights.
         previous: (m,) last command of the actuated joints [rad].
+        velocity_weight: lambda_vel of the frame; 0 where there is no last command to be near to.
     """
 
     vectors: Float[Array, "K 3"]
     weights: Float[Array, " K"]
     previous: Float[Array, " m"]
+    velocity_weight: Float[Array, ""] | float
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,16 +107,15 @@ class Objective:
             cost, of that shape.
         """
         total = self.tracking(q, goal, within_limits=within_limits)
-        reg, vel = self.config.pose_weight, self.config.velocity_weight
-        if reg + vel == 0:
-            return total
         # Two quadratics about two centres are one about their mean, and a constant.
+        reg, vel = self.config.pose_weight, goal.velocity_weight
         weight = reg + vel
         neutral = jnp.asarray(self.hand.neutral, q[0].dtype)
-        centre = (reg * neutral + vel * goal.previous) / weight
-        constant = reg * vel / weight * ((neutral - goal.previous) ** 2).sum()
-        pull = sum((row - centre[i]) ** 2 for i, row in enumerate(q))
-        return total + (weight * pull + constant)
+        share = vel / jnp.maximum(weight, 1e-12)
+        centre = neutral + share * (goal.previous - neutral)
+        constant = reg * share * ((neutral - goal.previous) ** 2).sum()
+        pull = [(row - centre[i]) ** 2 for i, row in enumerate(q)]
+        return total + (weight * functools.reduce(operator.add, pull) + constant)
 
     def penalty(self, error: Array) -> Array:
         """l of Eq. (1), per component [m] -> cost."""

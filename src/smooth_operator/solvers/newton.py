@@ -66,7 +66,7 @@ def newton_minimise(
     identity = jnp.eye(len(limits), dtype=start.dtype)
     damping = jnp.asarray(config.damping, start.dtype)
 
-    def step(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+    def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         q, best = carry
         gradient, hessian = derivatives(q)
         held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
@@ -85,9 +85,8 @@ def newton_minimise(
         return (
             jnp.where(better, candidates[winner], q),
             jnp.where(better, costs[winner], best),
-        ), None
+        )
 
     if config.iterations == 0:
         return start
-    (q, _), _ = jax.lax.scan(step, (start, cost(start[None])[0]), None, length=config.iterations)
-    return q
+    return jax.lax.fori_loop(0, config.iterations, step, (start, cost(start[None])[0]))[0]

@@ -48,6 +48,17 @@ def counter_normal_matrix(
     return jnp.concatenate(_pair(index * jnp.uint32(pairs) + which, words))[:count]
 
 
+def seed_words(seed: int) -> UInt32[np.ndarray, "2"]:
+    """Two well mixed words from any integer seed."""
+    return np.random.SeedSequence(abs(seed)).generate_state(2)
+
+
+def frame_key(seed: UInt32[Array, "2"], count: UInt32[Array, ""]) -> UInt32[Array, "2"]:
+    """The key of the count-th frame."""
+    odd = jnp.asarray([0x9E3779B9, 0x85EBCA6B], jnp.uint32)  # two sequences that share no period
+    return mix(mix(seed + odd * count) ^ seed[::-1])
+
+
 def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"]:
     """``count`` keys for as many cycles, from the key of a frame."""
     counter = jnp.arange(2 * count, dtype=jnp.uint32).reshape(count, 2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import trimesh
 import viser
@@ -14,7 +16,7 @@ from smooth_operator.ui.playback import Playback
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]
 # Across the knuckles: without them the palm is a fan of five rods and not a palm.
-_LINKS = (*BONES, *zip(BASES[1:-1], BASES[2:], strict=True), (BASES[0], BASES[1]))
+_LINKS = (*BONES, *pairwise(BASES))
 _PARENTS, _CHILDREN = (np.array(column) for column in zip(*_LINKS, strict=True))
 
 
@@ -111,4 +113,4 @@ def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
     # the half-way quaternion (1 + z.e, e x z); straight down, any axis in the plane will do
     quat = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(len(z))], axis=-1)
     quat[quat[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]
-    return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    return np.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True))

@@ -6,6 +6,8 @@ opened and whatever MuJoCo has scaled and re-centred is right here too.
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import trimesh
@@ -31,24 +33,23 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     size = model.geom_size[geom]
     kind = int(model.geom_type[geom])
     kinds = mujoco.mjtGeom
+    mesh: trimesh.Trimesh | None = None
     if kind == kinds.mjGEOM_SPHERE:
-        return trimesh.creation.icosphere(subdivisions=3, radius=size[0])
-    if kind == kinds.mjGEOM_ELLIPSOID:
+        mesh = trimesh.creation.icosphere(subdivisions=3, radius=size[0])
+    elif kind == kinds.mjGEOM_ELLIPSOID:
         mesh = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
         mesh.apply_scale(size)
-        return mesh
-    if kind == kinds.mjGEOM_CAPSULE:  # size: radius, half-length of the straight part
+    elif kind == kinds.mjGEOM_CAPSULE:  # size: radius, half-length of the straight part
         mesh = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[24, 24])
         # trimesh releases differ in where they put the origin; MuJoCo's is the middle
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
-        return mesh
-    if kind == kinds.mjGEOM_CYLINDER:
-        return trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
-    if kind == kinds.mjGEOM_BOX:
-        return trimesh.creation.box(extents=2 * size)
-    if kind == kinds.mjGEOM_MESH:
-        return _asset(model, int(model.geom_dataid[geom]))
-    return None
+    elif kind == kinds.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
+    elif kind == kinds.mjGEOM_BOX:
+        mesh = trimesh.creation.box(extents=2 * size)
+    elif kind == kinds.mjGEOM_MESH:
+        mesh = _asset(model, int(model.geom_dataid[geom]))
+    return mesh
 
 
 def body_meshes(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
@@ -74,7 +75,11 @@ def body_meshes(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
         pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
         mesh.apply_transform(pose)
         parts.setdefault(int(model.geom_bodyid[geom]), []).append(smooth_shade(mesh, angle=_CREASE))
-    return {body: trimesh.util.concatenate(meshes) for body, meshes in parts.items()}
+    merged: dict[int, trimesh.Trimesh] = {}
+    for body, pieces in parts.items():
+        whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
+        merged[body] = whole
+    return merged
 
 
 def finger_of_body(

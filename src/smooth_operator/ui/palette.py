@@ -41,7 +41,7 @@ def linear(colors: UInt8[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
     """
     value = np.asarray(colors, np.float64) / 255
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.rint(255 * light).astype(np.uint8)  # IEC 61966-2-1
+    return np.asarray(np.rint(255 * light), np.uint8)  # IEC 61966-2-1
 
 
 def css(color: Rgb | UInt8[np.ndarray, "3"]) -> str:

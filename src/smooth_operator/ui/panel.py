@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from typing import Any, Protocol
 
 import viser
@@ -93,7 +93,7 @@ class Panel:
 
     def show_frame(self, frame: int) -> None:
         """Move slider, status line and plot to a frame."""
-        self._slider.value = frame
+        self._slider.value = frame  # type: ignore[misc]  # it has a setter; mypy loses sight of it
         self._status.content = status_line(self._playback, frame)
         self._plot.data = self._gaps.window(frame)
 
@@ -144,7 +144,7 @@ class Panel:
         return (uplot.Series(label="time"), *human, *robot)
 
 
-def _asked(action: Callable[[Any], None]) -> Callable[[Any], Awaitable[None]]:
+def _asked(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
     """Wrap an action as a callback that answers people only.
 
     Handles also call back when the player itself writes a value; such events have no client.

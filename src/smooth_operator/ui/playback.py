@@ -105,17 +105,19 @@ class Playback:
     @property
     def times(self) -> Float[np.ndarray, " T"]:
         """(T,) seconds since the first frame."""
-        return self.stamps - self.stamps[0]
+        return np.asarray(self.stamps - self.stamps[0])
 
     def human_gaps(self) -> Float[np.ndarray, "T G"]:
         """(T, F-1) distances of the human thumb tip to each other fingertip [m], NaN if missing."""
         tips = self.human[:, list(self.human_tips)]
-        return np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+        return np.asarray(np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1))
 
     def robot_gaps(self) -> Float[np.ndarray, "T G"]:
         """(T, F-1) distances of the robot thumb tip to each other fingertip [m]."""
-        return np.linalg.norm(self.robot_tips[:, 1:] - self.robot_tips[:, :1], axis=-1)
+        gaps = self.robot_tips[:, 1:] - self.robot_tips[:, :1]
+        return np.asarray(np.linalg.norm(gaps, axis=-1))
 
     def pinches(self) -> Bool[np.ndarray, "T G"]:
         """(T, F-1) True where the human pinches: gap under :data:`PINCH_DISTANCE`."""
-        return self.human_gaps() < PINCH_DISTANCE  # NaN compares False: a lost hand never pinches
+        # NaN compares False: a lost hand never pinches
+        return np.asarray(self.human_gaps() < PINCH_DISTANCE)

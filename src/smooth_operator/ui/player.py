@@ -253,11 +253,9 @@ class PlaybackServer:
                 if text:
                     next_text = begun + _TEXT_TICK
                 with self._changed:
-                    # a burst of slider events is drawn at display rate, too
                     if self._playing or self._dirty:
+                        # at display rate, also for a burst of slider events
                         rest = max(begun + _TICK - time.monotonic(), 0.0)
-                        if self._stopping:
-                            return
                         self._changed.wait_for(lambda: self._stopping, rest)
                     else:
                         self._changed.wait_for(lambda: self._dirty or self._stopping)

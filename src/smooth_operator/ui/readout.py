@@ -76,7 +76,7 @@ class GapPlot:
         now = self._times[frame]
         first = int(np.searchsorted(self._times, now - WINDOW))
         # from a fixed grid of frames, so that a curve does not shimmer while it scrolls by
-        step = max((frame - first) // _POINTS, 1)
+        step = -(-(frame + 1 - first) // _POINTS)
         rows = np.unique(np.append(np.arange(-(-first // step) * step, frame + 1, step), frame))
         curves = self._gaps[rows].T.astype(np.float64)
         return (self._times[rows] - now, *curves)

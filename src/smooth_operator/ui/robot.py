@@ -32,7 +32,7 @@ class RobotView:
         meshes = body_meshes(playback.model)
         owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
         self._palette = finger_colors(len(playback.fingers))
-        self._boxes = {body: trimesh.bounds.corners(mesh.bounds) for body, mesh in meshes.items()}
+        self._boxes = {body: mesh.bounding_box.vertices for body, mesh in meshes.items()}
         self._bodies = {
             body: scene.add_mesh_simple(
                 f"{root}/body_{body}",

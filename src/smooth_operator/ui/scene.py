@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 import viser
 
@@ -15,6 +17,8 @@ _PHONE = (
     0.75  # canvas narrower than this times its height: the panel is a sheet over its lower part
 )
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first
+
+_Aim = tuple[tuple[int, int], np.ndarray]  # canvas size [px], camera position [m]
 
 
 class Scene:
@@ -48,7 +52,7 @@ class Scene:
             scene.add_label(f"/{name}/label", name, position=top, anchor="bottom-center")
             for name, top in zip(_HANDS, self._layout.tops, strict=True)
         ]
-        self._aimed: dict[int, tuple[tuple[int, int], np.ndarray]] = {}
+        self._aims: dict[int, deque[_Aim]] = {}
         self._setup(server)
         self.set_overlay(False)
 
@@ -93,7 +97,8 @@ class Scene:
             camera.fov = FOV
             camera.position = position
             camera.look_at = target
-        self._aimed[client.client_id] = ((camera.image_width, camera.image_height), position)
+        aims = self._aims.setdefault(client.client_id, deque(maxlen=8))
+        aims.append(((camera.image_width, camera.image_height), position))
 
     def greet(self, client: viser.ClientHandle) -> None:
         """Aim a new browser's camera, and again when its canvas changes shape.
@@ -104,16 +109,18 @@ class Scene:
         self.aim(client)
 
         async def reshaped(camera: viser.CameraHandle) -> None:
-            size, position = self._aimed[client.client_id]
-            untouched = np.allclose(camera.position, position, atol=1e-3)
-            if untouched and size != (camera.image_width, camera.image_height):
+            aims = self._aims.get(client.client_id)
+            if not aims or aims[-1][0] == (camera.image_width, camera.image_height):
+                return
+            # a report may be older than our last command: any place we chose is untouched
+            if any(np.allclose(camera.position, position, atol=1e-3) for _, position in aims):
                 self.aim(client)
 
         client.camera.on_update(reshaped)
 
     def forget(self, client: viser.ClientHandle) -> None:
         """Drop what was kept for a browser that has left."""
-        self._aimed.pop(client.client_id, None)
+        self._aims.pop(client.client_id, None)
 
     def _setup(self, server: viser.ViserServer) -> None:
         server.scene.set_up_direction(self._layout.up)

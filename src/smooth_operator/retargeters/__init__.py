@@ -1,0 +1,1 @@
+"""Named retargeting methods, composed from alignment, objective and solver."""

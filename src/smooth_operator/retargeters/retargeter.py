@@ -1,0 +1,218 @@
+"""From a hand frame to a joint command: one compiled program per frame, explicit state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.spec import HandSpec
+from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
+from smooth_operator.retargeters.method import Method, MethodConfig
+from smooth_operator.retargeters.presets import method_config
+from smooth_operator.types import (
+    CommandTrajectory,
+    HandFrame,
+    HandRecording,
+    JointCommand,
+    Result,
+    Status,
+)
+
+
+class RetargetState(NamedTuple):
+    """All that a retargeter remembers between frames; a pytree.
+
+    Attributes:
+        method: state of the method.
+        q: (m,) last good command of the actuated joints [rad].
+    """
+
+    method: Any
+    q: Float[Array, " m"]
+
+
+class _Answer(NamedTuple):
+    q: Float[Array, " m"]
+    status: Int[Array, ""]
+    tracking_loss: Float[Array, ""]
+    scale: Float[Array, ""]
+
+
+class Retargeter:
+    """Retargets frames of a tracked human hand onto one robot hand.
+
+    Use it with explicit state (:meth:`init`, :meth:`step`), or call it and let it keep the state
+    (:meth:`__call__`, :meth:`reset`). Either way a frame is one compiled program from landmarks to
+    command, compiled at the first frame or by :meth:`warm_up`.
+
+    A frame that is invalid, not finite or degenerate gives the last good command (before the first
+    good frame: the neutral pose) with a status that says why, and leaves the state as it was.
+
+    Args:
+        hand: name of a built-in hand, a description, or a loaded hand.
+        side: side of a built-in hand.
+        method: name of the method.
+        preset: name of its preset; None for the method's default.
+        config: a configuration of your own, instead of method and preset.
+        seed: of the method's random numbers.
+
+    Raises:
+        UnknownNameError: for an unknown hand, method or preset.
+        HandModelError: if the hand's model can't be used.
+    """
+
+    def __init__(
+        self,
+        hand: str | HandSpec | Hand = "mimic_p050",
+        *,
+        side: str = "right",
+        method: str = "sbr",
+        preset: str | None = None,
+        config: MethodConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
+        self.config = method_config(method, preset) if config is None else config
+        self.seed = seed
+        self.method: Method = self.config.build(self.hand)
+        self._program = jax.jit(partial(_program, self.method, self.config))
+        self._state = self.init()
+
+    def init(self, seed: int | None = None) -> RetargetState:
+        """The state before the first frame."""
+        method = self.method.init(self.seed if seed is None else seed)
+        return RetargetState(method, np.asarray(self.hand.neutral, np.float32))
+
+    def step(
+        self, state: RetargetState, frame: HandFrame | ArrayLike
+    ) -> tuple[RetargetState, Result]:
+        """One frame.
+
+        Args:
+            state: from :meth:`init` or the last step; not changed.
+            frame: a hand frame, or (21, 3) landmarks [m].
+
+        Returns:
+            the next state and the result.
+
+        Raises:
+            ConfigError: if the frame is of the other hand's side.
+            RecordingError: if landmarks have another shape.
+        """
+        start = time.perf_counter()
+        if not isinstance(frame, HandFrame):
+            frame = HandFrame(np.asarray(frame), side=self.hand.spec.side)
+        if frame.side != self.hand.spec.side:
+            raise ConfigError(
+                f"a {frame.side} human hand can't drive the {self.hand.spec.side} hand "
+                f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
+            )
+        state, answer = self._program(state, frame.landmarks.astype(np.float32), frame.valid)
+        q, status = np.asarray(answer.q, float), Status(int(answer.status))
+        # float32 may round a limit outwards: the last word is in float64
+        q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
+        latency_ms = (time.perf_counter() - start) * 1e3
+        return state, Result(
+            JointCommand(q, self.hand.joint_names, frame.stamp),
+            status,
+            latency_ms,
+            float(answer.tracking_loss),
+            float(answer.scale),
+        )
+
+    def __call__(self, frame: HandFrame | ArrayLike) -> Result:
+        """One frame, with the state kept inside; see :meth:`step`."""
+        self._state, result = self.step(self._state, frame)
+        return result
+
+    def reset(self, seed: int | None = None) -> None:
+        """Back to the start: latches, random numbers, last command. Never recompiles."""
+        self._state = self.init(seed)
+
+    def warm_up(self) -> float:
+        """Compile, without touching the state kept inside.
+
+        Returns:
+            seconds it took.
+        """
+        start = time.perf_counter()
+        self.step(self.init(), np.full((21, 3), np.nan))
+        return time.perf_counter() - start
+
+    def run(
+        self,
+        recording: HandRecording,
+        *,
+        seed: int | None = None,
+        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+        """A whole recording from a fresh state, frame by frame, as a live loop would.
+
+        Args:
+            recording: the human hand.
+            seed: of the random numbers; None for the retargeter's own.
+            track: wraps the iteration over frames, for a progress bar.
+
+        Returns:
+            the commands, and the (T,) tracking loss of each frame (NaN where a command was held).
+        """
+        self.warm_up()
+        state = self.init(seed)
+        steps = range(len(recording))
+        results: list[Result] = []
+        for i in steps if track is None else track(steps):
+            state, result = self.step(state, recording[i])
+            results.append(result)
+        trajectory = CommandTrajectory(
+            np.stack([r.command.positions for r in results]),
+            self.hand.joint_names,
+            recording.stamps,
+            np.array([r.latency_ms for r in results]),
+            np.array([r.status for r in results], np.int8),
+        )
+        loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
+        return trajectory, np.array(loss)
+
+
+def _program(
+    method: Method,
+    config: MethodConfig,
+    state: RetargetState,
+    landmarks: Float[Array, "21 3"],
+    valid: Array,
+) -> tuple[RetargetState, _Answer]:
+    """Landmarks to command; whatever the input, the arithmetic inside stays finite."""
+    hand = method.hand
+    needs = np.array(sorted({*method.needs, *hand.align_indices}))
+    finite = jnp.isfinite(landmarks).all(axis=-1) & valid
+    present = finite[needs].all()
+    safe = jnp.where(present, landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
+    palm = palm_alignment(safe, hand, config.alignment)
+    well_posed = palm.condition >= MIN_CONDITION  # False for NaN
+    after, output = method.step(state.method, palm.apply(safe))
+    solved = jnp.isfinite(output.q).all()
+
+    ok = present & well_posed & solved
+    status = jnp.where(
+        ~present,
+        Status.INVALID_LANDMARKS,
+        jnp.where(
+            ~well_posed,
+            Status.DEGENERATE_PALM,
+            jnp.where(~solved, Status.SOLVER_FAILED, Status.OK),
+        ),
+    )
+    kept = RetargetState(after, output.q)
+    state = jax.tree.map(lambda new, old: jnp.where(ok, new, old), kept, state)
+    return state, _Answer(state.q, status, output.tracking_loss, palm.scale)
