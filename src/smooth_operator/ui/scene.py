@@ -13,9 +13,7 @@ from smooth_operator.ui.playback import Playback
 from smooth_operator.ui.robot import RobotView
 
 _LINE = 0.0022  # thickness of a keyvector [m]
-_PHONE = (
-    0.75  # canvas narrower than this times its height: the panel is a sheet over its lower part
-)
+_PHONE = 0.75  # below this width / height, the panel is a sheet over the canvas's lower part
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first
 
 _Aim = tuple[tuple[int, int], np.ndarray]  # canvas size [px], camera position [m]
@@ -108,15 +106,19 @@ class Scene:
         """
         self.aim(client)
 
-        async def reshaped(camera: viser.CameraHandle) -> None:
+        async def check(camera: viser.CameraHandle) -> None:
             aims = self._aims.get(client.client_id)
-            if not aims or aims[-1][0] == (camera.image_width, camera.image_height):
+            if not aims:
                 return
-            # a report may be older than our last command: any place we chose is untouched
-            if any(np.allclose(camera.position, position, atol=1e-3) for _, position in aims):
+            # A report may be older than our last command, and a page that is still loading may
+            # drop it for its initial camera: any place that we chose is untouched.
+            ours = [position for _, position in aims]
+            at = [np.allclose(camera.position, p, atol=1e-3) for p in (self._initial, *ours)]
+            reshaped = aims[-1][0] != (camera.image_width, camera.image_height)
+            if any(at) and (reshaped or not at[-1]):
                 self.aim(client)
 
-        client.camera.on_update(reshaped)
+        client.camera.on_update(check)
 
     def forget(self, client: viser.ClientHandle) -> None:
         """Drop what was kept for a browser that has left."""
@@ -126,6 +128,7 @@ class Scene:
         server.scene.set_up_direction(self._layout.up)
         server.scene.configure_default_lights(cast_shadow=False)
         camera, (position, target) = server.initial_camera, self._layout.camera(1.4)
+        self._initial = position
         camera.position, camera.look_at, camera.up = position, target, self._layout.up
         camera.fov, camera.near, camera.far = FOV, 0.005, 50.0
 
