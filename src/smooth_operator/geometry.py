@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,9 @@ from jax import lax
 from jaxtyping import Array
 
 AnyArray: TypeAlias = Array | np.ndarray
-"""NumPy in, NumPy out (float64, on the host); JAX in, JAX out (traceable)."""
+"""NumPy (float64, on the host) or JAX (traceable)."""
+AnyKind = TypeVar("AnyKind", Array, np.ndarray)
+"""NumPy in, NumPy out; JAX in, JAX out."""
 
 
 def namespace(*arrays: Any) -> ModuleType:
@@ -19,7 +21,10 @@ def namespace(*arrays: Any) -> ModuleType:
     return jnp if any(isinstance(a, Array) for a in arrays) else np
 
 
-class Similarity(NamedTuple):
+_Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over alternatives
+
+
+class Similarity(NamedTuple, Generic[_Held]):
     """x -> scale * rotation @ x + translation, and how well it is determined.
 
     Attributes:
@@ -30,22 +35,22 @@ class Similarity(NamedTuple):
             sets: 0 where either is collinear or coincident, so that no rotation is determined.
     """
 
-    rotation: AnyArray
-    translation: AnyArray
-    scale: AnyArray
-    condition: AnyArray
+    rotation: _Held
+    translation: _Held
+    scale: _Held
+    condition: _Held
 
-    def apply(self, points: AnyArray) -> AnyArray:
+    def apply(self, points: _Held) -> _Held:
         """Transform (..., n, 3) points."""
         xp = namespace(points, self.scale)
         turned = xp.einsum("...ij,...nj->...ni", self.rotation, points)
-        moved: AnyArray = self.scale[..., None, None] * turned + self.translation[..., None, :]
+        moved: _Held = self.scale[..., None, None] * turned + self.translation[..., None, :]
         return moved
 
 
 def umeyama(
-    source: AnyArray, target: AnyArray, scale: float | AnyArray | None = None
-) -> Similarity:
+    source: AnyKind, target: AnyArray, scale: float | AnyArray | None = None
+) -> Similarity[AnyKind]:
     """Least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
 
     A reflection is never returned: where the best orthogonal matrix is one, the best rotation is.
@@ -66,10 +71,10 @@ def umeyama(
     xp = namespace(source, target)
     centre_s, centre_t = source.mean(axis=-2), target.mean(axis=-2)
     a, b = source - centre_s[..., None, :], target - centre_t[..., None, :]
-    spread = (a**2).sum(axis=(-2, -1))
+    spread, spread_t = (a**2).sum(axis=(-2, -1)), (b**2).sum(axis=(-2, -1))
     tiny = xp.finfo(a.dtype).tiny
     # Normalising both sets makes every threshold below free of units.
-    size = xp.sqrt(xp.maximum(spread * (b**2).sum(axis=(-2, -1)), tiny))
+    size = xp.sqrt(xp.maximum(spread * spread_t, tiny))
     cov = xp.einsum("...ni,...nj->...ij", a, b) / size[..., None, None]
     v1, v2, v3 = _principal_axes(cov, xp)
     u1 = _apply(cov, v1, xp)
@@ -87,7 +92,12 @@ def umeyama(
     else:
         ratio = xp.broadcast_to(xp.asarray(scale, a.dtype), spread.shape)
     translation = centre_t - ratio[..., None] * xp.einsum("...ij,...j->...i", rotation, centre_s)
-    return Similarity(rotation, translation, ratio, s2 / xp.maximum(s1, tiny))
+    # Of coincident points only rounding is left, which has any shape.
+    rounding = (4 * xp.finfo(a.dtype).eps) ** 2
+    apart = spread > rounding * (source**2).sum(axis=(-2, -1))
+    apart &= spread_t > rounding * (target**2).sum(axis=(-2, -1))
+    condition = xp.where(apart, s2 / xp.maximum(s1, tiny), 0)
+    return Similarity(rotation, translation, ratio, condition)
 
 
 def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, AnyArray]:
@@ -97,10 +107,10 @@ def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, 
     columns = [xp.broadcast_to(xp.eye(3, dtype=cov.dtype)[i], gram.shape[:-1]) for i in range(3)]
     state = (*entries, *columns)
     if xp is np:
-        for _ in range(_SWEEPS):
-            state = _jacobi_sweep(state, xp)
+        for _ in range(_TURNS):
+            state = _jacobi_turn(state, xp)
     else:  # rolled up, for the sake of the compiler
-        state = lax.fori_loop(0, _SWEEPS, lambda _, state: _jacobi_sweep(state, xp), state)
+        state = lax.fori_loop(0, _TURNS, lambda _, state: _jacobi_turn(state, xp), state)
     values, columns = [state[_ENTRIES.index((i, i))] for i in range(3)], list(state[6:])
     for i, j in ((0, 1), (1, 2), (0, 1)):  # sort by falling value
         swap = values[i] < values[j]
@@ -116,29 +126,28 @@ def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, 
 
 
 _ENTRIES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_SWEEPS = 4  # cyclic Jacobi converges quadratically: four sweeps reach float64
+_TURNS = 12  # cyclic Jacobi converges quadratically: four turns in each plane reach float64
 
 
-def _jacobi_sweep(state: tuple[Any, ...], xp: ModuleType) -> tuple[Any, ...]:
-    """One turn in each coordinate plane; state is six entries of the matrix and three columns."""
-    g = dict(zip(_ENTRIES, state, strict=False))
-    v = list(state[6:])
-    one, zero = xp.ones_like(g[0, 0]), xp.zeros_like(g[0, 0])
-    for p, q in ((0, 1), (0, 2), (1, 2)):
-        off = g[p, q]
-        negligible = xp.abs(off) < 1e-30  # the sets are normalised
-        tau = (g[q, q] - g[p, p]) / (2 * xp.where(negligible, one, off))
-        t = xp.where(tau >= 0, one, -one) / (xp.abs(tau) + xp.hypot(one, tau))
-        t = xp.where(negligible, zero, t)
-        c = 1 / xp.hypot(one, t)
-        s = t * c
-        g[p, p], g[q, q], g[p, q] = g[p, p] - t * off, g[q, q] + t * off, zero
-        r = 3 - p - q
-        rp, rq = (min(r, p), max(r, p)), (min(r, q), max(r, q))
-        g[rp], g[rq] = c * g[rp] - s * g[rq], s * g[rp] + c * g[rq]
-        c, s = c[..., None], s[..., None]
-        v[p], v[q] = c * v[p] - s * v[q], s * v[p] + c * v[q]
-    return (*(g[e] for e in _ENTRIES), *v)
+def _jacobi_turn(state: tuple[Any, ...], xp: ModuleType) -> tuple[Any, ...]:
+    """Clear entry (0, 1) by a turn in that plane, then rename the axes 0, 1, 2 to 2, 0, 1.
+
+    Three turns visit all planes and bring the names back. State is six entries of the matrix, in
+    the order of ``_ENTRIES``, and three columns.
+    """
+    g00, g01, g02, g11, g12, g22, v0, v1, v2 = state
+    one = xp.ones_like(g00)
+    negligible = xp.abs(g01) < 1e-30  # the sets are normalised
+    tau = (g11 - g00) / (2 * xp.where(negligible, one, g01))
+    t = xp.where(tau >= 0, one, -one) / (xp.abs(tau) + xp.hypot(one, tau))
+    t = xp.where(negligible, xp.zeros_like(t), t)
+    c = 1 / xp.hypot(one, t)
+    s = t * c
+    g00, g11, g01 = g00 - t * g01, g11 + t * g01, xp.zeros_like(g01)
+    g02, g12 = c * g02 - s * g12, s * g02 + c * g12
+    c, s = c[..., None], s[..., None]
+    v0, v1 = c * v0 - s * v1, s * v0 + c * v1
+    return g11, g12, g01, g22, g02, g00, v1, v2, v0
 
 
 def _apply(matrix: AnyArray, vector: AnyArray, xp: ModuleType) -> AnyArray:

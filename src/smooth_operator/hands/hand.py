@@ -72,7 +72,9 @@ class Hand:
     @cached_property
     def align_indices(self) -> tuple[int, ...]:
         """Human landmarks that the alignment uses."""
-        return tuple(BASES[FINGERS.index(finger)] for finger in self.spec.align)
+        return tuple(
+            WRIST if name == "wrist" else BASES[FINGERS.index(name)] for name in self.spec.align
+        )
 
     @cached_property
     def align_points(self) -> Float[np.ndarray, "a 3"]:

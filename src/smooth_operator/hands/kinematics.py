@@ -19,17 +19,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.geometry import AnyArray, AnyKind, namespace
 
-Vector: TypeAlias = tuple[Array, Array, Array]
-"""x, y, z, each an array over the batch (or a plain number before any joint has touched it)."""
+Number: TypeAlias = AnyArray | float
+"""An array over the batch, or a plain number where no joint has touched it."""
+Vector: TypeAlias = tuple[Number, Number, Number]
+"""x, y, z."""
 
 _TINY = 1e-12
+_MAX_POLYNOMIAL_RANGE = 2 * np.pi  # [rad]; beyond, float32 loses digits to cancellation
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class KinematicTree:
         """Keypoint names, in the order of :meth:`positions`."""
         return tuple(self.keypoints)
 
-    def positions(self, q: Float[Array, "*batch n"]) -> Float[Array, "*batch k 3"]:
+    def positions(self, q: Float[AnyKind, "*batch n"]) -> Float[AnyKind, "*batch k 3"]:
         """Positions of all keypoints in the palm frame.
 
         Args:
@@ -92,7 +95,7 @@ class KinematicTree:
         Returns:
             (..., k, 3) positions [m], in the order of :attr:`names`; differentiable in q.
         """
-        xp = np if isinstance(q, np.ndarray) else jnp
+        xp = namespace(q)
         batch = q.shape[:-1]
         flat = q.reshape(-1, self.num_joints).T
         points = self.walk(list(flat), self.names)
@@ -103,7 +106,7 @@ class KinematicTree:
         return stacked.reshape(*batch, len(points), 3)  # type: ignore[no-any-return]
 
     def walk(
-        self, q: Sequence[Array], names: Sequence[str], *, within_limits: bool = False
+        self, q: Sequence[AnyArray], names: Sequence[str], *, within_limits: bool = False
     ) -> list[Vector]:
         """The unrolled kernel: positions of some keypoints, batch last.
 
@@ -117,15 +120,15 @@ class KinematicTree:
         Returns:
             one (x, y, z) per name; a coordinate that no joint moves is a plain float.
         """
-        xp = np if q and isinstance(q[0], np.ndarray) else jnp
-        trig: dict[int, tuple[Array, Array]] = {}
+        xp = namespace(*q)
+        trig: dict[int, tuple[AnyArray, AnyArray]] = {}
 
-        def sin_cos(i: int) -> tuple[Array, Array]:
+        def sin_cos(i: int) -> tuple[AnyArray, AnyArray]:
             if i not in trig:
                 joint = self.joints[i]
                 angle = q[joint.source]
                 low, high = self.limits[joint.source]
-                if within_limits and np.isfinite(high - low):
+                if within_limits and high - low <= _MAX_POLYNOMIAL_RANGE:
                     trig[i] = _bounded_sin_cos(angle, float(low), float(high), joint.offset)
                 else:
                     angle = angle + joint.offset if joint.offset else angle
@@ -135,7 +138,8 @@ class KinematicTree:
         points = []
         for name in names:
             keypoint = self.keypoints[name]
-            p: Vector = tuple(float(c) for c in keypoint.position)  # type: ignore[assignment]
+            x, y, z = (float(c) for c in keypoint.position)
+            p: Vector = (x, y, z)
             i = keypoint.joint
             while i >= 0:
                 joint = self.joints[i]
@@ -144,7 +148,7 @@ class KinematicTree:
                 else:
                     s, c = sin_cos(i)
                     p = (
-                        _sum(_mul(c, p[0]), _mul(s, _neg(p[1]))),
+                        _sum(_mul(c, p[0]), _mul(s, -p[1])),
                         _sum(_mul(s, p[0]), _mul(c, p[1])),
                         p[2],
                     )
@@ -288,45 +292,37 @@ def _frame_with_z(axis: np.ndarray) -> np.ndarray:
     return _matrix(quat)
 
 
-def _bounded_sin_cos(angle: Array, low: float, high: float, offset: float) -> tuple[Array, Array]:
+def _bounded_sin_cos(
+    angle: AnyArray, low: float, high: float, offset: float
+) -> tuple[AnyArray, AnyArray]:
     """Chebyshev polynomials of sin and cos of (angle + offset) for angle in [low, high]."""
     middle, half = (low + high) / 2, max((high - low) / 2, 1e-3)
     degree, error = 1, half
-    while (
-        error > 4e-8 and degree < 16
-    ):  # remainder of Chebyshev interpolation of sin on a half-width
+    while error > 4e-8:  # remainder of Chebyshev interpolation of sin on a half-width
         degree += 1
         error = error * (half / 2) / (degree + 1)
     x = angle - middle
-    out = []
+    out: list[AnyArray] = []
     for f in (np.sin, np.cos):
         nodes = np.polynomial.chebyshev.chebpts1(degree + 1)
         values = f(nodes * half + middle + offset)
         fit = np.polynomial.Chebyshev.fit(nodes * half, values, degree, domain=[-half, half])
         coefficients = fit.convert(kind=np.polynomial.Polynomial).coef
-        value: Array | float = float(coefficients[-1])
-        for c in coefficients[-2::-1]:
+        value = float(coefficients[-2]) + float(coefficients[-1]) * x  # Horner; degree >= 2
+        for c in coefficients[-3::-1]:
             value = value * x + float(c)
         out.append(value)
-    return out[0], out[1]  # type: ignore[return-value]
+    return out[0], out[1]
 
 
 # Arithmetic that drops what is known to be nothing, so that it never reaches the compiler.
 
 
-def _is_number(a: object) -> bool:
-    return isinstance(a, float)
-
-
-def _neg(a: Array) -> Array:
-    return -a
-
-
-def _mul(a: Array, b: Array) -> Array:
+def _mul(a: Number, b: Number) -> Number:
     for x, y in ((a, b), (b, a)):
-        if _is_number(x):
+        if isinstance(x, float):
             if abs(x) < _TINY:
-                return 0.0  # type: ignore[return-value]
+                return 0.0
             if abs(x - 1) < _TINY:
                 return y
             if abs(x + 1) < _TINY:
@@ -334,10 +330,10 @@ def _mul(a: Array, b: Array) -> Array:
     return a * b
 
 
-def _sum(*terms: Array) -> Array:
-    kept = [t for t in terms if not (_is_number(t) and abs(t) < _TINY)]
+def _sum(*terms: Number) -> Number:
+    kept = [t for t in terms if not (isinstance(t, float) and abs(t) < _TINY)]
     if not kept:
-        return 0.0  # type: ignore[return-value]
+        return 0.0
     total = kept[0]
     for term in kept[1:]:
         total = total + term
@@ -345,8 +341,8 @@ def _sum(*terms: Array) -> Array:
 
 
 def _affine(rotation: np.ndarray, translation: np.ndarray, p: Vector) -> Vector:
-    rows = (
-        _sum(*(_mul(float(rotation[r, k]), p[k]) for k in range(3)), float(translation[r]))  # type: ignore[arg-type]
+    x, y, z = (
+        _sum(*(_mul(float(rotation[r, k]), p[k]) for k in range(3)), float(translation[r]))
         for r in range(3)
     )
-    return tuple(rows)  # type: ignore[return-value]
+    return x, y, z

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from smooth_operator.errors import HandModelError
 
@@ -50,37 +49,41 @@ def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tup
         raise HandModelError(
             f"{path} starts with <{root.tag}>; expected <mujoco> (MJCF) or <robot> (URDF)"
         )
+    spec = _read(path, mirror)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        if not _is_missing_asset(error):
+            raise HandModelError(f"MuJoCo can't compile {path}: {error}") from error
+        model = _without_meshes(path, mirror)
+    declared = _urdf_mimics(root, path) if root.tag == "robot" else _equalities(model)
+    return model, declared
+
+
+def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise HandModelError(f"MuJoCo can't read {path}: {error}") from error
+    # Links on fixed joints, such as a URDF's palm and fingertips, are to keep their names.
+    spec.compiler.fusestatic = False
     # Vendors publish inertias that break the triangle inequality, and links without any.
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = max(spec.compiler.boundmass, 1e-6)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-9)
     if mirror:
         mirror_spec(spec)
-    model = _compile(spec, path)
-    declared = _urdf_mimics(root) if root.tag == "robot" else _equalities(model)
-    return model, declared
+    return spec
 
 
-def _compile(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    try:
-        return spec.compile()
-    except ValueError as error:
-        if not _is_missing_asset(error):
-            raise HandModelError(f"MuJoCo can't compile {path}: {error}") from error
-    # Kinematics needs no mesh: drop what is drawn with one and try again.
+def _without_meshes(path: Path, mirror: bool) -> mujoco.MjModel:
+    """Kinematics needs no mesh: drop what is drawn with one."""
+    spec = _read(path, mirror)  # afresh: a spec that failed to compile can't be edited
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
             spec.delete(geom)
     for asset in [*spec.meshes, *spec.skins, *spec.hfields]:
         spec.delete(asset)
-    for body in spec.bodies:
-        if not body.explicitinertial and not list(body.geoms) and body.id != 0:
-            body.explicitinertial, body.mass = True, 1e-3
-            body.inertia = np.full(3, 1e-6)
     try:
         return spec.compile()
     except ValueError as error:
@@ -92,19 +95,21 @@ def _is_missing_asset(error: ValueError) -> bool:
     return any(word in text for word in ("opening file", "mesh", "resource", "decoder"))
 
 
-def _urdf_mimics(root: ElementTree.Element) -> tuple[Coupling, ...]:
+def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
     couplings = []
     for joint in root.iter("joint"):
         mimic = joint.find("mimic")
         if mimic is not None:
-            couplings.append(
-                Coupling(
-                    joint.get("name", ""),
-                    mimic.get("joint", ""),
-                    float(mimic.get("multiplier", 1.0)),
-                    float(mimic.get("offset", 0.0)),
-                )
-            )
+            name = joint.get("name", "")
+            try:
+                multiplier = float(mimic.get("multiplier", 1.0))
+                offset = float(mimic.get("offset", 0.0))
+            except ValueError as error:
+                raise HandModelError(
+                    f"{path}: mimic of joint {name!r}: multiplier and offset must be numbers "
+                    f"({error})"
+                ) from error
+            couplings.append(Coupling(name, mimic.get("joint", ""), multiplier, offset))
     return tuple(couplings)
 
 

@@ -75,8 +75,9 @@ class HandSpec:
         palm: body whose frame is the palm frame.
         wrist: counterpart of the human wrist, fixed to the palm.
         fingers: two to five fingers, thumb first.
-        align: fingers whose bases (with the human's) fix the alignment of hand to palm. The paper's
-            authors use thumb, index and pinky.
+        align: three or more landmarks that fix the alignment of human hand to palm: names of
+            fingers, for their bases, or ``wrist``. The paper's authors use thumb, index and pinky;
+            a hand of two fingers needs the wrist.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for those not named.
         mirror: whether the file holds the other side and is to be mirrored on loading.
     """
@@ -103,8 +104,14 @@ class HandSpec:
             raise HandModelError(
                 f"hand {self.name!r}: the first finger must be the thumb, not {names[0]!r}"
             )
-        missing = [name for name in self.align if name not in names]
+        missing = [name for name in self.align if name not in (*names, "wrist")]
         if missing:
             raise HandModelError(
-                f"hand {self.name!r}: align names {missing}, but the fingers are {names}"
+                f"hand {self.name!r}: align names {missing}, but the fingers are {names}; "
+                "name three of them, or two and 'wrist'"
+            )
+        if len(set(self.align)) < 3:
+            raise HandModelError(
+                f"hand {self.name!r}: align needs three different landmarks to fix a rotation, not "
+                f"{self.align}; name fingers of {names} or 'wrist'"
             )

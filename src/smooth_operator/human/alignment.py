@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.geometry import AnyArray, Similarity, umeyama
+from smooth_operator.geometry import AnyKind, Similarity, umeyama
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import HandRecording
@@ -41,8 +41,8 @@ class AlignmentConfig:
 
 
 def palm_alignment(
-    landmarks: AnyArray, hand: Hand, config: AlignmentConfig = AlignmentConfig()
-) -> Similarity:
+    landmarks: AnyKind, hand: Hand, config: AlignmentConfig = AlignmentConfig()
+) -> Similarity[AnyKind]:
     """The similarity that takes a human hand onto the robot's palm.
 
     Args:
@@ -68,9 +68,9 @@ def align_recording(
         (T, 21, 3) landmarks [m]; NaN where a landmark is invalid, and everywhere in frames whose
         palm is invalid or degenerate.
     """
-    valid = np.asarray(recording.valid)
+    valid = _validity(recording)
     landmarks = np.where(valid[..., None], recording.landmarks, np.nan)
-    palm = np.isfinite(landmarks[:, list(hand.align_indices)]).all(axis=(1, 2))
+    palm = np.all(valid[:, list(hand.align_indices)], axis=1)  # a valid landmark is finite
     safe = np.where(palm[:, None, None], landmarks, reference_landmarks(hand))
     fit = palm_alignment(safe, hand, config)
     usable = palm & (np.asarray(fit.condition) >= MIN_CONDITION)
@@ -84,15 +84,21 @@ def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
     Raises:
         RecordingError: if no frame has a usable palm.
     """
-    valid = np.asarray(recording.valid)[:, list(hand.align_indices)].all(axis=1)
+    valid = np.all(_validity(recording)[:, list(hand.align_indices)], axis=1)
     if valid.any():
         fit = palm_alignment(recording.landmarks[valid], hand)
         usable = np.asarray(fit.condition) >= MIN_CONDITION
         if usable.any():
             return float(np.median(np.asarray(fit.scale)[usable]))
     raise RecordingError(
-        f"{recording.name}: no frame has valid, non-collinear palm landmarks to calibrate a scale on"
+        f"{recording.name}: no frame has valid, non-collinear palm landmarks "
+        "to calibrate a scale on"
     )
+
+
+def _validity(recording: HandRecording) -> Bool[np.ndarray, "T 21"]:
+    assert recording.valid is not None  # filled in on construction
+    return recording.valid
 
 
 def reference_landmarks(hand: Hand) -> Float[np.ndarray, "21 3"]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 
-from smooth_operator.geometry import AnyArray, namespace
+from smooth_operator.geometry import AnyArray, AnyKind, namespace
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 
 
@@ -48,7 +48,7 @@ class KeyvectorLayout:
         """Human landmarks that the points are: wrist, then tips."""
         return (WRIST, *(TIPS[FINGERS.index(finger)] for finger in self.fingers))
 
-    def human(self, landmarks: AnyArray) -> AnyArray:
+    def human(self, landmarks: AnyKind) -> AnyKind:
         """Human keyvectors.
 
         Args:
@@ -59,7 +59,7 @@ class KeyvectorLayout:
         """
         return self.between_points(landmarks[..., list(self.landmarks), :])
 
-    def robot(self, tips: AnyArray, wrist: AnyArray) -> AnyArray:
+    def robot(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
         """Robot keyvectors.
 
         Args:
@@ -71,10 +71,11 @@ class KeyvectorLayout:
         """
         xp = namespace(tips)
         base = xp.broadcast_to(wrist, (*tips.shape[:-2], 1, 3))
-        return self.between_points(xp.concatenate([base, tips], axis=-2))
+        points: AnyKind = xp.concatenate([base, tips], axis=-2)
+        return self.between_points(points)
 
-    def between_points(self, points: AnyArray) -> AnyArray:
+    def between_points(self, points: AnyKind) -> AnyKind:
         """(..., F + 1, 3) points to (..., K, 3) vectors."""
         start, end = (list(side) for side in zip(*self.pairs, strict=True))
-        vectors: AnyArray = points[..., end, :] - points[..., start, :]
+        vectors: AnyKind = points[..., end, :] - points[..., start, :]
         return vectors

@@ -37,20 +37,24 @@ class LocalObjective:
                 matrix[k, i - 1] = -1
         return matrix
 
-    def costs(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
-        """Eq. (1) of a few candidates."""
-        return jax.vmap(lambda one: self._cost(one, goal))(q)
+    def expand(
+        self, q: Float[Array, "c m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " c"], Float[Array, "c m"], Float[Array, "c m m"]]:
+        """Costs, gradients and Hessians of a few candidates."""
+        costs, gradients, hessians = jax.vmap(lambda one: self.derivatives(one, goal))(q)
+        return costs, gradients, hessians
 
     def derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
-        """Gradient and Hessian of Eq. (1) at a pose.
+    ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
+        """Value, gradient and Hessian of Eq. (1) at a pose.
 
         The Hessian is exact but on the measure-zero kinks of smooth-L1.
         """
         objective = self.objective
-        motion = self.kinematics(self._expand(q))
-        slope, bend = objective.slopes(self._errors(motion.points, goal))
+        motion = self.kinematics(self._full(q))
+        errors = self._errors(motion.points, goal)
+        slope, bend = objective.slopes(errors)
         incidence = jnp.asarray(self.incidence, q.dtype)
         force = incidence.T @ (goal.weights[:, None] * slope)  # (F, 3): dJ/dp
         stretch = goal.weights[:, None] * bend  # (K, 3)
@@ -61,26 +65,24 @@ class LocalObjective:
         gradient = jnp.einsum("fc,fjc->j", force, motion.velocities)
         matrix = jnp.asarray(objective.hand.expansion[0][list(self.kinematics.order)], q.dtype)
         reg, vel = objective.config.pose_weight, goal.velocity_weight
-        neutral = jnp.asarray(objective.hand.neutral, q.dtype)
-        pull = 2 * reg * (q - neutral) + 2 * vel * (q - goal.previous)
+        pull = 2 * reg * (q - self._neutral(q)) + 2 * vel * (q - goal.previous)
         stiffness = 2 * (reg + vel) * jnp.eye(len(q), dtype=q.dtype)
-        return gradient @ matrix + pull, matrix.T @ hessian @ matrix + stiffness
-
-    def tracking(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
-        """First term of Eq. (1) at a pose."""
-        error = self._errors(self.kinematics(self._expand(q)).points, goal)
-        return (goal.weights[:, None] * self.objective.penalty(error)).sum()
-
-    def _cost(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
-        config = self.objective.config
-        neutral = jnp.asarray(self.objective.hand.neutral, q.dtype)
+        cost = (goal.weights[:, None] * objective.penalty(errors)).sum()
         return (
-            self.tracking(q, goal)
-            + config.pose_weight * ((q - neutral) ** 2).sum()
-            + goal.velocity_weight * ((q - goal.previous) ** 2).sum()
+            cost + self.regularisation(q, goal),
+            gradient @ matrix + pull,
+            matrix.T @ hessian @ matrix + stiffness,
         )
 
-    def _expand(self, q: Float[Array, " m"]) -> Float[Array, " n"]:
+    def regularisation(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
+        """Last two terms of Eq. (1) at a pose."""
+        reg = self.objective.config.pose_weight * ((q - self._neutral(q)) ** 2).sum()
+        return reg + goal.velocity_weight * ((q - goal.previous) ** 2).sum()
+
+    def _neutral(self, q: Float[Array, " m"]) -> Float[Array, " m"]:
+        return jnp.asarray(self.objective.hand.neutral, q.dtype)
+
+    def _full(self, q: Float[Array, " m"]) -> Float[Array, " n"]:
         matrix, offset = self.objective.hand.expansion
         return jnp.asarray(matrix, q.dtype) @ q + jnp.asarray(offset, q.dtype)
 

@@ -90,7 +90,9 @@ class Objective:
         points = [tuple(float(c) for c in self.hand.wrist), *tips]
         total: Array = jnp.zeros((), q[0].dtype)
         for k, (i, j) in enumerate(self.layout.pairs):
-            error = [points[j][c] - points[i][c] - goal.vectors[k, c] for c in range(3)]
+            error = [
+                jnp.asarray(points[j][c] - points[i][c]) - goal.vectors[k, c] for c in range(3)
+            ]
             terms = [self.penalty(e) for e in error]
             total = total + goal.weights[k] * (terms[0] + terms[1] + terms[2])
         return total

@@ -20,19 +20,26 @@ class Targets(NamedTuple):
         vectors: (K, 3) where the robot's keyvectors should go [m].
         weights: (K,) weights lambda_k of Eq. (1).
         latched: (F - 1,) which fingers are latched to the thumb; the policy's state.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1; the policy's state.
     """
 
     vectors: Float[Array, "K 3"]
     weights: Float[Array, " K"]
     latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
 
 
 class TargetPolicy(Protocol):
     """Human keyvectors to targets; hysteresis is passed in and out, never kept inside."""
 
     def __call__(
-        self, layout: KeyvectorLayout, human: Float[Array, "K 3"], latched: Bool[Array, " P"]
-    ) -> Targets: ...
+        self,
+        layout: KeyvectorLayout,
+        human: Float[Array, "K 3"],
+        latched: Bool[Array, " P"],
+        closure: Float[Array, " P"] | None = None,
+    ) -> Targets:
+        """Targets of one frame and the latches after it."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +58,17 @@ class PlainTargets:
     w_between: float = 1.0
 
     def __call__(
-        self, layout: KeyvectorLayout, human: Float[Array, "K 3"], latched: Bool[Array, " P"]
+        self,
+        layout: KeyvectorLayout,
+        human: Float[Array, "K 3"],
+        latched: Bool[Array, " P"],
+        closure: Float[Array, " P"] | None = None,
     ) -> Targets:
         """Targets of one frame; the latches stay as they are."""
+        if closure is None:
+            closure = latched.astype(human.dtype)
         weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
-        return Targets(human * self.beta, weights.astype(human.dtype), latched)
+        return Targets(human * self.beta, weights.astype(human.dtype), latched, closure)
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,8 @@ class DexPilotTargets:
         w_thumb: factor on the open thumb-to-tip vectors (1 in the paper).
         w_between: factor on the open finger-to-finger vectors (1 in the paper).
         beta: scale of the human vectors.
+        blend: share by which a latch's effect moves on per frame. 1, as published, makes targets
+            and weights jump when a latch closes or opens; less spreads it over 1 / blend frames.
     """
 
     project: float = 0.010
@@ -90,8 +105,11 @@ class DexPilotTargets:
     w_thumb: float = 1.0
     w_between: float = 1.0
     beta: float = 1.0
+    blend: float = 1.0
 
     def __post_init__(self) -> None:
+        if not 0 < self.blend <= 1:
+            raise ConfigError(f"blend must be in (0, 1], not {self.blend}")
         if not 0 < self.project <= self.escape:
             raise ConfigError(
                 f"pinch distances must satisfy 0 < project <= escape, not project={self.project}, "
@@ -99,28 +117,36 @@ class DexPilotTargets:
             )
 
     def __call__(
-        self, layout: KeyvectorLayout, human: Float[Array, "K 3"], latched: Bool[Array, " P"]
+        self,
+        layout: KeyvectorLayout,
+        human: Float[Array, "K 3"],
+        latched: Bool[Array, " P"],
+        closure: Float[Array, " P"] | None = None,
     ) -> Targets:
         """Targets of one frame and the latches after it."""
+        if closure is None:
+            closure = latched.astype(human.dtype)
         length = jnp.linalg.norm(human, axis=-1)
         direction = human / jnp.maximum(length, 1e-9)[:, None]
         distance = length[layout.thumb]
         latched = jnp.where(latched, distance <= self.escape, distance < self.project)
+        closure = jnp.clip(closure + jnp.where(latched, self.blend, -self.blend), 0.0, 1.0)
 
         weights = base_weights(
             layout, self.w_default, self.w_default * self.w_thumb, self.w_default * self.w_between
         )
-        # One row per keyvector: is it a closed thumb vector; is it between two latched fingers?
-        count = len(layout.pairs)
-        closed = jnp.zeros(count, bool).at[layout.thumb].set(latched)
-        both = jnp.zeros(count, bool)
+        # Per keyvector: how far is it a closed thumb vector, or one between latched fingers?
+        closed = jnp.zeros(len(layout.pairs), human.dtype).at[layout.thumb].set(closure)
+        both = jnp.zeros_like(closed)
         if layout.between:
             k, i, j = (np.asarray(column) for column in zip(*layout.between, strict=True))
-            both = both.at[k].set(latched[i] & latched[j])
-        eta = jnp.where(closed, self.eta1, self.eta2)
-        vectors = jnp.where((closed | both)[:, None], direction * eta[:, None], human * self.beta)
-        weights = jnp.where(closed, self.w_set1, jnp.where(both, self.w_set2, weights))
-        return Targets(vectors, weights.astype(human.dtype), latched)
+            both = both.at[k].set(jnp.minimum(closure[i], closure[j]))
+        held = closed + both  # never both: they are different keyvectors
+        eta = closed * self.eta1 + both * self.eta2
+        free = (1 - held) * self.beta
+        vectors = human * free[:, None] + direction * eta[:, None]
+        lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
+        return Targets(vectors, lambdas.astype(human.dtype), latched, closure)
 
 
 def base_weights(

@@ -92,7 +92,7 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        return RetargetState(method, np.asarray(self.hand.neutral, np.float32))
+        return RetargetState(method, jnp.asarray(self.hand.neutral, jnp.float32))
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
@@ -58,14 +57,16 @@ class SbrState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         latched: (F - 1,) fingers latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
         seed: two words, constant.
-        count: frames answered so far; with the seed it gives each frame its random numbers.
+        frames: frames answered so far; with the seed it gives each frame its random numbers.
     """
 
     q: Float[Array, " m"]
     latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
     seed: UInt32[Array, "2"]
-    count: UInt32[Array, ""]
+    frames: UInt32[Array, ""]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,42 +88,47 @@ class Sbr:
 
     def init(self, seed: int) -> SbrState:
         """Neutral pose, open latches."""
+        fingers = len(self.hand.fingers) - 1
         return SbrState(
-            np.asarray(self.hand.neutral, np.float32),
-            np.zeros(len(self.hand.fingers) - 1, bool),
-            seed_words(seed),
-            np.uint32(0),
+            jnp.asarray(self.hand.neutral, jnp.float32),
+            jnp.zeros(fingers, bool),
+            jnp.zeros(fingers, jnp.float32),
+            jnp.asarray(seed_words(seed)),
+            jnp.uint32(0),
         )
 
     def step(self, state: SbrState, aligned: Float[Array, "21 3"]) -> tuple[SbrState, MethodOutput]:
         """One frame."""
         config, limits, layout = self.config, self.hand.limits, self.objective.layout
-        targets = config.objective.targets(layout, layout.human(aligned), state.latched)
-        starting = (state.count == 0) & (config.settle_rounds > 1)
+        targets = config.objective.targets(
+            layout, layout.human(aligned), state.latched, state.closure
+        )
+        starting = (state.frames == 0) & (config.settle_rounds > 1)
         velocity_weight = jnp.where(starting, 0.0, config.objective.velocity_weight)
         goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity_weight)
         local = LocalObjective(self.objective)
 
-        def solve(round: Array, q: Array) -> Array:
+        def solve(round: Array | int, q: Array) -> tuple[Array, Array]:
             q = sample_minimise(
                 lambda candidates: self.objective(candidates, goal),
                 q,
                 limits,
-                frame_key(state.seed, state.count + jnp.uint32(round)),
+                frame_key(state.seed, state.frames + jnp.uint32(round)),
                 config.sampling,
             )
-            return newton_minimise(
-                lambda q: local.derivatives(q, goal),
-                lambda candidates: local.costs(candidates, goal),
-                q,
-                limits,
-                config.polish,
-            )
+            return newton_minimise(lambda few: local.expand(few, goal), q, limits, config.polish)
 
         if config.settle_rounds > 1:
-            rounds = jnp.where(starting, config.settle_rounds, 1)
-            q = lax.fori_loop(0, rounds, solve, state.q)
+            q, cost = lax.fori_loop(
+                0,
+                jnp.where(starting, config.settle_rounds, 1),
+                lambda round, last: solve(round, last[0]),
+                (state.q, jnp.zeros_like(state.q[0])),
+            )
         else:
-            q = solve(jnp.uint32(0), state.q)
-        after = SbrState(q, targets.latched, state.seed, state.count + jnp.uint32(1))
-        return after, MethodOutput(q, local.tracking(q, goal))
+            q, cost = solve(0, state.q)
+        tracking = cost - local.regularisation(q, goal)
+        after = SbrState(
+            q, targets.latched, targets.closure, state.seed, state.frames + jnp.uint32(1)
+        )
+        return after, MethodOutput(q, tracking)

@@ -13,10 +13,8 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 
-Derivatives: TypeAlias = Callable[[Array], tuple[Array, Array]]
-"""(m,) to (gradient (m,), Hessian (m, m))."""
-BatchCost: TypeAlias = Callable[[Array], Array]
-"""(c, m) candidates to (c,) costs."""
+Expansion: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
+"""(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m)."""
 
 
 @dataclass(frozen=True)
@@ -41,52 +39,52 @@ class NewtonConfig:
 
 
 def newton_minimise(
-    derivatives: Derivatives,
-    cost: BatchCost,
+    expand: Expansion,
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"],
     config: NewtonConfig,
-) -> Float[Array, " m"]:
+) -> tuple[Float[Array, " m"], Float[Array, ""]]:
     """Descend from a start within bounds.
 
     Variables at a bound that the gradient pushes outwards are held; the others take damped Newton
     steps, clipped to the bounds. The cost never rises.
 
     Args:
-        derivatives: gradient and Hessian at a point.
-        cost: costs of candidates.
+        expand: costs, gradients and Hessians of a few candidates.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
-        config: settings.
+        config: settings; no iterations give the start back.
 
     Returns:
-        (m,) the best point found.
+        (m,) the best point found and its cost.
     """
     low, high = (jnp.asarray(limits[:, i], start.dtype) for i in (0, 1))
-    identity = jnp.eye(len(limits), dtype=start.dtype)
+    size = len(limits)
+    identity = jnp.eye(size, dtype=start.dtype)
     damping = jnp.asarray(config.damping, start.dtype)
 
-    def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        q, best = carry
-        gradient, hessian = derivatives(q)
+    def step(_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        q, best, gradient, hessian = carry
         held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
-        hessian = jnp.where(held[:, None] | held[None, :], identity, hessian)
-        gradient = jnp.where(held, 0.0, gradient)
-        factor = jnp.linalg.cholesky(hessian + damping[:, None, None] * identity)
+        hessian_free = jnp.where(held[:, None] | held[None, :], identity, hessian)
+        gradient_free = jnp.where(held, 0.0, gradient)
+        factor = jnp.linalg.cholesky(hessian_free + damping[:, None, None] * identity)
         moves = jax.scipy.linalg.cho_solve(
-            (factor, True), jnp.broadcast_to(gradient, (len(damping), len(q)))[..., None]
+            (factor, True), jnp.broadcast_to(gradient_free, (len(damping), size))[..., None]
         )[..., 0]
         candidates = jnp.clip(q - moves, low, high)
-        costs = cost(candidates)
+        costs, gradients, hessians = expand(candidates)
         # an indefinite Hessian has no factor: its candidate is not a number, and loses
         costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
         winner = jnp.argmin(costs)
         better = costs[winner] < best
-        return (
-            jnp.where(better, candidates[winner], q),
-            jnp.where(better, costs[winner], best),
-        )
+        found = (candidates[winner], costs[winner], gradients[winner], hessians[winner])
+        return tuple(jnp.where(better, new, old) for new, old in zip(found, carry, strict=True))
 
     if config.iterations == 0:
-        return start
-    return jax.lax.fori_loop(0, config.iterations, step, (start, cost(start[None])[0]))[0]
+        return start, expand(start[None])[0][0]
+    # Without a gradient the first pass does not move: it only looks at the start. That way the
+    # program holds the objective once, and compiles in half the time.
+    nothing = (start, jnp.asarray(jnp.inf, start.dtype), jnp.zeros_like(start), identity)
+    q, cost, *_ = jax.lax.fori_loop(0, config.iterations + 1, step, nothing)
+    return q, cost

@@ -36,7 +36,7 @@ class SamplingConfig:
         temperature: lambda of the softmax over elites.
         jitter: epsilon, added to the diagonal of the covariance.
         draws: ``fresh`` normals in every cycle, as published, or the same base normals always:
-            ``sobol`` (quasi-random) or ``pseudo``.
+            ``quasi`` (low discrepancy) or ``pseudo``.
         base_seed: seed of fixed base normals.
     """
 
@@ -46,7 +46,7 @@ class SamplingConfig:
     sigma: float = 0.2
     temperature: float = 0.1
     jitter: float = 1e-6
-    draws: Literal["fresh", "sobol", "pseudo"] = "fresh"
+    draws: Literal["fresh", "quasi", "pseudo"] = "fresh"
     base_seed: int = 0
 
     def __post_init__(self) -> None:
@@ -60,8 +60,8 @@ class SamplingConfig:
                 "sigma, temperature and jitter must be positive, not "
                 f"sigma={self.sigma}, temperature={self.temperature}, jitter={self.jitter}"
             )
-        if self.draws not in ("fresh", "sobol", "pseudo"):
-            raise ConfigError(f"draws must be 'fresh', 'sobol' or 'pseudo', not {self.draws!r}")
+        if self.draws not in ("fresh", "quasi", "pseudo"):
+            raise ConfigError(f"draws must be 'fresh', 'quasi' or 'pseudo', not {self.draws!r}")
 
 
 def sample_minimise(
@@ -95,10 +95,23 @@ def sample_minimise(
         else jnp.asarray(fixed_normals(size, config.samples, config.draws, config.base_seed))
     )
 
-    # Line 4, u_n ~ N(mu', Sigma') within the limits, twice: written out for all candidates, so that
-    # drawing, kinematics and cost fuse into one loop; and as matrices for the elite, drawn again.
+    def normals_of(index: Array, words: UInt32[Array, "2"]) -> Array:
+        if base is None:
+            return counter_normal_matrix(index.astype(jnp.uint32), words, size)
+        return base if index is everyone else base[:, index]
+
+    # Line 4: u_n ~ N(mu', Sigma'), within the limits.
+    def draw(index: Array, words: UInt32[Array, "2"], mean: Array, factor: Array) -> Array:
+        spread = factor @ normals_of(index, words)
+        return jnp.clip(mean[:, None] + spread, low[:, None], high[:, None])
+
+    # The same for all candidates, written out, so that drawing, kinematics and cost fuse into one
+    # loop that stores nothing; the elite are drawn again from their indices. Where the normals are
+    # stored anyway, a matrix product is as good and compiles faster.
     def draw_all(words: UInt32[Array, "2"], mean: Array, factor: Array) -> list[Array]:
-        normals = counter_normals(everyone, words, size) if base is None else list(base)
+        if base is not None:
+            return list(draw(everyone, words, mean, factor))
+        normals = counter_normals(everyone, words, size)
         rows = []
         for i in range(size):
             row = mean[i] + factor[i, 0] * normals[0]
@@ -106,13 +119,6 @@ def sample_minimise(
                 row = row + factor[i, j] * normals[j]
             rows.append(lax.clamp(low[i], row, high[i]))
         return rows
-
-    def draw(index: Array, words: UInt32[Array, "2"], mean: Array, factor: Array) -> Array:
-        if base is None:
-            normals = counter_normal_matrix(index.astype(jnp.uint32), words, size)
-        else:
-            normals = base[:, index]
-        return jnp.clip(mean[:, None] + factor @ normals, low[:, None], high[:, None])
 
     def cycle(carry: tuple[Array, Array], words: Array) -> tuple[tuple[Array, Array], None]:
         mean, factor = carry

@@ -1,0 +1,298 @@
+"""What every benchmark here shares: where it ran, how times are summed up, how results are kept.
+
+A result is one JSON file with the machine, the versions, the arguments and a flat table of figures,
+so that any two runs of the same benchmark can be laid side by side with ``--compare``.
+"""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+RESULTS: Final = Path("build") / "benchmarks"
+"""Where results go unless told otherwise; relative to the current folder, ignored by git."""
+
+_PACKAGES: Final = ("smooth-operator", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
+
+_Table = tuple[str, tuple[str, ...], list[list[object]]]
+
+
+class BenchmarkError(SystemExit):
+    """Stops a benchmark with a sentence instead of a trace."""
+
+
+def _load() -> list[float] | None:
+    return [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else None
+
+
+@dataclass
+class Report:
+    """Figures of one run and the facts they hold under.
+
+    Attributes:
+        benchmark: its name.
+        arguments: what it was asked to do.
+        figures: name -> number, flat; what ``--compare`` reads.
+        notes: sentences that belong under the tables: gaps, caveats.
+    """
+
+    benchmark: str
+    arguments: Mapping[str, object]
+    figures: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    started: str = field(
+        default_factory=lambda: datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    )
+    load_average: list[float] | None = field(default_factory=_load)
+    _tables: list[_Table] = field(default_factory=list)
+
+    def table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """Add a table to be printed; the first column is text, the others are figures."""
+        self._tables.append((title, tuple(header), [list(row) for row in rows]))
+
+    def add(self, prefix: str, values: Mapping[str, float | None]) -> None:
+        """Add figures under a common prefix; what could not be measured is left out."""
+        self.figures |= {f"{prefix}/{k}": float(v) for k, v in values.items() if v is not None}
+
+    def finish(self, output: Path | None, compare: Path | None) -> None:
+        """Print Markdown to standard output and write the JSON file.
+
+        Args:
+            output: the file; None for ``build/benchmarks/<benchmark>.json``.
+            compare: an earlier result of the same benchmark to lay beside this one.
+
+        Raises:
+            BenchmarkError: if the file to compare with is no result of this benchmark.
+        """
+        other, failure = None, None
+        try:  # before it may be overwritten; a wrong file must not cost the run
+            other = None if compare is None else _read(compare, self.benchmark)
+        except BenchmarkError as error:
+            failure = error
+        where = machine()
+        result = {
+            "benchmark": self.benchmark,
+            "date": self.started,
+            "load_average": self.load_average,
+            "hardware": where,
+            "versions": versions(),
+            "arguments": {k: _plain(v) for k, v in self.arguments.items()},
+            "figures": self.figures,
+            "notes": self.notes,
+            "tables": [
+                {"title": title, "header": header, "rows": [[_plain(c) for c in r] for r in rows]}
+                for title, header, rows in self._tables
+            ],
+        }
+        for title, header, rows in self._tables:
+            print(f"\n**{title}**\n\n{markdown(header, rows)}")
+        print()
+        for note in self.notes:
+            print(f"- {note}")
+        print(
+            f"- {self.started}; load average at the start "
+            f"{'unknown' if self.load_average is None else self.load_average[0]}; "
+            f"{where['cpu']}, {where['cores']} cores; JAX on {where['jax_device']}; "
+            + ", ".join(f"{k} {v}" for k, v in versions().items())
+        )
+        if other is not None and compare is not None:
+            print(
+                f"\n**Against {compare.name} of {other['date']}**\n\n{_comparison(result, other)}"
+            )
+        path = RESULTS / f"{self.benchmark}.json" if output is None else output
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        print(f"wrote {path}", file=sys.stderr)
+        if failure is not None:
+            raise failure
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; numbers are given four significant digits."""
+    lines = ["| " + " | ".join(header) + " |", "|---" + "|---:" * (len(header) - 1) + "|"]
+    lines += ["| " + " | ".join(cell(c) for c in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def cell(value: object) -> str:
+    """How a value stands in a table; a dash where there is none."""
+    if value is None:
+        return "–"
+    if not isinstance(value, float):
+        return str(value)
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        digits = 4 if abs(value) < 1 else max(0, 3 - int(np.floor(np.log10(abs(value)))))
+        return f"{value:.{digits}f}"
+    return f"{value:.2e}"
+
+
+def percentiles(samples_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """p50, p95, p99 and maximum of some times [ms]."""
+    values = np.asarray(samples_ms, float)
+    p50, p95, p99 = np.percentile(values, (50, 95, 99))
+    return {
+        "p50_ms": float(p50),
+        "p95_ms": float(p95),
+        "p99_ms": float(p99),
+        "max_ms": float(values.max()),
+    }
+
+
+def interleaved(
+    work: Mapping[str, Callable[[], object]], seconds: float, least: int = 20, most: int = 500
+) -> dict[str, np.ndarray]:
+    """Time several pieces of work in turn, so that noise of the machine hits all of them alike.
+
+    Args:
+        work: name -> a call that returns when its result is there.
+        seconds: about how long to go on.
+        least: rounds at least, however slow.
+        most: rounds at most.
+
+    Returns:
+        name -> times of its calls [ms].
+    """
+    names = list(work)
+    for name in names:  # warm-up: compilation, caches, clocks
+        work[name]()
+        work[name]()
+    times: dict[str, list[float]] = {name: [] for name in names}
+    start = time.perf_counter()
+    for turn in range(most):
+        if turn >= least and time.perf_counter() - start > seconds:
+            break
+        for name in names if turn % 2 == 0 else reversed(names):
+            before = time.perf_counter()
+            work[name]()
+            times[name].append((time.perf_counter() - before) * 1e3)
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def peak_memory_mib() -> float | None:
+    """Largest resident set of this process so far [MiB]; None where the system can't tell."""
+    try:  # of this program alone; getrusage may still hold that of the parent it was forked from
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        pass
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores that this process may use, accelerator, system."""
+    import jax  # not at the top: the start-up benchmark counts imports
+
+    device = jax.devices()[0]
+    return {
+        "cpu": _cpu_model(),
+        "cores": cores(),
+        "jax_device": f"{device.platform} ({device.device_kind})",
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+    }
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def versions() -> dict[str, str]:
+    """Versions of what was measured and of what it stands on; absent packages are left out."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    try:
+        run = subprocess.run(
+            ["git", "describe", "--always", "--dirty"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        found["revision"] = run.stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        pass  # from a source archive
+    return found
+
+
+def _cpu_model() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    if sys.platform == "darwin":
+        command = ["sysctl", "-n", "machdep.cpu.brand_string"]
+        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        if run.stdout.strip():
+            return run.stdout.strip()
+    return platform.processor() or platform.machine()
+
+
+def _read(path: Path, benchmark: str) -> dict[str, Any]:
+    try:
+        other: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BenchmarkError(f"can't compare with {path}: {error}") from error
+    if other.get("benchmark") != benchmark or "figures" not in other:
+        raise BenchmarkError(
+            f"can't compare with {path}: expected a result of benchmark {benchmark!r}, "
+            f"found {other.get('benchmark')!r}"
+        )
+    return other
+
+
+def _comparison(this: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    rows = [
+        [name, value, other["figures"][name], _ratio(value, other["figures"][name])]
+        for name, value in this["figures"].items()
+        if name in other["figures"]
+    ]
+    lines = [markdown(("figure", "this run", "that run", "this / that"), rows), ""]
+    for kind in ("hardware", "versions", "arguments"):
+        for key in sorted({*this[kind], *other[kind]}):
+            mine, theirs = this[kind].get(key), other[kind].get(key)
+            if mine != theirs and key not in ("output", "compare"):
+                lines.append(f"- {kind}, {key}: {mine} here, {theirs} there")
+    alone = {*this["figures"]} ^ {*other["figures"]}
+    if alone:
+        lines.append(f"- {len(alone)} figures stand in only one of the two files")
+    return "\n".join(lines)
+
+
+def _ratio(a: float, b: float) -> float | None:
+    return a / b if b else None
+
+
+def _plain(value: object) -> object:
+    """As JSON has it."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return value.name  # where it lies on this machine is nobody's business
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value

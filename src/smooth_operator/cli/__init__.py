@@ -1,0 +1,6 @@
+"""The command line: ``smooth-operator demo``, ``retarget`` and ``view``.
+
+What is heavy (JAX, MuJoCo, matplotlib, viser) is imported inside the command that needs it.
+"""
+
+from smooth_operator.cli.app import main as main

@@ -1,0 +1,93 @@
+"""From the arguments to an exit status: the only place where errors become messages."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+from smooth_operator.cli.options import Command, parse
+from smooth_operator.errors import SmoothOperatorError
+
+OK = 0
+USER_ERROR = 2
+INTERRUPTED = 130  # what shells report for SIGINT
+BROKEN_PIPE = 141  # and for SIGPIPE
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        argv: the arguments; None for those of the process.
+
+    Returns:
+        The exit status: 0 done, 2 the user can mend it (the reason is on standard error), 130
+        stopped by Ctrl-C, 141 nobody reads standard output any more.
+
+    Raises:
+        SmoothOperatorError: what would have been a message, with ``--debug`` or
+            ``SMOOTH_OPERATOR_DEBUG=1``; its traceback then tells where it came from.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    _never_fail_on_a_character()
+    command: Command | None = None
+    try:
+        try:
+            if arguments[:1] in (["--version"], ["-V"]):
+                print(f"smooth-operator {package_version()}")
+                return OK
+            command = parse(arguments)
+            command.run()
+            return OK
+        except SystemExit as stop:  # of the parser: help is 0, a wrong argument 2
+            return stop.code if isinstance(stop.code, int) else USER_ERROR
+        finally:
+            sys.stdout.flush()  # here, where a broken pipe can still be answered
+    except BrokenPipeError:
+        _drop_output()
+        return BROKEN_PIPE
+    except KeyboardInterrupt:
+        _complain("stopped")
+        return INTERRUPTED
+    except SmoothOperatorError as error:
+        if _debugging(command):
+            raise
+        _complain(str(error))
+        return USER_ERROR
+
+
+def package_version() -> str:
+    """Version of the installed package."""
+    try:
+        return version("smooth-operator")
+    except PackageNotFoundError:  # run from a source tree that was never installed
+        return "unknown"
+
+
+def _debugging(command: Command | None) -> bool:
+    asked = os.environ.get("SMOOTH_OPERATOR_DEBUG", "").lower() not in ("", "0", "no", "off")
+    return asked or (command is not None and command.debug)
+
+
+def _complain(message: str) -> None:
+    with contextlib.suppress(OSError):
+        print(f"smooth-operator: {message}", file=sys.stderr, flush=True)
+
+
+def _never_fail_on_a_character() -> None:
+    # A console of Windows may know neither "m²" nor "→"; a question mark beats a traceback.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def _drop_output() -> None:
+    # The interpreter flushes standard output once more on its way out, and would complain.
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)

@@ -1,0 +1,133 @@
+"""What a person sees: progress on standard error, tables on standard output."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Final
+
+from rich import box
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+_REDRAW_S: Final = 0.1
+_GOALS: Final = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
+_EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling, once per start")}
+_WIDTH_OF_A_FILE: Final = 140
+_WIDTH_TO_EXPLAIN: Final = 115
+
+
+class Progressing:
+    """Notes and a progress bar on standard error.
+
+    Args:
+        quiet: show the notes that matter only.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._console = Console(stderr=True, highlight=False)
+
+    def note(self, text: str, *, matters: bool = False) -> None:
+        """A line; shown in spite of ``quiet`` if it ``matters``."""
+        if matters or not self._quiet:
+            self._console.print(text, markup=False, soft_wrap=True)
+
+    @contextlib.contextmanager
+    def waiting(self, text: str) -> Iterator[None]:
+        """Something that takes a while and can't say how long."""
+        if self._quiet:
+            yield
+        elif self._console.is_terminal:
+            with self._console.status(text):
+                yield
+        else:
+            self.note(text)
+            yield
+
+    def frames(self, text: str) -> Callable[[Iterable[int]], Iterator[int]]:
+        """Wraps an iteration over frames in a bar.
+
+        The bar is drawn between frames and by no other thread, so it is not in their latency.
+        """
+
+        def track(steps: Iterable[int]) -> Iterator[int]:
+            if self._quiet:
+                yield from steps
+                return
+            steps = list(steps)
+            bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("frames"),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+                console=self._console,
+                auto_refresh=False,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
+            with bar:
+                task = bar.add_task(text, total=len(steps))
+                drawn = time.monotonic()
+                for done, step in enumerate(steps):
+                    if time.monotonic() - drawn > _REDRAW_S:
+                        bar.update(task, completed=done, refresh=True)
+                        drawn = time.monotonic()
+                    yield step
+                bar.update(task, completed=len(steps), refresh=True)
+
+        return track
+
+
+def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
+    """A table of what was measured, on standard output.
+
+    Args:
+        title: above it.
+        metrics: of :func:`smooth_operator.metrics.evaluate`.
+    """
+    from smooth_operator.metrics import METRICS
+
+    console = Console(highlight=False)
+    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
+        console.width = _WIDTH_OF_A_FILE
+    explained = console.width >= _WIDTH_TO_EXPLAIN
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for header in ("metric", "value", "unit", "best", "what it is")[: 5 if explained else 4]:
+        table.add_column(
+            header,
+            justify="right" if header == "value" else "left",
+            no_wrap=header != "what it is",  # the one that gives way on a narrow console
+        )
+
+    def add(name: str, value: object, *rest: str) -> None:
+        table.add_row(name, _shown(value), *rest[: 3 if explained else 2])
+
+    known = {metric.name.split(".")[0] for metric in METRICS}
+    for metric in METRICS:
+        add(metric.name, metric.of(metrics), metric.unit, _GOALS[metric.goal], metric.meaning)
+    for name, value in metrics.items():
+        if name not in known:
+            add(name, value, *_EXTRAS.get(name, ("", "", "")))
+    console.print(table)
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return "\n".join(f"{name} {_shown(v)}" for name, v in value.items() if v != 0)
+    return str(value)

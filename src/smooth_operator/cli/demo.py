@@ -1,0 +1,81 @@
+"""``smooth-operator demo``: the whole of it on a built-in operator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from smooth_operator.cli.console import Progressing, print_metrics
+from smooth_operator.cli.options import Demo
+from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
+from smooth_operator.cli.session import Outcome, configuration, execute, measure, plan
+from smooth_operator.metrics import Trace, save_plots
+from smooth_operator.recording import LogWriter, atomic_write, to_json, write_commands
+from smooth_operator.sources import SyntheticOperator, TrackerModel
+from smooth_operator.types import HandRecording, JointCommand, Status
+
+
+def demo(options: Demo) -> None:
+    """Records the operator, retargets, measures, writes the folder, serves the page.
+
+    Raises:
+        SmoothOperatorError: with the reason; what stood in the folder is then as it was.
+    """
+    progress = Progressing(options.quiet)
+    check_demo_folder(options.output, options.overwrite)
+    operator = SyntheticOperator(
+        seed=options.seed,
+        side=options.side,
+        rate_hz=options.rate,
+        tracker=TrackerModel(
+            noise=options.noise * 1e-3,
+            frame_loss=options.frame_loss,
+            landmark_loss=options.landmark_loss,
+            seed=options.seed,
+        ),
+    )
+    todo = plan(
+        operator.record(options.duration),
+        hand=options.hand,
+        method=options.method,
+        preset=options.preset,
+        seed=options.seed,
+        scale=options.scale,
+    )
+    with folder_for(options.output):
+        outcome = execute(todo, progress)
+        trace, metrics = measure(todo, outcome, options.definition, progress)
+        config = configuration("demo", todo, operator=operator, duration=options.duration)
+        with progress.waiting("writing"), staged(options.output) as folder:
+            _write(folder, todo.recording, outcome, trace, metrics, config)
+    title = f"{todo.hand.name} {options.side}: {todo.method} {todo.preset}"
+    print_metrics(f"the built-in operator on {title}", metrics)
+    progress.note(f"wrote {options.output}")
+    if not options.no_view:
+        from smooth_operator.cli.page import playback
+        from smooth_operator.ui import serve
+
+        page = playback(title, todo.hand, trace, metrics)
+        serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
+
+
+def _write(
+    folder: Path,
+    recording: HandRecording,
+    outcome: Outcome,
+    trace: Trace,
+    metrics: dict[str, Any],
+    config: dict[str, Any],
+) -> None:
+    commands = outcome.commands
+    write_commands(folder / "commands.npz", commands, config)
+    with LogWriter(folder / "log.mcap") as log:
+        log.write_config(config)
+        for i, frame in enumerate(recording):
+            log.write_hand(frame)
+            command = JointCommand(commands.joint_positions[i], commands.joint_names, frame.stamp)
+            log.write_command(command, Status(commands.status[i]), float(commands.latency_ms[i]))
+    save_plots(trace, commands.joint_names, folder / "plots")
+    for name, content in (("metrics", metrics), ("config", config)):
+        with atomic_write(folder / f"{name}.json") as file:
+            file.write(to_json(content, indent=2).encode() + b"\n")

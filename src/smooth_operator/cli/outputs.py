@@ -1,0 +1,135 @@
+"""Where results go, looked at before the long work: a wrong name costs a second, not an hour."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.recording import config_path, output_error, read_commands
+
+PROGRAM: Final = "smooth-operator"
+"""Value of ``program`` in every configuration that this program writes."""
+
+
+def read_configuration(path: Path) -> dict[str, Any] | None:
+    """A configuration that this program wrote; None if there is none, or the file is another's."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    ours = isinstance(content, dict) and content.get("program") == PROGRAM
+    return content if ours else None
+
+
+def check_commands_path(path: Path, recording: Path) -> None:
+    """Looks whether ``OUT.npz`` and its configuration may be written; writes nothing.
+
+    Raises:
+        OutputError: the name does not end in ``.npz``, or it or its configuration's is taken by
+            something other than an earlier result.
+    """
+    if path.suffix != ".npz":
+        raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
+    beside = config_path(path)
+    for taken in (path, beside):
+        if taken.exists() and not taken.is_file():
+            raise OutputError(f"can't write {str(taken)!r}: it is a folder; give a file's name")
+        if taken.exists() and recording.exists() and taken.samefile(recording):
+            raise OutputError(
+                f"can't write {str(taken)!r}: it is the recording itself; choose another name"
+            )
+    if path.exists():
+        try:
+            read_commands(path)
+        except RecordingError:
+            raise OutputError(
+                f"can't write {str(path)!r}: it holds something other than commands; choose "
+                "another name, or remove it first"
+            ) from None
+    if beside.exists() and read_configuration(beside) is None:
+        raise OutputError(
+            f"can't write {str(beside)!r}, the configuration beside {path.name}: it holds "
+            "something else; choose another name for the result, or remove it first"
+        )
+
+
+@contextlib.contextmanager
+def folder_for(folder: Path) -> Iterator[None]:
+    """Makes a folder if need be and tries to write in it; a new one goes again if the block fails.
+
+    Raises:
+        OutputError: it can't be made or written to.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(
+            f"can't write into {str(folder)!r}: a file stands where a folder is expected; choose "
+            "another path"
+        )
+    made = [at for at in (folder, *folder.parents) if not at.exists()]
+    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise output_error(folder, error) from error
+        yield
+    except BaseException:
+        for at in made:  # the deepest first; rmdir takes none that holds something
+            with contextlib.suppress(OSError):
+                at.rmdir()
+        raise
+
+
+def check_demo_folder(folder: Path, overwrite: bool) -> None:
+    """Looks whether the demo may write into a folder; writes nothing.
+
+    Raises:
+        OutputError: it is a file, or holds something other than an earlier demo.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise OutputError(f"can't write {str(folder)!r}: a file stands there; name a folder")
+    former = read_configuration(folder / "config.json")
+    if overwrite or (former is not None and former.get("command") == "demo"):
+        return
+    try:
+        empty = not any(folder.iterdir())
+    except OSError as error:
+        raise output_error(folder, error) from error
+    if not empty:
+        raise OutputError(
+            f"can't write into {str(folder)!r}: it holds something other than an earlier demo; "
+            "give another folder with --output, or add --overwrite (other files stay)"
+        )
+
+
+@contextlib.contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A folder to write results in, whose files take their places when the block ends.
+
+    If the block fails or is stopped, what stood in ``folder`` is as it was.
+
+    Raises:
+        OutputError: a file can't be put in its place.
+    """
+    try:
+        holder = tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    with holder as temporary:
+        stage = Path(temporary)
+        yield stage
+        try:
+            for source in sorted(path for path in stage.rglob("*") if path.is_file()):
+                target = folder / source.relative_to(stage)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                source.replace(target)
+        except OSError as error:
+            raise output_error(error.filename2 or error.filename or folder, error) from error

@@ -1,0 +1,46 @@
+"""From a trace to the browser page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.metrics import Trace
+from smooth_operator.ui import Playback
+
+
+def playback(title: str, hand: Hand, trace: Trace, metrics: Mapping[str, Any]) -> Playback:
+    """What the page plays.
+
+    Args:
+        title: above the page.
+        hand: the robot hand.
+        trace: the run, in the palm frame.
+        metrics: for the page's table.
+    """
+    model = hand.model
+    qpos = np.tile(model.qpos0, (len(trace), 1))
+    qpos[:, model.jnt_qposadr] = trace.joint_positions
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    palm = data.body(hand.spec.palm)  # it does not move: fingers hang from it
+    rotation, origin = palm.xmat.reshape(3, 3), palm.xpos.copy()
+    return Playback(
+        title=title,
+        model=model,
+        qpos=qpos,
+        stamps=trace.stamps,
+        human=trace.human @ rotation.T + origin,
+        status=trace.status,
+        robot_tips=trace.robot_tips @ rotation.T + origin,
+        robot_wrist=rotation @ trace.robot_wrist + origin,
+        latency_ms=trace.latency_ms,
+        human_tips=tuple(TIPS[FINGERS.index(name)] for name in trace.fingers),
+        fingers=trace.fingers,
+        metrics=metrics,
+    )

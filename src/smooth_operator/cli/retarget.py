@@ -1,0 +1,55 @@
+"""``smooth-operator retarget``: a recording into joint commands."""
+
+from __future__ import annotations
+
+from smooth_operator.cli.console import Progressing, print_metrics
+from smooth_operator.cli.options import Retarget
+from smooth_operator.cli.outputs import check_commands_path, folder_for
+from smooth_operator.cli.session import configuration, execute, measure, plan
+from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
+from smooth_operator.types import Status
+
+
+def retarget(options: Retarget) -> None:
+    """Reads, retargets, measures, writes; all that a user can get wrong is checked first.
+
+    Raises:
+        SmoothOperatorError: with the reason; nothing is then left half done.
+    """
+    progress = Progressing(options.quiet)
+    check_commands_path(options.output, options.recording)
+    recording = read_recording(options.recording, rate=options.rate, side=options.side)
+    if recording.meta.get("side_assumed"):
+        progress.note(
+            f"{options.recording} does not say which hand it is: taken for a right one; "
+            "say --side left if it is not",
+            matters=True,
+        )
+    total = len(recording)
+    frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
+    todo = plan(
+        recording[frames],
+        hand=options.hand,
+        method=options.method,
+        preset=options.preset,
+        seed=options.seed,
+        scale=options.scale,
+    )
+    with folder_for(options.output.parent):
+        outcome = execute(todo, progress)
+        _, metrics = measure(todo, outcome, options.definition, progress)
+        config = configuration(
+            "retarget",
+            todo,
+            source={"path": options.recording, "frames": [frames.start, frames.stop]},
+            rate=options.rate,
+        )
+        write_commands(options.output, outcome.commands, config)
+    held = int((outcome.commands.status != Status.OK).sum())
+    if held:
+        progress.note(f"{held} of {len(outcome.commands)} frames repeat the last good command")
+    progress.note(f"wrote {options.output}")
+    if options.json:
+        print(to_json(metrics))
+    else:
+        print_metrics(f"{recording.name} on {todo.hand.name}, {todo.method} {todo.preset}", metrics)

@@ -1,0 +1,74 @@
+"""``smooth-operator view``: any result beside the hand that it came from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.cli.options import View
+from smooth_operator.cli.outputs import read_configuration
+from smooth_operator.cli.page import playback
+from smooth_operator.errors import HandModelError, RecordingError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.recording import config_path, read_commands, read_recording
+from smooth_operator.types import CommandTrajectory, HandRecording
+from smooth_operator.ui import serve
+
+
+def view(options: View) -> None:
+    """Matches commands and frames, and serves the page until Ctrl-C.
+
+    Raises:
+        RecordingError: a file can't be read, or the commands do not belong to the recording.
+        HandModelError: the commands are not of this hand.
+        ConfigError: the page can't be served there.
+    """
+    commands = read_commands(options.commands)
+    config = read_configuration(config_path(options.commands)) or {}
+    rate = options.rate if options.rate is not None else config.get("rate")
+    recording = read_recording(
+        options.recording, rate=rate, side=options.side or config.get("side")
+    )
+    recording = _answered(commands, recording, options.commands, options.recording)
+    hand = load_hand(options.hand or config.get("hand", "mimic_p050"), recording.side)
+    if commands.joint_names != hand.joint_names:
+        raise HandModelError(
+            f"{options.commands} holds commands for the joints {', '.join(commands.joint_names)}, "
+            f"but the hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand "
+            "with --hand"
+        )
+    trace = assemble_trace(recording, commands, hand, _alignment(config))
+    metrics = evaluate(trace)
+    made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)
+    title = f"{hand.name} {hand.spec.side}" + (made_by and f": {made_by}")
+    page = playback(title, hand, trace, metrics)
+    serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
+
+
+def _answered(
+    commands: CommandTrajectory, recording: HandRecording, out: Path, source: Path
+) -> HandRecording:
+    """The frames that the commands answer, found by their stamps."""
+    at = np.searchsorted(recording.stamps, commands.stamps)
+    found = recording.stamps[np.minimum(at, len(recording) - 1)] == commands.stamps
+    consecutive = bool((np.diff(at) == 1).all())
+    if not len(commands) or not found.all() or not consecutive:
+        raise RecordingError(
+            f"{out} was not made from {source}: {int(found.sum())} of its {len(commands)} time "
+            "stamps are those of consecutive frames in it; give the recording that it was made "
+            "from, with the same --rate if it holds no stamps"
+        )
+    return recording[int(at[0]) : int(at[-1]) + 1]
+
+
+def _alignment(config: dict[str, Any]) -> AlignmentConfig:
+    """The scale that the method used, where the configuration tells."""
+    try:
+        return AlignmentConfig(scale=config["config"]["alignment"]["scale"])
+    except (KeyError, TypeError):
+        return AlignmentConfig()

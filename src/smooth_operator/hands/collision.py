@@ -1,0 +1,110 @@
+"""How deep the hand's own parts are inside each other, by the simple shapes of its model."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS
+
+_PALM = -1
+
+
+def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarray, " T"] | None:
+    """Deepest self-penetration in each frame.
+
+    Looked at are pairs of shapes on two different fingers, tips included, so that a pinch that goes
+    too deep counts; and a finger against the palm. Left out are shapes of one finger, bodies joined
+    to each other, and pairs that touch in the neutral pose already, where shapes are drawn fatter
+    than the parts they stand for. What the model itself takes out of collision stays out.
+
+    Args:
+        hand: the robot hand.
+        joint_positions: (T, n) positions of all joints [rad].
+
+    Returns:
+        (T,) depth [m], 0 where nothing overlaps and NaN where a pose is not finite; None if the
+        model has no two shapes that could collide.
+
+    Raises:
+        HandModelError: if the positions are not (T, n).
+    """
+    q = np.asarray(joint_positions, np.float64)
+    if q.ndim != 2 or q.shape[1] != len(hand.joint_names):
+        raise HandModelError(
+            f"joint positions must have shape (T, {len(hand.joint_names)}) for hand "
+            f"{hand.name!r}, not {q.shape}"
+        )
+    model = hand.model
+    counts = _counting_pairs(hand)
+    if not counts.any():
+        return None
+    data = mujoco.MjData(model)
+    neutral, depth = _overlaps(model, data, hand.expand(hand.neutral))
+    touching = neutral[depth > 0]
+    counts[touching[:, 0], touching[:, 1]] = counts[touching[:, 1], touching[:, 0]] = False
+
+    depths = np.full(len(q), np.nan)
+    for frame, pose in enumerate(q):
+        if np.isfinite(pose).all():
+            pairs, depth = _overlaps(model, data, pose)
+            counted = depth[counts[pairs[:, 0], pairs[:, 1]]]
+            depths[frame] = max(float(counted.max(initial=0.0)), 0.0)
+    return depths
+
+
+def _overlaps(
+    model: mujoco.MjModel, data: mujoco.MjData, pose: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of shapes in contact, (c, 2), and how deep each is, (c,) [m]."""
+    data.qpos[model.jnt_qposadr] = pose
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    # copies: the next pose reuses the memory
+    return np.array(data.contact.geom).reshape(-1, 2), -np.array(data.contact.dist)
+
+
+def _counting_pairs(hand: Hand) -> Bool[np.ndarray, "g g"]:
+    """Which pairs of shapes are of different parts of the hand and not joined to each other."""
+    model = hand.model
+    owner = _owners(hand)[model.geom_bodyid]
+    # bodies without a joint between them are one part
+    part = model.body_weldid[model.geom_bodyid]
+    above = model.body_weldid[model.body_parentid[part]]
+    joined = (part[:, None] == above[None]) | (above[:, None] == part[None])
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    different = owner[:, None] != owner[None]
+    return np.asarray(different & ~joined & solid[:, None] & solid[None])
+
+
+def _owners(hand: Hand) -> np.ndarray:
+    """(bodies,) index of the finger that each body belongs to, or that of the palm.
+
+    A finger is the bodies between palm and fingertip that it shares with no other finger, and what
+    hangs from them.
+    """
+    model = hand.model
+    palm = model.body(hand.spec.palm).id
+    chains = []
+    for finger in hand.spec.fingers:
+        chain, body = set(), model.body(finger.tip.body).id
+        while body not in (palm, 0):
+            chain.add(int(body))
+            body = model.body_parentid[body]
+        chains.append(chain)
+    owner = np.full(model.nbody, _PALM)
+    for body in range(1, model.nbody):  # parents come first
+        of = [
+            FINGERS.index(f.name)
+            for f, c in zip(hand.spec.fingers, chains, strict=True)
+            if body in c
+        ]
+        owner[body] = (
+            of[0] if len(of) == 1 else owner[model.body_parentid[body]] if not of else _PALM
+        )
+    return owner

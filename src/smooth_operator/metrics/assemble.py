@@ -1,0 +1,100 @@
+"""From a recording and the commands that answer it to the trace that the metrics read."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
+from smooth_operator.metrics.trace import Trace
+from smooth_operator.types import CommandTrajectory, HandRecording
+
+REACH_SAMPLES: Final = 100_000
+"""Random poses that stand for what a fingertip can reach, as in the paper's metrics."""
+
+
+def assemble_trace(
+    recording: HandRecording,
+    commands: CommandTrajectory,
+    hand: Hand,
+    alignment: AlignmentConfig | None = None,
+    *,
+    reach_samples: int = REACH_SAMPLES,
+    seed: int = 0,
+) -> Trace:
+    """Puts both hands into the robot's palm frame.
+
+    Args:
+        recording: the human hand, T frames.
+        commands: the T commands that answer them.
+        hand: the robot hand that they are for.
+        alignment: the method's own, so that the human is measured as the method saw it; None for
+            the default, a scale for each frame.
+        reach_samples: random poses for workspace utilisation; 0 leaves it out.
+        seed: of those poses.
+
+    Returns:
+        The trace, with everything that :func:`smooth_operator.metrics.evaluate` can use.
+        ``penetration`` is None where the hand's model has no shapes that could touch.
+
+    Raises:
+        RecordingError: if commands and frames are not paired one to one by their stamps, or the
+            commands are for other joints.
+    """
+    if not np.array_equal(recording.stamps, commands.stamps):
+        raise RecordingError(
+            f"{recording.name}: the {len(recording)} frames are not those that the "
+            f"{len(commands)} commands answer; their time stamps differ"
+        )
+    if commands.joint_names != hand.joint_names:
+        raise RecordingError(
+            f"{recording.name}: the commands are for the joints {commands.joint_names}, not those "
+            f"of the hand {hand.name!r}, {hand.joint_names}"
+        )
+    q = np.asarray(commands.joint_positions, np.float64)
+    points = np.asarray(hand.tree.positions(q))
+    landmarks = np.full((len(q), NUM_LANDMARKS, 3), np.nan)
+    landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = points
+    return Trace(
+        human=align_recording(recording, hand, alignment or AlignmentConfig()),
+        robot_tips=points[:, [hand.tree.names.index(name) for name in hand.tip_names]],
+        robot_wrist=hand.wrist,
+        fingers=hand.fingers,
+        joint_positions=q,
+        joint_limits=hand.joint_limits,
+        stamps=commands.stamps,
+        status=commands.status,
+        latency_ms=commands.latency_ms,
+        reach=sample_reach(hand, reach_samples, seed) if reach_samples else None,
+        penetration=penetration_depths(hand, q),
+        robot_landmarks=landmarks,
+    )
+
+
+def sample_reach(
+    hand: Hand, samples: int = REACH_SAMPLES, seed: int = 0
+) -> Float[np.ndarray, "S F 3"]:
+    """Fingertips of random poses, uniform over the limits of the actuated joints.
+
+    Args:
+        hand: the robot hand.
+        samples: S.
+        seed: the same seed gives the same poses.
+
+    Returns:
+        (S, F, 3) fingertips in the palm frame [m], thumb first.
+    """
+    low, high = hand.limits.T
+    q = np.random.default_rng(seed).uniform(low, high, (samples, len(low)))
+    columns = list(np.ascontiguousarray(hand.expand(q).T))
+    reach = np.empty((samples, len(hand.tip_names), 3))
+    for finger, point in enumerate(hand.tree.walk(columns, hand.tip_names)):
+        for axis, values in enumerate(point):
+            reach[:, finger, axis] = values  # a coordinate that no joint moves is one number
+    return reach

@@ -1,0 +1,158 @@
+"""From a recording and its commands to a trace: frames, order of fingers, self-collision."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from smooth_operator import load_hand
+from smooth_operator.errors import HandModelError, RecordingError
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace, sample_reach
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
+
+SIDES: tuple[Side, ...] = ("right", "left")
+
+
+def run(side: Side, frames: int = 30) -> tuple[HandRecording, CommandTrajectory, Hand]:
+    hand = load_hand("mimic_p050", side)
+    recording = SyntheticOperator(seed=3, side=side).record(frames / 100)
+    low, high = hand.limits.T
+    q = low + (high - low) * (0.5 + 0.3 * np.sin(np.linspace(0, 2, frames)))[:, None]
+    commands = CommandTrajectory(
+        hand.expand(q),
+        hand.joint_names,
+        recording.stamps,
+        np.full(frames, 0.5),
+        np.zeros(frames, np.int8),
+    )
+    return recording, commands, hand
+
+
+def depth(hand: Hand, **joints: float) -> float:
+    """Penetration of the neutral pose with some joints elsewhere."""
+    q = hand.neutral.copy()
+    for name, value in joints.items():
+        q[hand.actuated_names.index(name)] = value
+    depths = penetration_depths(hand, hand.expand(q)[None])
+    assert depths is not None
+    return float(depths[0])
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_positions_are_mujocos_in_the_palm_frame(side: Side) -> None:
+    recording, commands, hand = run(side)
+    trace = assemble_trace(recording, commands, hand, reach_samples=0)
+    assert trace.robot_landmarks is not None
+    data = mujoco.MjData(hand.model)
+    for i in (0, 17):
+        data.qpos[:] = commands.joint_positions[i]
+        mujoco.mj_kinematics(hand.model, data)
+        palm = data.body(hand.spec.palm)
+        rotation = palm.xmat.reshape(3, 3)
+        for f, finger in enumerate(trace.fingers):
+            site = data.site(f"{finger}_tip").xpos
+            expected = rotation.T @ (site - palm.xpos)
+            np.testing.assert_allclose(trace.robot_tips[i, f], expected, atol=1e-6)
+            k = LANDMARKS.index(f"{finger}_tip")
+            np.testing.assert_array_equal(trace.robot_landmarks[i, k], trace.robot_tips[i, f])
+    np.testing.assert_array_equal(trace.robot_landmarks[:, 0], [trace.robot_wrist] * len(trace))
+    np.testing.assert_array_equal(trace.human, align_recording(recording, hand))
+
+
+def test_the_human_is_measured_at_the_methods_own_scale() -> None:
+    recording, commands, hand = run("right")
+    small, large = (
+        assemble_trace(recording, commands, hand, AlignmentConfig(scale=s), reach_samples=0)
+        for s in (0.5, 1.0)
+    )
+    lengths = [np.linalg.norm(t.human_keyvectors, axis=-1) for t in (small, large)]
+    np.testing.assert_allclose(2 * lengths[0], lengths[1])
+
+
+def test_everything_that_can_be_measured_is() -> None:
+    recording, commands, hand = run("left")
+    figures = evaluate(assemble_trace(recording, commands, hand, reach_samples=2000))
+    assert isinstance(figures["workspace_utilisation"], float)
+    collision = figures["self_collision"]
+    assert isinstance(collision, dict)
+    assert None not in collision.values()
+    paper = evaluate(assemble_trace(recording, commands, hand, reach_samples=0), "paper")
+    assert paper["human_fit"] == "robot pose"
+
+
+def test_commands_of_other_frames_or_joints_are_refused() -> None:
+    recording, commands, hand = run("right")
+    with pytest.raises(RecordingError, match="29 frames are not those that the 30 commands"):
+        assemble_trace(recording[1:], commands, hand)
+    shifted = replace(commands, stamps=commands.stamps + 1e-3)
+    with pytest.raises(RecordingError, match="time stamps differ"):
+        assemble_trace(recording, shifted, hand)
+    renamed = replace(commands, joint_names=commands.joint_names[::-1])
+    with pytest.raises(RecordingError, match="not those of the hand 'mimic_p050'"):
+        assemble_trace(recording, renamed, hand)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_reach_is_seeded_and_holds_what_poses_reach(side: Side) -> None:
+    hand = load_hand("mimic_p050", side)
+    reach = sample_reach(hand, 500, seed=1)
+    np.testing.assert_array_equal(reach, sample_reach(hand, 500, seed=1))
+    assert not np.array_equal(reach, sample_reach(hand, 500, seed=2))
+    low, high = hand.limits.T
+    q = np.random.default_rng(1).uniform(low, high, (500, len(low)))
+    np.testing.assert_allclose(reach, hand.tips(hand.expand(q)), atol=1e-12)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_neutral_is_clear_and_crossing_fingers_are_not(side: Side) -> None:
+    hand = load_hand("mimic_p050", side)
+    assert depth(hand) == 0.0
+    # index straight under the middle finger that closes over it: both at the ends of their spread
+    crossed = depth(hand, index_base2mcp=0.0, middle_base2mcp=0.628)
+    assert 0.002 < crossed < 0.02
+
+
+def test_depth_is_that_of_the_shapes() -> None:
+    """Against MuJoCo's own distance of every pair that counts: two fingers, one against another."""
+    hand = load_hand()
+    low, high = hand.limits.T
+    poses = hand.expand(np.random.default_rng(5).uniform(low, high, (60, len(low))))
+    depths = penetration_depths(hand, poses)
+    assert depths is not None
+    geoms = {hand.model.geom(g).name: g for g in range(hand.model.ngeom)}
+    fingers = [[g for n, g in geoms.items() if n.startswith(f)] for f in hand.fingers]
+    data = mujoco.MjData(hand.model)
+    for pose, found in zip(poses, depths, strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(hand.model, data)
+        nearest = min(
+            mujoco.mj_geomDistance(hand.model, data, a, b, 0.1, None)
+            for i, first in enumerate(fingers)
+            for second in fingers[:i]
+            for a in first
+            for b in second
+        )
+        assert found >= -nearest - 1e-4  # deeper only where the palm is touched
+    assert (depths > 0.002).any()
+    assert (depths == 0).any()
+
+
+def test_a_pose_that_is_not_finite_has_no_depth_and_bad_shapes_are_refused() -> None:
+    hand = load_hand()
+    q = np.tile(hand.expand(hand.neutral), (2, 1))
+    q[0, 3] = np.nan
+    depths = penetration_depths(hand, q)
+    assert depths is not None
+    assert np.isnan(depths[0])
+    assert depths[1] == 0.0
+    with pytest.raises(HandModelError, match=r"shape \(T, 20\)"):
+        penetration_depths(hand, q[:, :16])

@@ -1,0 +1,356 @@
+"""The command line, end to end: what it writes, what it prints, and what it says when it can't."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator import Retargeter, SbrConfig, load_hand
+from smooth_operator.cli import cache as cli_cache
+from smooth_operator.cli import main
+from smooth_operator.errors import RecordingError
+from smooth_operator.metrics import METRICS
+from smooth_operator.recording import read_commands, read_log, read_recording
+from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.types import HandRecording, Side, Status
+
+TOP_KEYS = {metric.name.split(".")[0] for metric in METRICS}
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command in this process: exit status, standard output, standard error."""
+    # The smallest SBR there is: it compiles in a second. No cache, which would be global state.
+    tiny = SbrConfig(sampling=SamplingConfig(samples=32, elites=8, cycles=2))
+    monkeypatch.setitem(PRESETS["sbr"], "tiny", tiny)
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
+    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        capfd.readouterr()
+        status = main([str(argument) for argument in arguments])
+        return status, *capfd.readouterr()
+
+    return call
+
+
+def recording(side: Side = "right", frames: int = 30) -> HandRecording:
+    return SyntheticOperator(seed=2, side=side).record(frames / 100)
+
+
+@pytest.fixture
+def glove(tmp_path: Path) -> Path:
+    """A recording that says everything about itself."""
+    return save(tmp_path / "glove.npz", recording())
+
+
+def save(path: Path, hand: HandRecording) -> Path:
+    np.savez(path, landmarks=hand.landmarks, timestamps=hand.stamps, side=hand.side)
+    return path
+
+
+def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "demo"
+    options = ("--no-view", "--preset", "tiny", "--landmark-loss", 0.05, "--duration", 0.5)
+    status, out, err = run("demo", "--output", folder, *options)
+    assert status == 0, err
+    assert "retargeting" in err
+    assert "thumb-to-tip" in out
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    plots = {f"plots/{name}.png" for name in ("fingertips", "joints", "latency", "thumb_distances")}
+    files = {"commands.npz", "commands.json", "config.json", "log.mcap", "metrics.json"}
+    assert found == files | plots
+
+    commands, log = read_commands(folder / "commands.npz"), read_log(folder / "log.mcap")
+    assert log.commands is not None
+    assert log.recording is not None
+    np.testing.assert_array_equal(commands.joint_positions, log.commands.joint_positions)
+    np.testing.assert_array_equal(commands.stamps, log.recording.stamps)
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    assert metrics.keys() >= TOP_KEYS
+    assert metrics["frames"] == len(commands) == 50
+    assert metrics["status"]["invalid_landmarks"] == np.sum(commands.status != Status.OK) > 0
+    config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+    assert config == log.config
+    assert config["operator"]["tracker"]["landmark_loss"] == 0.05
+    assert config["config"]["sampling"]["samples"] == 32
+    assert config["versions"]["jax"]
+
+    # A former demo is replaced; another kind of folder is not, unless asked, and then it stays.
+    (folder / "notes.txt").write_text("mine", encoding="utf-8")
+    status, *_ = run("demo", "--output", folder, *options, "--side", "left", "--quiet")
+    assert status == 0
+    assert read_recording(folder / "log.mcap").side == "left"
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.txt").write_text("mine", encoding="utf-8")
+    status, out, err = run("demo", "--output", other, *options)
+    assert (status, out) == (2, "")
+    assert "--overwrite" in err
+    assert [path.name for path in other.iterdir()] == ["thesis.txt"]
+    assert run("demo", "--output", other, *options, "--overwrite")[0] == 0
+    assert {path.name for path in other.iterdir()} >= {"thesis.txt", "commands.npz"}
+    assert (folder / "notes.txt").read_text(encoding="utf-8") == "mine"
+
+
+def test_retarget_is_the_library_and_repeats_itself(run: Run, glove: Path, tmp_path: Path) -> None:
+    once, again = tmp_path / "once.npz", tmp_path / "deep" / "er" / "again.npz"
+    arguments = ("retarget", glove, "--preset", "tiny", "--frames", "5:20", "--seed", 4)
+    status, out, err = run(*arguments, "--output", once, "--json")
+    assert status == 0, err
+    metrics = json.loads(out)  # one object and nothing else
+    assert metrics.keys() >= TOP_KEYS
+    assert metrics["frames"] == 15
+    assert metrics["tracking_loss"] > 0
+
+    status, out, err = run(*arguments, "--output", again, "--quiet")
+    assert status == 0
+    assert "cosine_similarity" in out
+    assert err == ""
+    with np.load(once, allow_pickle=False) as a, np.load(again, allow_pickle=False) as b:
+        assert {"joint_positions", "joint_names", "timestamps", "latency_ms", "status"} <= set(a)
+        assert a["joint_positions"].tobytes() == b["joint_positions"].tobytes()
+        np.testing.assert_array_equal(a["timestamps"], recording().stamps[5:20])
+        assert a["joint_names"].tolist() == list(load_hand().joint_names)
+        direct, _ = Retargeter(config=PRESETS["sbr"]["tiny"], seed=4).run(recording()[5:20])
+        np.testing.assert_array_equal(a["joint_positions"], direct.joint_positions)
+
+    config = json.loads(once.with_suffix(".json").read_text(encoding="utf-8"))
+    assert config["source"] == {"path": str(glove), "frames": [5, 20]}
+    expected = ("mimic_p050", "right", "sbr", "tiny", 4)
+    assert tuple(config[k] for k in ("hand", "side", "method", "preset", "seed")) == expected
+
+
+def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(
+    run: Run, tmp_path: Path
+) -> None:
+    left = save(tmp_path / "left.npz", recording("left", 8))
+    out = tmp_path / "out.npz"
+    status, _, err = run(
+        "retarget", left, "--preset", "tiny", "--output", out, "--scale", "calibrate"
+    )
+    assert status == 0, err
+    config = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
+    assert config["side"] == "left"
+    assert 0.5 < config["config"]["alignment"]["scale"] < 1.5
+
+
+def test_an_array_without_a_side_is_taken_for_a_right_hand_and_a_note_says_so(
+    run: Run, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "plain.npy", recording(frames=5).landmarks)
+    arguments = ("--rate", 100, "--preset", "tiny", "--output", tmp_path / "out.npz", "--quiet")
+    status, out, err = run("retarget", tmp_path / "plain.npy", *arguments, "--json")
+    assert status == 0
+    assert "taken for a right one" in err
+    assert json.loads(out)["frames"] == 5
+
+
+def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
+    """What a user gets wrong, and what the message must say."""
+    glove, out = folder / "glove.npz", folder / "results" / "out.npz"
+    np.save(folder / "plain.npy", recording(frames=5).landmarks)
+    np.save(folder / "mm.npy", 1e3 * recording(frames=5).landmarks)
+    (folder / "foreign.json").write_text("{}", encoding="utf-8")
+    (folder / "file").touch()
+    to = ("--output", out)
+    return {
+        "no such recording": (("retarget", folder / "gone.npz", *to), "no such file"),
+        "no rate": (("retarget", folder / "plain.npy", *to), "--rate 100"),
+        "units": (("retarget", folder / "mm.npy", "--rate", 60, *to), "millimetres"),
+        "other side": (("retarget", glove, "--side", "left", *to), "--side right"),
+        "hand": (("retarget", glove, "--hand", "mimic_p5", *to), "Did you mean 'mimic_p050'?"),
+        "method": (("retarget", glove, "--method", "srb", *to), "Did you mean 'sbr'?"),
+        "preset": (("retarget", glove, "--preset", "papr", *to), "Did you mean 'paper'?"),
+        "frames": (("retarget", glove, "--frames", "90:99", *to), "selects nothing"),
+        "scale": (("retarget", glove, "--scale", "77", *to), "between 0.1 and 10"),
+        "suffix": (("retarget", glove, "--output", folder / "out.csv"), "end in .npz"),
+        "onto itself": (("retarget", glove, "--output", glove), "is the recording itself"),
+        "foreign json": (
+            ("retarget", glove, "--output", folder / "foreign.npz"),
+            "holds something else",
+        ),
+        "under a file": (
+            ("retarget", glove, "--output", folder / "file" / "out.npz"),
+            "a file stands where a folder",
+        ),
+        "demo on a file": (("demo", "--output", folder / "file"), "a file stands there"),
+        "demo too short": (("demo", "--duration", 0, "--output", folder / "d"), "duration must be"),
+        "demo noise": (("demo", "--noise", -1, "--output", folder / "d"), "noise must be"),
+        "no commands": (("view", glove, glove), "not a file of commands"),
+    }
+
+
+def test_user_errors_say_what_to_do_and_leave_nothing(
+    run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Retargeter, "run", lambda *_, **__: pytest.fail("the long work began"))
+    cases = user_errors(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for name, (arguments, message) in cases.items():
+        status, out, err = run(*arguments)
+        assert (status, out) == (2, ""), f"{name}: {err}"
+        assert message in err, name
+        assert err.startswith("smooth-operator: "), name
+        assert "Traceback" not in err, name
+    after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert after == before
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_debug_shows_where_an_error_came_from(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ("retarget", tmp_path / "gone.npz", "--output", tmp_path / "out.npz")
+    with pytest.raises(RecordingError, match="no such file"):
+        run(*arguments, "--debug")
+    monkeypatch.setenv("SMOOTH_OPERATOR_DEBUG", "1")
+    with pytest.raises(RecordingError, match="no such file"):
+        run(*arguments)
+
+
+def test_arguments_that_do_not_parse_exit_2_and_help_exits_0(run: Run) -> None:
+    for arguments in (("retarget",), ("bogus",), ("demo", "--side", "up"), ("view", "a")):
+        status, out, err = run(*arguments)
+        assert (status, out) == (2, ""), arguments
+        assert err
+    for arguments in ((), ("--help",), ("retarget", "--help"), ("demo", "-h"), ("view", "-h")):
+        status, out, err = run(*arguments)
+        assert (status, err) == (0, ""), arguments
+        assert "Examples:" in out
+    status, out, _ = run("--version")
+    assert status == 0
+    assert out.split()[0] == "smooth-operator"
+
+
+def test_stopping_while_writing_leaves_the_former_result(
+    run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out.npz"
+    arguments = ("retarget", glove, "--preset", "tiny", "--frames", ":5", "--output", out)
+    assert run(*arguments)[0] == 0
+    before = out.read_bytes()
+
+    def half_written(file: object, **_: object) -> None:
+        file.write(b"PK")  # type: ignore[attr-defined]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez", half_written)
+    status, stdout, err = run(*arguments)
+    assert (status, stdout) == (130, "")
+    assert "stopped" in err
+    assert out.read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["glove.npz", "out.json", "out.npz"]
+
+    demo = ("demo", "--no-view", "--preset", "tiny", "--duration", 0.1)
+    assert run(*demo, "--output", tmp_path / "demo")[0] == 130
+    assert not (tmp_path / "demo").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
+def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path: Path) -> None:
+    save(tmp_path / "long.npz", SyntheticOperator().record(200.0))
+    # pytest may itself run with SIGINT ignored, which a child would inherit
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from smooth_operator.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "retarget", "long.npz", "--output", "results/out.npz"],
+        cwd=tmp_path,
+        env=os.environ | {"SMOOTH_OPERATOR_CACHE": str(tmp_path / "cache")},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    assert "compiling" in process.stderr.readline()
+    time.sleep(0.5)
+    assert (tmp_path / "results").is_dir()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "stopped" in err
+    assert "Traceback" not in err
+    assert {path.name for path in tmp_path.iterdir()} <= {"long.npz", "cache"}
+
+
+def test_nobody_reading_is_no_error() -> None:
+    code = "import sys; from smooth_operator.cli import main; sys.exit(main(['demo', '--help']))"
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writer)
+    assert done.returncode == 141
+    assert done.stderr == b""
+
+
+def test_view_finds_the_frames_and_refuses_another_recording(
+    run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out.npz"
+    arguments = ("--preset", "tiny", "--frames", "7:19", "--output", out)
+    assert run("retarget", glove, *arguments)[0] == 0
+    pages = []
+    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
+    status, _, err = run("view", out, glove)
+    assert status == 0, err
+    (page,) = pages
+    np.testing.assert_array_equal(page.stamps, recording().stamps[7:19])
+    np.testing.assert_array_equal(page.qpos, read_commands(out).joint_positions)
+    assert "tiny" in page.title
+    out.with_suffix(".json").unlink()  # the commands alone will do
+    assert run("view", out, glove)[0] == 0
+
+    other = save(tmp_path / "other.npz", SyntheticOperator(rate_hz=93).record(1.0))
+    status, _, err = run("view", out, other)
+    assert status == 2
+    assert "was not made from" in err
+
+
+def test_the_cache_gives_way_where_it_can_not_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    for value in ("off", "0", str(tmp_path / "file" / "cache")):
+        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
+        assert cli_cache.enable_cache() is None
+
+
+def test_a_damaged_cache_is_emptied_and_other_warnings_pass(tmp_path: Path) -> None:
+    (tmp_path / "jit-cache").touch()
+    with pytest.warns(UserWarning, match="heed me"), cli_cache.healing(tmp_path):
+        warnings.warn("heed me", stacklevel=1)
+    assert (tmp_path / "jit-cache").exists()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with cli_cache.healing(tmp_path):
+            warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
+    assert not (tmp_path / "jit-cache").exists()
+
+
+@pytest.mark.shared
+def test_a_real_recording(run: Run, shared: Path, tmp_path: Path) -> None:
+    glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    arguments = ("--preset", "tiny", "--frames", "2600:2630", "--definition", "paper", "--json")
+    status, out, err = run("retarget", glove, "--output", tmp_path / "out.npz", *arguments)
+    assert status == 0, err
+    metrics = json.loads(out)
+    assert metrics["definition"] == "paper"
+    assert metrics["cosine_similarity"] > 0.8
+    assert metrics["latency_ms"]["p50"] > 0

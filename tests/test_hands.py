@@ -1,0 +1,485 @@
+"""Robot hands: the built-in one against the published model, and any MJCF or URDF of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trees import limited_poses, mujoco_points, pincer, pincer_spec
+
+from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hands.catalogue import hand_names, load_hand
+from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.landmarks import LANDMARKS
+
+
+def mujoco_landmarks(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(T, k, 3) landmarks of a hand by MuJoCo's own kinematics, for positions of all joints."""
+    spec = hand.spec
+    points = [spec.wrist, *(p for finger in spec.fingers for p in finger.points if p is not None)]
+    placed = [
+        (int(hand.model.body(p.body).id), np.array((p.mirrored if spec.mirror else p).offset))
+        for p in points
+    ]
+    return mujoco_points(hand.model, int(hand.model.body(spec.palm).id), placed, q)
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings to a log in the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+# The built-in hand
+
+
+@pytest.fixture
+def published(shared: Path) -> Hand:
+    """The same description on the published model."""
+    spec = load_hand("mimic_p050").spec
+    return load_hand_spec(replace(spec, model=shared / "hands/mimic_p050_hand/right_hand.xml"))
+
+
+@pytest.mark.shared
+def test_the_mimic_hand_is_the_published_one(published: Hand) -> None:
+    ours = load_hand("mimic_p050", "right")
+    assert ours.joint_names == published.joint_names
+    assert len(ours.joint_names) == 20
+    assert ours.actuated_names == published.actuated_names
+    assert len(ours.actuated) == 16
+    np.testing.assert_allclose(ours.joint_limits, published.joint_limits, atol=1e-9)
+    np.testing.assert_allclose(ours.limits, published.limits, atol=1e-9)
+    np.testing.assert_allclose(ours.neutral, published.neutral, atol=1e-9)
+
+
+@pytest.mark.shared
+def test_every_landmark_is_where_the_published_model_has_it(published: Hand) -> None:
+    ours = load_hand("mimic_p050", "right")
+    q = limited_poses(np.random.default_rng(0), ours.limits, 1000)
+    theirs = mujoco_landmarks(published, published.expand(q))
+    positions = ours.landmark_positions(q)
+    assert positions.shape == (1000, 21, 3)
+    assert np.linalg.norm(positions - theirs, axis=-1).max() < 1e-6
+
+
+def test_landmarks_are_named_as_the_humans_and_in_their_order() -> None:
+    assert load_hand("mimic_p050").tree.names == LANDMARKS
+    assert hand_names() == ("mimic_p050",)
+
+
+def test_the_left_hand_mirrors_the_right() -> None:
+    right, left = load_hand("mimic_p050", "right"), load_hand("mimic_p050", "left")
+    assert (right.spec.side, left.spec.side) == ("right", "left")
+    assert left.joint_names == right.joint_names
+    np.testing.assert_array_equal(left.limits, right.limits)
+    q = limited_poses(np.random.default_rng(1), right.limits, 100)
+    mirrored = right.landmark_positions(q) * (-1, 1, 1)
+    np.testing.assert_allclose(left.landmark_positions(q), mirrored, atol=1e-12)
+    np.testing.assert_allclose(mujoco_landmarks(left, left.expand(q)), mirrored, atol=1e-12)
+
+
+def test_mirroring_slides_and_anchors(tmp_path: Path) -> None:
+    spec = pincer(tmp_path, t1='type="slide" range="0 0.02"', i2='pos="0.01 0.01 0.01" range="0 1"')
+    right = load_hand(spec)
+    left = load_hand(replace(spec, mirror=True, side="left"))
+    q = limited_poses(np.random.default_rng(2), right.limits, 20)
+    np.testing.assert_allclose(
+        left.landmark_positions(q), right.landmark_positions(q) * (-1, 1, 1), atol=1e-12
+    )
+
+
+def test_coupled_joints_of_the_mimic_hand() -> None:
+    hand = load_hand()
+    assert {c.joint for c in hand.couplings} == {
+        f"{finger}_mp2dp" for finger in ("index", "middle", "ring", "pinky")
+    }
+    q = limited_poses(np.random.default_rng(3), hand.limits, 5)
+    every = dict(zip(hand.joint_names, hand.expand(q).T, strict=True))
+    for finger in ("index", "middle", "ring", "pinky"):
+        np.testing.assert_array_equal(every[f"{finger}_mp2dp"], every[f"{finger}_pp2mp"])
+    for name, row in zip(hand.actuated_names, q.T, strict=True):
+        np.testing.assert_array_equal(every[name], row)
+
+
+def test_rows_and_vectors_expand_alike(tmp_path: Path) -> None:
+    hand = load_hand(pincer(tmp_path, equality=LINE))
+    q = limited_poses(np.random.default_rng(4), hand.limits, 7)
+    rows = hand.expand_rows([np.asarray(row) for row in q.T])
+    np.testing.assert_allclose(np.stack(rows, axis=-1), hand.expand(q), atol=1e-12)
+    np.testing.assert_array_equal(hand.expand(q[0]), hand.expand(q)[0])
+
+
+def test_tips_are_the_tip_landmarks() -> None:
+    hand = load_hand()
+    q = limited_poses(np.random.default_rng(5), hand.limits, 4)
+    tips = hand.tips(hand.expand(q))
+    np.testing.assert_array_equal(tips, hand.landmark_positions(q)[:, [4, 8, 12, 16, 20]])
+
+
+# Couplings
+
+
+LINE = '<joint joint1="i3" joint2="i2" polycoef="0.1 0.5 0 0 0"/>'
+
+
+def test_the_follower_may_be_the_first_joint_of_an_equality(tmp_path: Path) -> None:
+    hand = load_hand(pincer(tmp_path, equality=LINE))
+    assert hand.couplings == (Coupling("i3", "i2", 0.5, 0.1),)
+    assert hand.actuated_names == ("t1", "t2", "i1", "i2")
+    np.testing.assert_allclose(hand.expand([0, 0, 0, 1.0])[-1], 0.6)
+
+
+def test_the_follower_may_be_the_second_joint_of_an_equality(tmp_path: Path) -> None:
+    turned = '<joint joint1="i2" joint2="i3" polycoef="0.1 0.5 0 0 0"/>'  # i2 = 0.1 + i3 / 2
+    hand = load_hand(pincer(tmp_path, equality=turned, i3='range="-3 5"'))
+    assert hand.actuated_names == ("t1", "t2", "i1", "i2")
+    np.testing.assert_allclose(hand.expand([0, 0, 0, 0.6])[-1], 1.0)
+    np.testing.assert_allclose(hand.expand([0, 0, 0, 0.1])[-1], 0.0, atol=1e-12)
+
+
+def test_an_equality_counts_from_the_references(tmp_path: Path) -> None:
+    """MuJoCo: q1 - q1_0 = c0 + c1 (q2 - q2_0); held against its own constraint residual."""
+    import mujoco
+
+    for equality in (LINE, '<joint joint1="i2" joint2="i3" polycoef="0.1 0.5 0 0 0"/>'):
+        spec = pincer(tmp_path, equality=equality, i2='ref="0.3" range="-1 2"',
+                      i3='ref="-0.2" range="-4 6"')  # fmt: skip
+        hand = load_hand(spec)
+        data = mujoco.MjData(hand.model)
+        for i2 in (0.2, 0.7):
+            data.qpos[:] = hand.expand([0.1, 0.2, 0.3, i2])
+            mujoco.mj_forward(hand.model, data)
+            residual = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+            np.testing.assert_allclose(residual, [0.0], atol=1e-12)
+
+
+def test_followers_of_followers(tmp_path: Path) -> None:
+    chain = (
+        '<joint joint1="i3" joint2="i2" polycoef="0.1 2 0 0 0"/>'
+        '<joint joint1="i2" joint2="i1" polycoef="-0.2 0.5 0 0 0"/>'
+    )
+    hand = load_hand(pincer(tmp_path, equality=chain, actuated=("t1", "t2", "i1")))
+    assert hand.actuated_names == ("t1", "t2", "i1")
+    np.testing.assert_allclose(hand.expand([0, 0, 1.0]), [0, 0, 1.0, 0.3, 0.7])
+
+
+def test_limits_are_narrowed_by_followers(tmp_path: Path) -> None:
+    hand = load_hand(pincer(tmp_path, equality=LINE, i3='range="0 0.6"'))  # i3 = 0.1 + i2 / 2
+    np.testing.assert_allclose(hand.limits[-1], [-0.2, 1.0])
+    np.testing.assert_array_equal(hand.joint_limits[3], [-1, 2])
+    q = hand.expand(limited_poses(np.random.default_rng(6), hand.limits, 500))
+    assert (q >= hand.joint_limits[:, 0] - 1e-12).all()
+    assert (q <= hand.joint_limits[:, 1] + 1e-12).all()
+    falling = '<joint joint1="i3" joint2="i2" polycoef="0.1 -0.5 0 0 0"/>'
+    hand = load_hand(pincer(tmp_path, equality=falling, i3='range="0 0.6"'))
+    np.testing.assert_allclose(hand.limits[-1], [-1.0, 0.2])
+
+
+def test_a_neutral_pose_is_brought_within_the_limits(tmp_path: Path) -> None:
+    spec = pincer(tmp_path, t1='range="0.5 1"')
+    hand = load_hand(replace(spec, neutral={"i1": 0.7, "i2": 9.0}))
+    np.testing.assert_allclose(hand.neutral, [0.5, 0.0, 0.7, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("equality", "message"),
+    [
+        ('<joint joint1="i3" joint2="i2" polycoef="0 1 0.5 0 0"/>', "not a line"),
+        ('<joint joint1="i3" polycoef="0.4 0 0 0 0"/>', "not a line"),
+        ('<joint joint1="i3" joint2="i2" polycoef="0.4 0 0 0 0"/>', "not a line"),
+    ],
+)
+def test_couplings_that_are_not_lines_are_refused(
+    tmp_path: Path, equality: str, message: str
+) -> None:
+    with pytest.raises(HandModelError, match=message):
+        load_hand(pincer(tmp_path, equality=equality))
+
+
+def test_an_inactive_equality_is_none(tmp_path: Path) -> None:
+    inactive = LINE.replace("/>", ' active="false"/>')
+    hand = load_hand(pincer(tmp_path, equality=inactive))
+    assert hand.couplings == ()
+    assert hand.expand([0, 0, 0, 1.0])[-1] == 0  # nothing drives it: it stays
+
+
+def test_followers_in_a_ring_are_refused(tmp_path: Path) -> None:
+    ring = (
+        '<joint joint1="i3" joint2="i2" polycoef="0 1 0 0 0"/>'
+        '<joint joint1="i2" joint2="i3" polycoef="0 1 0 0 0"/>'
+    )
+    with pytest.raises(HandModelError, match="nothing drives"):
+        load_hand(pincer(tmp_path, equality=ring, actuated=("t1", "t2", "i1")))
+
+
+# URDF
+
+URDF = """<robot name="pincer">
+  <link name="palm">{visual}</link>
+  <link name="t1">{mass}</link><link name="t2">{mass}</link>
+  <link name="i1">{mass}</link><link name="i2">{mass}</link><link name="i3"/><link name="i_tip"/>
+  <joint name="t1" type="revolute"><parent link="palm"/><child link="t1"/>
+    <origin xyz="0.03 0 0.01"/><axis xyz="0 1 0"/><limit lower="-1" upper="2"/></joint>
+  <joint name="t2" type="revolute"><parent link="t1"/><child link="t2"/>
+    <origin xyz="0 0 0.03"/><axis xyz="1 0 0"/><limit lower="-1" upper="2"/></joint>
+  <joint name="i1" type="revolute"><parent link="palm"/><child link="i1"/>
+    <origin xyz="0 0.01 0.05" rpy="0.1 0.2 0.3"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="2"/></joint>
+  <joint name="i2" type="revolute"><parent link="i1"/><child link="i2"/>
+    <origin xyz="0 0 0.03"/><axis xyz="1 0 0"/><limit lower="-1" upper="2"/>{mimic2}</joint>
+  <joint name="i3" type="revolute"><parent link="i2"/><child link="i3"/>
+    <origin xyz="0 0 0.02"/><axis xyz="1 0 0"/><limit lower="-0.5" upper="1.2"/>{mimic}</joint>
+  <joint name="i_tip" type="fixed"><parent link="i3"/><child link="i_tip"/>
+    <origin xyz="0 0.01 0.02"/></joint>
+</robot>"""
+MASS = (  # an inertia that no body has
+    '<inertial><mass value="0.1"/>'
+    '<inertia ixx="1" iyy="1" izz="9" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+MISSING = (
+    '<visual><geometry><mesh filename="package://robot/meshes/none.stl"/></geometry></visual>'
+    + ('<collision><geometry><mesh filename="meshes/none.obj"/></geometry></collision>')
+)
+
+
+def urdf(folder: Path, *, mimic: str = "", mimic2: str = "", visual: str = "") -> HandSpec:
+    path = folder / "pincer.urdf"
+    path.write_text(URDF.format(mimic=mimic, mimic2=mimic2, visual=visual, mass=MASS))
+    spec = pincer_spec(path)
+    return replace(
+        spec,
+        fingers=(
+            spec.fingers[0],
+            FingerSpec("index", (Point("i1"), Point("i2"), Point("i3"), Point("i_tip"))),
+        ),
+    )
+
+
+def test_a_urdf_with_a_mimic(tmp_path: Path) -> None:
+    hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2" multiplier="0.5" offset="-0.1"/>'))
+    assert hand.couplings == (Coupling("i3", "i2", 0.5, -0.1),)
+    assert hand.joint_names == ("t1", "t2", "i1", "i2", "i3")
+    assert hand.actuated_names == ("t1", "t2", "i1", "i2")
+    np.testing.assert_allclose(hand.expand([0, 0, 0, 1.0])[-1], 0.4)
+    np.testing.assert_allclose(hand.limits[-1], [-0.8, 2.0])  # -0.5 = 0.5 q - 0.1
+    q = limited_poses(np.random.default_rng(7), hand.limits, 20)
+    np.testing.assert_allclose(
+        hand.landmark_positions(q), mujoco_landmarks(hand, hand.expand(q)), atol=1e-12
+    )
+    # the fingertip is a link on a fixed joint, which the compiler must not have folded away
+    at_rest = hand.landmark_positions([0, 0, 0, 0.2])  # i3 = 0
+    dip, tip = (hand.tree.names.index(f"index_{name}") for name in ("dip", "tip"))
+    np.testing.assert_allclose(np.linalg.norm(at_rest[tip] - at_rest[dip]), np.hypot(0.01, 0.02))
+
+
+def test_mimic_defaults_and_chains(tmp_path: Path) -> None:
+    hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>',
+                          mimic2='<mimic joint="i1" multiplier="-1" offset="0.3"/>'))  # fmt: skip
+    np.testing.assert_allclose(hand.expand([0, 0, 0.2]), [0, 0, 0.2, 0.1, 0.1])
+    np.testing.assert_allclose(hand.limits[-1], [-0.9, 0.8])  # 0.3 - q within [-0.5, 1.2]
+
+
+def test_missing_meshes_do_not_matter(tmp_path: Path) -> None:
+    bare = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>'))
+    hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>', visual=MISSING))
+    q = limited_poses(np.random.default_rng(8), hand.limits, 5)
+    np.testing.assert_array_equal(hand.landmark_positions(q), bare.landmark_positions(q))
+
+
+def test_missing_meshes_of_an_mjcf_do_not_matter(tmp_path: Path) -> None:
+    spec = pincer(tmp_path)
+    bare = load_hand(spec)
+    text = spec.model.read_text()
+    text = text.replace("<worldbody>", '<asset><mesh name="m" file="no.stl"/></asset><worldbody>')
+    text = text.replace('<geom size="0.01"/>', '<geom type="mesh" mesh="m"/>')
+    spec.model.write_text(text)
+    hand = load_hand(spec)
+    q = limited_poses(np.random.default_rng(9), hand.limits, 5)
+    np.testing.assert_array_equal(hand.landmark_positions(q), bare.landmark_positions(q))
+    with pytest.raises(HandModelError, match="meshes can't be mirrored"):
+        load_hand(replace(spec, mirror=True, side="left"))
+
+
+def test_a_mimic_of_an_unknown_joint_or_without_numbers(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown joint 'i9'.*Available"):
+        load_hand(urdf(tmp_path, mimic='<mimic joint="i9"/>'))
+    with pytest.raises(HandModelError, match="multiplier"):
+        load_hand(urdf(tmp_path, mimic='<mimic joint="i2" multiplier="half"/>'))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("model", "palm", "thumb", "index", "couplings", "actuated"),
+    [
+        ("inspire_hand/inspire_hand_right", "hand_base_link",
+         ("thumb_proximal_base", "thumb_tip"), ("index_proximal", "index_tip"), 6, 6),
+        ("inspire_hand/inspire_hand_left", "hand_base_link",
+         ("thumb_proximal_base", "thumb_tip"), ("index_proximal", "index_tip"), 6, 6),
+        ("ability_hand/ability_hand_right", "base", ("thumb_L1", "thumb_tip"),
+         ("index_L1", "index_tip"), 4, 6),
+        ("schunk_hand/schunk_svh_hand_right", "right_hand_base_link",
+         ("right_hand_a", "thtip"), ("right_hand_virtual_l", "fftip"), 11, 9),
+    ],
+)  # fmt: skip
+def test_published_urdfs(
+    shared: Path,
+    model: str,
+    palm: str,
+    thumb: tuple[str, str],
+    index: tuple[str, str],
+    couplings: int,
+    actuated: int,
+) -> None:
+    """Their meshes are not at hand; half of their joints follow others."""
+    fingers = tuple(
+        FingerSpec(name, (Point(base), None, None, Point(tip)))
+        for name, (base, tip) in (("thumb", thumb), ("index", index))
+    )
+    spec = HandSpec("vendor", "right", shared / f"hands_urdf/{model}.urdf", palm, Point(palm),
+                    fingers, align=("wrist", "thumb", "index"))  # fmt: skip
+    hand = load_hand(spec)
+    assert (len(hand.couplings), len(hand.actuated)) == (couplings, actuated)
+    q = limited_poses(np.random.default_rng(10), hand.limits, 50)
+    every = hand.expand(q)
+    assert (every >= hand.joint_limits[:, 0] - 1e-9).all()
+    assert (every <= hand.joint_limits[:, 1] + 1e-9).all()
+    np.testing.assert_allclose(
+        hand.landmark_positions(q), mujoco_landmarks(hand, every), atol=1e-12
+    )
+
+
+# What is refused
+
+
+def broken(text: str) -> Callable[[HandSpec], HandSpec]:
+    def write(spec: HandSpec) -> HandSpec:
+        spec.model.write_text(text)
+        return spec
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: replace(s, model=s.model.with_name("no.xml")), "no hand model at .*no.xml"),
+        (broken("<mujoco>"), "not well-formed XML"),
+        (broken("<sdf/>"), "starts with <sdf>; expected <mujoco>"),
+        (broken("<mujoco><worldbody><robot/></worldbody></mujoco>"), "MuJoCo can't read"),
+        (broken("<mujoco><worldbody><body name='palm'><joint/></body></worldbody></mujoco>"),
+         "body 't1'|MuJoCo can't compile|unknown body"),
+    ],
+)  # fmt: skip
+def test_files_that_are_no_hand(
+    tmp_path: Path, change: Callable[[HandSpec], HandSpec], message: str
+) -> None:
+    with pytest.raises((HandModelError, UnknownNameError), match=message):
+        load_hand(change(pincer(tmp_path)))
+
+
+def test_unknown_names(tmp_path: Path) -> None:
+    spec = pincer(tmp_path)
+    with pytest.raises(UnknownNameError, match=r"unknown body 'plam'. Did you mean 'palm'\?"):
+        load_hand(replace(spec, palm="plam"))
+    with pytest.raises(UnknownNameError, match="unknown body 'i9'"):
+        load_hand(replace(spec, wrist=Point("i9")))
+    with pytest.raises(UnknownNameError, match="unknown joint 'i9'"):
+        load_hand(replace(spec, neutral={"i9": 0.0}))
+    with pytest.raises(UnknownNameError, match=r"unknown hand 'mimic'.*mimic_p050"):
+        load_hand("mimic")
+
+
+def test_a_wrist_that_moves_is_refused(tmp_path: Path) -> None:
+    hand = load_hand(replace(pincer(tmp_path), wrist=Point("i2")))
+    with pytest.raises(HandModelError, match=r"'wrist'.* must be fixed to the palm"):
+        _ = hand.wrist
+
+
+@pytest.mark.parametrize(
+    ("joints", "message"),
+    [
+        ({"i1": ""}, r"joint 'i1' has the limits \[-inf, inf\]"),
+        ({"i1": 'range="1 -1"'}, "'i1'|range"),
+        ({"i1": 'range="0.5 0.5"', "i2": ""}, "'i1'|range"),
+        ({"i1": 'type="ball" range="0 1"'}, "'i1' is a ball or free joint"),
+    ],
+)
+def test_joints_that_can_not_be_commanded(
+    tmp_path: Path, joints: dict[str, str], message: str
+) -> None:
+    with pytest.raises(HandModelError, match=message):
+        load_hand(pincer(tmp_path, **joints))
+
+
+def test_followers_that_leave_no_room_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(HandModelError, match=r"joint 'i2' has the limits .*coupled joints"):
+        load_hand(pincer(tmp_path, equality=LINE, i3='range="5 6"'))
+
+
+def test_a_hand_without_joints_to_command_is_refused(tmp_path: Path) -> None:
+    """Every joint follows another: nothing is left to command."""
+    ring = (
+        '<joint joint1="i3" joint2="i2" polycoef="0 1 0 0 0"/>'
+        '<joint joint1="i2" joint2="i3" polycoef="0 1 0 0 0"/>'
+    )
+    with pytest.raises(HandModelError, match="no joint that can be commanded"):
+        load_hand(pincer(tmp_path, equality=ring, actuated=("i2", "i3")))
+
+
+# Descriptions
+
+
+def finger(name: str) -> FingerSpec:
+    return FingerSpec(name, (Point("t1"), None, None, Point("t2")))
+
+
+@pytest.mark.parametrize(
+    ("names", "align", "message"),
+    [
+        (("thumb",), ("thumb", "wrist"), "has 1 fingers; expected two to five"),
+        ((), (), "has 0 fingers"),
+        (("thumb", "index", "middle", "ring", "pinky", "pinky"), ("thumb",), "has 6 fingers"),
+        (("thumb", "index", "index"), ("thumb",), "names a finger twice"),
+        (("index", "thumb"), ("thumb",), "first finger must be the thumb, not 'index'"),
+        (("thumb", "index", "middle"), ("thumb", "index", "pinky"), r"align names \['pinky'\]"),
+        (("thumb", "index"), ("thumb", "index"), "three different landmarks.*'wrist'"),
+        (("thumb", "index"), ("thumb", "index", "index"), "three different landmarks"),
+    ],
+)
+def test_descriptions_are_checked(
+    names: tuple[str, ...], align: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(HandModelError, match=message):
+        HandSpec("h", "right", Path("h.xml"), "palm", Point("palm"),
+                 tuple(finger(name) for name in names), align)  # fmt: skip
+
+
+def test_fingers_are_checked() -> None:
+    with pytest.raises(HandModelError, match="named after a human one"):
+        finger("toe")
+    with pytest.raises(HandModelError, match="needs a base point and a tip point"):
+        FingerSpec("thumb", (None, None, None, Point("t2")))
+    with pytest.raises(HandModelError, match="needs a base point and a tip point"):
+        FingerSpec("thumb", (Point("t1"), None, None, None))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_two_to_five_fingers(count: int) -> None:
+    spec = load_hand().spec
+    fewer = replace(spec, fingers=spec.fingers[:count], align=("wrist", "thumb", "index"))
+    hand = load_hand(fewer)
+    assert len(hand.fingers) == len(hand.tip_names) == count
+    assert hand.align_points.shape == (3, 3)
+    np.testing.assert_array_equal(hand.align_points[0], hand.wrist)
+    assert len(hand.joint_names) == 20  # the joints of the fingers left out are still commanded
+
+
+def test_a_model_file_can_be_read_on_its_own(tmp_path: Path) -> None:
+    model, couplings = load_model(pincer(tmp_path, equality=LINE).model)
+    assert model.njnt == 5
+    assert [c.joint for c in couplings] == ["i3"]

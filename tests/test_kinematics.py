@@ -1,0 +1,188 @@
+"""Kinematics against MuJoCo's, on the built-in hands and on random trees, and by differences."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from trees import (
+    float64,
+    limited_poses,
+    mujoco_points,
+    random_model,
+    random_palm,
+)
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.kinematics import KinematicTree, build_tree
+
+SEEDS = range(12)
+
+
+def random_tree(
+    seed: int,
+) -> tuple[mujoco.MjModel, int, list[tuple[int, np.ndarray]], KinematicTree]:
+    model = random_model(seed)
+    rng = np.random.default_rng([seed, 1])
+    palm, under = random_palm(model, rng)
+    points = [(b, rng.normal(0, 0.03, 3)) for b in [palm, *under]]
+    tree = build_tree(model, palm, {f"p{i}": point for i, point in enumerate(points)})
+    return model, palm, points, tree
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_random_trees_equal_mujoco(seed: int) -> None:
+    model, palm, points, tree = random_tree(seed)
+    # over any angle, not only within the limits, and with whatever moves the palm itself
+    q = np.random.default_rng([seed, 2]).uniform(-3, 3, (25, model.njnt))
+    ours = tree.positions(q)
+    assert ours.shape == (25, len(points), 3)
+    assert ours.dtype == np.float64
+    np.testing.assert_allclose(ours, mujoco_points(model, palm, points, q), atol=1e-12)
+
+
+def test_the_random_trees_hold_every_case() -> None:
+    """The generator must not quietly stop making what it is there to make."""
+    seen: set[str] = set()
+    for seed in SEEDS:
+        model, palm, _, tree = random_tree(seed)
+        seen |= {"palm below the root"} if model.body_parentid[palm] > 0 else set()
+        seen |= {"several joints on a body"} if (model.body_jntnum > 1).any() else set()
+        seen |= {"fixed body"} if (model.body_jntnum[1:] == 0).any() else set()
+        seen |= {"reference"} if model.qpos0.any() else set()
+        seen |= {"slide" if joint.slide else "hinge" for joint in tree.joints}
+        parents = [joint.parent for joint in tree.joints]
+        seen |= {"branch"} if len(set(parents)) < len(parents) else set()
+        seen |= {"slide above"} if any(p >= 0 and tree.joints[p].slide for p in parents) else set()
+    assert seen == {
+        "palm below the root", "several joints on a body", "fixed body", "reference", "slide",
+        "hinge", "branch", "slide above",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_mimic_hand_equals_mujoco(side: str) -> None:
+    hand = load_hand("mimic_p050", side)
+    points = []
+    for finger in hand.spec.fingers:
+        for point in finger.points:
+            assert point is not None
+            offset = np.array((point.mirrored if hand.spec.mirror else point).offset)
+            points.append((int(hand.model.body(point.body).id), offset))
+    q = hand.expand(limited_poses(np.random.default_rng(0), hand.limits, 200))
+    theirs = mujoco_points(hand.model, hand.model.body("base_link").id, points, q)
+    assert hand.tree.names[0] == "wrist"
+    np.testing.assert_allclose(hand.tree.positions(q)[:, 1:], theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_polynomials_within_limits_are_accurate(seed: int) -> None:
+    hand = load_hand("mimic_p050", "right") if seed == 0 else None
+    tree = hand.tree if hand else random_tree(seed)[3]
+    q = limited_poses(np.random.default_rng(seed), tree.limits, 5000)
+    ends = np.stack([tree.limits[:, 0], tree.limits[:, 1]])
+    q = np.concatenate([q, ends])  # where Chebyshev polynomials are at their worst
+    rows = [jnp.asarray(row, jnp.float32) for row in q.T]
+    fast = jax.jit(lambda rows: tree.walk(rows, tree.names, within_limits=True))(rows)
+    got = np.stack([np.stack([np.broadcast_to(c, len(q)) for c in p], -1) for p in fast], -2)
+    assert abs(got - tree.positions(q)).max() < 1e-6
+
+
+def test_polynomials_of_a_joint_that_turns_round_and_round() -> None:
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom size="0.1"/>'
+        '<body name="tip"><joint axis="0 0 1" range="-12 12"/><geom size="0.1"/></body>'
+        "</body></worldbody></mujoco>"
+    )
+    model = spec.compile()
+    tree = build_tree(model, model.body("palm").id, {"p": (2, np.array([0.1, 0.0, 0.0]))})
+    q = np.linspace(-12, 12, 2001)[:, None]
+    rows = [jnp.asarray(q[:, 0], jnp.float32)]
+    x, y, _ = tree.walk(rows, ("p",), within_limits=True)[0]
+    assert np.hypot(x - 0.1 * np.cos(q[:, 0]), y - 0.1 * np.sin(q[:, 0])).max() < 1e-6
+
+
+def test_batch_shapes_and_kinds() -> None:
+    tree = load_hand().tree
+    q = limited_poses(np.random.default_rng(1), np.nan_to_num(tree.limits), 12)
+    flat = tree.positions(q)
+    assert tree.positions(q[0]).shape == (len(tree.names), 3)
+    np.testing.assert_array_equal(tree.positions(q.reshape(3, 4, -1)).reshape(flat.shape), flat)
+    assert tree.positions(q[:0]).shape == (0, len(tree.names), 3)
+    traced = jax.jit(tree.positions)(jnp.asarray(q, jnp.float32))
+    assert traced.dtype == jnp.float32
+    np.testing.assert_allclose(traced, flat, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_gradients_by_finite_differences(seed: int) -> None:
+    _, _, _, tree = random_tree(seed)
+    q = limited_poses(np.random.default_rng(seed), tree.limits, 1)[0]
+    step = 1e-6
+    numeric = np.stack(
+        [(tree.positions(q + e) - tree.positions(q - e)) / (2 * step)
+         for e in step * np.eye(len(q))], axis=-1,
+    )  # fmt: skip
+    with float64():
+        exact = jax.jit(jax.jacfwd(tree.positions))(jnp.asarray(q))
+        assert exact.dtype == jnp.float64
+        np.testing.assert_allclose(exact, numeric, atol=1e-8)
+    assert abs(numeric).max() > 0.1
+
+
+@pytest.mark.parametrize("seed", [1, 5, 8])
+def test_points_with_derivatives(seed: int) -> None:
+    """Points, velocities and curvature against the walk and against differences of it."""
+    _, _, _, tree = random_tree(seed)
+    rng = np.random.default_rng(seed)
+    names = tree.names[:2] + tree.names[-3:]  # the first is on the palm: nothing moves it
+    at = [tree.names.index(name) for name in names]
+    motion_of = PointKinematics(tree, names)
+    order = list(motion_of.order)
+    assert sorted(order) == sorted(joint.source for joint in tree.joints)
+    q, force = limited_poses(rng, tree.limits, 1)[0], rng.standard_normal((len(names), 3))
+    step = 1e-6
+    around = [q + sign * step * e for e in np.eye(len(q))[order] for sign in (1, -1)]
+    with float64():
+        program = jax.jit(motion_of.__call__)
+        motion = program(q)
+        bend = motion_of.curvature(motion, jnp.asarray(force))
+        slopes = np.array([np.einsum("fc,fjc->j", force, program(p).velocities) for p in around])
+    points = tree.positions(np.stack(around))[:, at]
+    np.testing.assert_allclose(motion.points, tree.positions(q)[at], atol=1e-12)
+    velocities = (points[0::2] - points[1::2]) / (2 * step)
+    np.testing.assert_allclose(motion.velocities, np.moveaxis(velocities, 0, 1), atol=1e-8)
+    hessian = (slopes[0::2] - slopes[1::2]) / (2 * step)
+    np.testing.assert_allclose(bend, hessian, atol=1e-8)
+    assert not np.asarray(motion.velocities[0]).any()
+    assert abs(hessian).max() > 1e-3
+
+
+@pytest.mark.parametrize("joint", ['type="ball"', 'type="free"'])
+def test_ball_and_free_joints_are_refused(joint: str) -> None:
+    where = "palm" if "ball" in joint else "worldbody"
+    inner = f'<body name="tip"><joint name="loose" {joint}/><geom size="0.1"/></body>'
+    text = (
+        f'<mujoco><worldbody>{inner if where == "worldbody" else ""}<body name="palm">'
+        f'<geom size="0.1"/>{inner if where == "palm" else ""}</body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    palm = 0 if where == "worldbody" else model.body("palm").id
+    with pytest.raises(HandModelError, match="'loose' is a ball or free joint"):
+        build_tree(model, palm, {"p": (model.body("tip").id, np.zeros(3))})
+
+
+def test_a_point_that_does_not_hang_from_the_palm_is_refused() -> None:
+    model = random_model(0)
+    leaf = next(b for b in range(1, model.nbody) if not (model.body_parentid == b).any())
+    with pytest.raises(HandModelError, match="'root' does not hang from the palm"):
+        build_tree(model, leaf, {"p": (model.body("root").id, np.zeros(3))})
+    other = next(
+        b for b in range(1, model.nbody) if b != leaf and not (model.body_parentid == b).any()
+    )
+    with pytest.raises(HandModelError, match="choose a palm further up the tree"):
+        build_tree(model, leaf, {"p": (other, np.zeros(3))})

@@ -1,0 +1,121 @@
+"""The projected Newton polish against bounded reference solvers."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear, minimize
+from trees import float64
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
+
+
+def expansion(cost):
+    """Costs, gradients and Hessians of a few candidates, by automatic differentiation."""
+    return jax.vmap(lambda q: (cost(q), jax.grad(cost)(q), jax.hessian(cost)(q)))
+
+
+def solve(cost, start, limits, config=NewtonConfig(iterations=20)):  # noqa: B008
+    """The point found; the cost that comes with it is checked here."""
+    with float64():
+        run = jax.jit(lambda start: newton_minimise(expansion(cost), start, limits, config))
+        found, value = run(jnp.asarray(start, jnp.float64))
+        if np.isfinite(value):
+            np.testing.assert_allclose(value, cost(found), rtol=1e-12)
+        return np.asarray(found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_convex_quadratic_within_bounds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    matrix, goal = rng.standard_normal((8, 6)), rng.standard_normal(8)
+    limits = np.sort(rng.uniform(-1.0, 1.2, (6, 2)), axis=1)
+    reference = lsq_linear(matrix, goal, limits.T, tol=1e-14)
+    found = solve(lambda q: ((matrix @ q - goal) ** 2).sum(), limits.mean(axis=1), limits)
+    assert 0 < (reference.active_mask != 0).sum() < 6  # some limits bind, some do not
+    np.testing.assert_allclose(found, reference.x, atol=1e-7)
+
+
+def test_a_free_quadratic_takes_one_step() -> None:
+    rng = np.random.default_rng(4)
+    root, best = rng.standard_normal((5, 5)), rng.uniform(-0.5, 0.5, 5)
+    limits = np.tile([-5.0, 5.0], (5, 1))
+    found = solve(lambda q: ((root @ (q - best)) ** 2).sum(), np.ones(5), limits,
+                  NewtonConfig(iterations=1, damping=(0.0,)))  # fmt: skip
+    np.testing.assert_allclose(found, best, atol=1e-9)
+
+
+def test_a_minimum_beyond_all_bounds_ends_in_the_corner() -> None:
+    limits = np.array([[0.2, 0.9], [-0.7, -0.1], [0.3, 0.4]])
+    found = solve(lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(),
+                  limits.mean(axis=1), limits)  # fmt: skip
+    np.testing.assert_array_equal(found, [0.9, -0.7, 0.4])
+    # and from the wrong corner, where every variable has to let go of its bound
+    found = solve(lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(),
+                  np.array([0.2, -0.1, 0.3]), limits)  # fmt: skip
+    np.testing.assert_array_equal(found, [0.9, -0.7, 0.4])
+
+
+def rosenbrock(q):
+    return (100 * (q[1:] - q[:-1] ** 2) ** 2 + (1 - q[:-1]) ** 2).sum()
+
+
+def test_a_curved_valley_equals_l_bfgs_b() -> None:
+    limits = np.array([[-1.5, 0.8], [-1.0, 2.0], [-1.0, 2.0]])
+    found = solve(rosenbrock, np.array([-1.2, 1.0, 0.5]), limits, NewtonConfig(iterations=100))
+    reference = minimize(rosenbrock, [0.5, 0.5, 0.5], bounds=limits, method="L-BFGS-B",
+                         options={"ftol": 1e-15, "gtol": 1e-12})  # fmt: skip
+    assert found[0] == 0.8
+    np.testing.assert_allclose(found, reference.x, atol=1e-5)
+
+
+def wavy(q):
+    return (jnp.cos(3 * q) * jnp.array([1.0, 2.0, 0.5])).sum() + 0.1 * (q**2).sum()
+
+
+def test_it_never_rises_not_even_where_the_hessian_is_indefinite() -> None:
+    rng = np.random.default_rng(5)
+    limits = np.tile([-2.0, 2.0], (3, 1))
+    with float64():
+        config = NewtonConfig(iterations=1, damping=(0.0, 1.0, 20.0))
+        step = jax.jit(lambda start: newton_minimise(expansion(wavy), start, limits, config)[0])
+        curvature = jax.jit(jax.hessian(wavy))
+        descended = 0
+        for start in rng.uniform(-2, 2, (50, 3)):
+            indefinite = np.linalg.eigvalsh(curvature(start)).min() < 0
+            q, costs = start, [float(wavy(start))]
+            for _ in range(8):
+                q = np.asarray(step(q))
+                costs.append(float(wavy(q)))
+            assert (np.diff(costs) <= 0).all()
+            assert (abs(q) <= 2).all()
+            descended += indefinite and costs[-1] < costs[0] - 0.1
+        assert descended > 10
+
+
+def test_a_start_from_which_no_step_descends_is_kept() -> None:
+    """An undamped step from a hilltop goes nowhere, and a Hessian without a factor gives none."""
+    limits = np.tile([-1.0, 1.0], (2, 1))
+    start = np.array([0.3, -0.2])
+    found = solve(lambda q: -(q**2).sum(), start, limits, NewtonConfig(3, (0.0,)))
+    np.testing.assert_array_equal(found, start)
+    found = solve(lambda q: jnp.nan * q.sum(), start, limits)
+    np.testing.assert_array_equal(found, start)
+
+
+def test_no_iterations_return_the_start_untouched() -> None:
+    start, limits = jnp.array([0.1, 0.2]), np.tile([-1.0, 1.0], (2, 1))
+    found, cost = newton_minimise(
+        expansion(lambda q: (q**2).sum()), start, limits, NewtonConfig(iterations=0)
+    )
+    assert found is start
+    assert float(cost) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("bad", [{"iterations": -1}, {"damping": ()}, {"damping": (-1.0, 0.0)}])
+def test_settings_are_checked(bad: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        NewtonConfig(**bad)  # type: ignore[arg-type]

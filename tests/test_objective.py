@@ -1,0 +1,314 @@
+"""Keyvectors, DexPilot's latches, and Eq. (1) with its derivatives, against plain NumPy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from trees import float64, limited_poses
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS, LANDMARKS
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.local import LocalObjective
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, Targets
+
+FIVE = KeyvectorLayout(FINGERS)
+
+
+# Keyvectors
+
+
+def test_five_fingers_have_fifteen_keyvectors_in_order() -> None:
+    assert FIVE.pairs == (
+        (0, 1), (0, 2), (0, 3), (0, 4), (0, 5),
+        (1, 2), (1, 3), (1, 4), (1, 5),
+        (2, 3), (2, 4), (2, 5), (3, 4), (3, 5), (4, 5),
+    )  # fmt: skip
+    assert FIVE.pairs[FIVE.thumb] == ((1, 2), (1, 3), (1, 4), (1, 5))
+    assert FIVE.between == (
+        (9, 0, 1), (10, 0, 2), (11, 0, 3), (12, 1, 2), (13, 1, 3), (14, 2, 3),
+    )  # fmt: skip
+    assert [LANDMARKS[i] for i in FIVE.landmarks] == ["wrist", *(f"{f}_tip" for f in FINGERS)]
+
+
+@pytest.mark.parametrize(("fingers", "count"), [(2, 3), (3, 6), (4, 10), (5, 15)])
+def test_fewer_fingers_have_fewer(fingers: int, count: int) -> None:
+    layout = KeyvectorLayout(FINGERS[:fingers])
+    assert len(layout.pairs) == count
+    assert len(layout.pairs[layout.thumb]) == fingers - 1
+    assert all(pair[0] == 1 for pair in layout.pairs[layout.thumb])
+    assert len(layout.between) == (fingers - 1) * (fingers - 2) // 2
+
+
+def test_fingers_left_out_are_left_out_of_the_landmarks() -> None:
+    layout = KeyvectorLayout(("thumb", "middle", "pinky"))
+    assert [LANDMARKS[i] for i in layout.landmarks] == [
+        "wrist", "thumb_tip", "middle_tip", "pinky_tip",
+    ]  # fmt: skip
+
+
+def test_human_and_robot_keyvectors() -> None:
+    rng = np.random.default_rng(0)
+    landmarks = rng.normal(0, 0.1, (7, 21, 3))
+    points = landmarks[:, [0, 4, 8, 12, 16, 20]]
+    by_hand = np.stack([points[:, j] - points[:, i] for i, j in combinations(range(6), 2)], axis=1)
+    order = [list(combinations(range(6), 2)).index(pair) for pair in FIVE.pairs]
+    np.testing.assert_allclose(FIVE.human(landmarks), by_hand[:, order], atol=1e-15)
+    robot = FIVE.robot(points[:, 1:] - points[:, :1], np.zeros(3))
+    np.testing.assert_allclose(robot, FIVE.human(landmarks), atol=1e-12)
+    assert isinstance(FIVE.human(jnp.asarray(landmarks)), jax.Array)
+
+
+# Target policies
+
+
+def human_vectors(distances: list[float], layout: KeyvectorLayout = FIVE) -> jax.Array:
+    """Keyvectors of a hand whose thumb tip is so far from each other tip."""
+    rng = np.random.default_rng(1)
+    thumb = np.array([0.05, 0.0, 0.1])
+    directions = rng.standard_normal((len(distances), 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    tips = np.vstack([thumb, thumb + directions * np.array(distances)[:, None]])
+    return jnp.asarray(layout.robot(tips, np.zeros(3)), jnp.float32)
+
+
+def latches(policy: DexPilotTargets, sequence: list[list[float]]) -> list[list[bool]]:
+    latched, seen = jnp.zeros(4, bool), []
+    for distances in sequence:
+        latched = policy(FIVE, human_vectors(distances), latched).latched
+        seen.append([bool(one) for one in latched])
+    return seen
+
+
+def test_a_latch_closes_under_project_and_opens_above_escape() -> None:
+    far = [0.1, 0.1, 0.1]
+    distances = [0.05, 0.012, 0.0101, 0.0099, 0.012, 0.0149, 0.0151, 0.012, 0.0099, 0.03]
+    closed = [False, False, False, True, True, True, False, False, True, False]
+    seen = latches(DexPilotTargets(), [[d, *far] for d in distances])
+    assert [row[0] for row in seen] == closed
+    assert not any(any(row[1:]) for row in seen)
+
+
+def test_fingers_latch_on_their_own() -> None:
+    seen = latches(
+        DexPilotTargets(),
+        [[0.009, 0.1, 0.012, 0.1], [0.012, 0.009, 0.012, 0.1], [0.1, 0.012, 0.1, 0.005]],
+    )
+    assert seen == [
+        [True, False, False, False], [True, True, False, False], [False, True, False, True],
+    ]  # fmt: skip
+
+
+def test_targets_and_weights_of_open_closed_and_latched_pairs() -> None:
+    policy = DexPilotTargets(eta2=0.004, w_set2=0.5, beta=1.2, w_thumb=3.0, w_between=4.0)
+    human = human_vectors([0.005, 0.05, 0.008, 0.06])
+    out = policy(FIVE, human, jnp.zeros(4, bool))
+    length = np.linalg.norm(human, axis=1)
+    closed, both = [5, 7], [10]  # index and ring to the thumb; index to ring
+    for k in range(15):
+        direction = human[k] / length[k]
+        if k in closed:
+            vector, weight = 0.001 * direction, 2.0
+        elif k in both:
+            vector, weight = 0.004 * direction, 0.5
+        else:
+            vector, weight = 1.2 * human[k], 1.0 if k < 5 else 3.0 if k < 9 else 4.0
+        np.testing.assert_allclose(out.vectors[k], vector, atol=1e-7)
+        assert float(out.weights[k]) == weight
+    assert out.vectors.dtype == out.weights.dtype == jnp.float32
+
+
+def test_the_papers_table() -> None:
+    out = DexPilotTargets()(FIVE, human_vectors([0.005, 0.008, 0.1, 0.1]), jnp.zeros(4, bool))
+    lengths = np.linalg.norm(out.vectors, axis=1)
+    np.testing.assert_allclose(lengths[[5, 6, 9]], [0.001, 0.001, 0.0], atol=1e-8)
+    np.testing.assert_array_equal(out.weights, [1, 1, 1, 1, 1, 2, 2, 1, 1, 0, 1, 1, 1, 1, 1])
+
+
+def test_tips_that_coincide_have_no_direction_and_stay_finite() -> None:
+    out = DexPilotTargets()(FIVE, human_vectors([0.0, 0.1, 0.1, 0.1]), jnp.zeros(4, bool))
+    assert np.isfinite(out.vectors).all()
+    assert bool(out.latched[0])
+
+
+def test_blending_spreads_a_latch_over_frames() -> None:
+    policy, latched, closure = DexPilotTargets(blend=0.25), jnp.zeros(4, bool), jnp.zeros(4)
+    human = human_vectors([0.005, 0.005, 0.1, 0.1])
+    away = human_vectors([0.05, 0.05, 0.1, 0.1])
+    shares = []
+    for seen in [human] * 6 + [away] * 5:
+        out = policy(FIVE, seen, latched, closure)
+        latched, closure = out.latched, out.closure
+        share = float(closure[0])
+        shares.append(share)
+        open_, shut = np.asarray(seen[5]), 0.001 * np.asarray(seen[5] / np.linalg.norm(seen[5]))
+        np.testing.assert_allclose(out.vectors[5], (1 - share) * open_ + share * shut, atol=1e-7)
+        np.testing.assert_allclose(out.weights[5], 1 + share, rtol=1e-6)
+        np.testing.assert_allclose(out.weights[9], 1 - share, atol=1e-6)  # index to middle
+        np.testing.assert_allclose(out.vectors[6 + 1], seen[7], atol=1e-7)  # an open finger's
+    assert shares == [0.25, 0.5, 0.75, 1, 1, 1, 0.75, 0.5, 0.25, 0, 0]
+    for blend in (0.0, 1.5):
+        with pytest.raises(ConfigError, match="blend"):
+            DexPilotTargets(blend=blend)
+
+
+@pytest.mark.parametrize("fingers", [2, 3])
+def test_latches_of_hands_with_fewer_fingers(fingers: int) -> None:
+    layout = KeyvectorLayout(FINGERS[:fingers])
+    human = human_vectors([0.005] * (fingers - 1), layout)
+    out = DexPilotTargets()(layout, human, jnp.zeros(fingers - 1, bool))
+    assert out.latched.all()
+    expected = (
+        [1.0] * fingers + [2.0] * (fingers - 1) + [0.0] * (len(layout.pairs) - 2 * fingers + 1)
+    )
+    np.testing.assert_array_equal(out.weights, expected)
+
+
+def test_plain_targets_follow_the_human() -> None:
+    human, latched = human_vectors([0.005, 0.1, 0.1, 0.1]), jnp.array([True, False, False, False])
+    out = PlainTargets(beta=0.9, w_wrist=1.0, w_thumb=2.0, w_between=3.0)(FIVE, human, latched)
+    assert isinstance(out, Targets)
+    np.testing.assert_allclose(out.vectors, 0.9 * human, rtol=1e-6)
+    np.testing.assert_array_equal(out.weights, [1] * 5 + [2] * 4 + [3] * 6)
+    np.testing.assert_array_equal(out.latched, latched)
+
+
+@pytest.mark.parametrize(("project", "escape"), [(0.02, 0.01), (0.0, 0.01), (-1.0, 0.01)])
+def test_distances_of_a_latch_are_checked(project: float, escape: float) -> None:
+    with pytest.raises(ConfigError, match="0 < project <= escape"):
+        DexPilotTargets(project=project, escape=escape)
+
+
+# Eq. (1)
+
+Loss = Literal["smooth_l1", "squared"]
+LOSSES: tuple[Loss, ...] = ("smooth_l1", "squared")
+
+
+def random_goal(hand: Hand, seed: int, velocity_weight: float = 0.1) -> FrameGoal:
+    """Targets some centimetres from a random pose: components on both sides of the transition."""
+    rng = np.random.default_rng(seed)
+    layout = KeyvectorLayout(hand.fingers)
+    q = limited_poses(rng, hand.limits, 2)
+    vectors = layout.robot(hand.tips(hand.expand(q[0])), hand.wrist)
+    vectors = vectors + rng.normal(0, 0.02, vectors.shape)
+    return FrameGoal(vectors, rng.uniform(0, 2, len(vectors)), q[1], velocity_weight)
+
+
+def plain_cost(hand: Hand, config: ObjectiveConfig, q: np.ndarray, goal: FrameGoal) -> float:
+    """Eq. (1), one term after the other."""
+    tips = hand.tips(hand.expand(q))
+    points = np.vstack([hand.wrist, tips])
+    total = 0.0
+    for k, (i, j) in enumerate(KeyvectorLayout(hand.fingers).pairs):
+        for e in points[j] - points[i] - goal.vectors[k]:
+            if config.loss == "squared":
+                loss = e**2
+            elif abs(e) < config.transition:
+                loss = 0.5 * e**2 / config.transition
+            else:
+                loss = abs(e) - 0.5 * config.transition
+            total += goal.weights[k] * loss
+    total += config.pose_weight * ((q - hand.neutral) ** 2).sum()
+    return total + goal.velocity_weight * ((q - goal.previous) ** 2).sum()
+
+
+def named_hand(name: str) -> Hand:
+    if name != "three fingers":
+        return load_hand("mimic_p050", name)
+    spec = load_hand().spec
+    return load_hand(replace(spec, fingers=spec.fingers[:3], align=("thumb", "index", "middle")))
+
+
+@pytest.mark.parametrize(
+    ("name", "loss", "pose", "velocity"),
+    [("right", "smooth_l1", 0.05, 0.1), ("right", "squared", 0.05, 0.0),
+     ("right", "smooth_l1", 0.0, 0.0), ("left", "squared", 0.0, 0.3),
+     ("three fingers", "smooth_l1", 0.05, 0.1)],
+)  # fmt: skip
+def test_the_batch_objective_is_eq_1(name: str, loss: Loss, pose: float, velocity: float) -> None:
+    hand = named_hand(name)
+    config = ObjectiveConfig(loss=loss, pose_weight=pose, velocity_weight=velocity)
+    objective, goal = Objective(hand, config), random_goal(hand, 2, velocity)
+    q = limited_poses(np.random.default_rng(3), hand.limits, 40)
+    expected = [plain_cost(hand, config, row, goal) for row in q]
+    pulls = [
+        config.pose_weight * ((row - hand.neutral) ** 2).sum()
+        + velocity * ((row - goal.previous) ** 2).sum()
+        for row in q
+    ]
+    with float64():
+        # one program for both, compiled once
+        exact, fast, tracking = jax.jit(
+            lambda rows, goal: (
+                objective(rows, goal, within_limits=False),
+                objective(rows, goal),
+                objective.tracking(rows, goal, within_limits=False),
+            )
+        )(list(q.T), goal)
+    np.testing.assert_allclose(exact, expected, rtol=1e-12)
+    np.testing.assert_allclose(fast, expected, rtol=1e-5)
+    np.testing.assert_allclose(tracking, np.subtract(expected, pulls), rtol=1e-10)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_the_local_objective_is_the_same_and_its_derivatives_are_exact(loss: Loss) -> None:
+    hand = load_hand()
+    config = ObjectiveConfig(loss=loss, transition=0.013)
+    objective = Objective(hand, config)
+    local = LocalObjective(objective)
+    goal, step = random_goal(hand, 4), 1e-6
+    q = limited_poses(np.random.default_rng(5), hand.limits, 3)
+    expected = [plain_cost(hand, config, row, goal) for row in q]
+    with float64():
+        derivatives = jax.jit(local.derivatives)
+        slope = jax.jit(lambda row: derivatives(row, goal)[1])
+        for row, cost in zip(q, expected, strict=True):
+            value, gradient, hessian = derivatives(row, goal)
+            np.testing.assert_allclose(value, cost, rtol=1e-12)
+            pull = local.regularisation(jnp.asarray(row), goal)
+            loose = goal._replace(velocity_weight=0.0)
+            tracking = plain_cost(hand, replace(config, pose_weight=0.0), row, loose)
+            np.testing.assert_allclose(value - pull, tracking, rtol=1e-12)
+            steps = step * np.eye(len(row))
+            ahead, behind = (
+                np.array([plain_cost(hand, config, row + sign * e, goal) for e in steps])
+                for sign in (1, -1)
+            )
+            np.testing.assert_allclose(gradient, (ahead - behind) / (2 * step), atol=1e-8)
+            around = [(slope(row + e) - slope(row - e)) / (2 * step) for e in steps]
+            # smooth-L1 bends at the transition: a step across it, of 1e-6, is improbable
+            np.testing.assert_allclose(hessian, np.stack(around), atol=1e-6)
+            np.testing.assert_allclose(hessian, hessian.T, atol=1e-14)
+        few = jax.jit(local.expand)(jnp.asarray(q), goal)
+        for one, row in zip(zip(*few, strict=True), q, strict=True):
+            for ours, theirs in zip(one, derivatives(row, goal), strict=True):
+                np.testing.assert_allclose(ours, theirs, atol=1e-13)
+
+
+def test_no_velocity_term_without_a_previous_command() -> None:
+    """With weight 0 the previous pose must not matter at all, not even to rounding."""
+    hand = load_hand()
+    objective, goal = Objective(hand, ObjectiveConfig()), random_goal(hand, 8, 0.0)
+    rows = [jnp.float32(v) for v in limited_poses(np.random.default_rng(9), hand.limits, 1)[0]]
+    goal = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), goal)
+    moved = goal._replace(previous=goal.previous + 1.0)
+    assert float(objective(rows, goal)) == float(objective(rows, moved))
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"loss": "huber"}, {"transition": 0.0}, {"pose_weight": -1.0}, {"velocity_weight": -0.1}],
+)
+def test_weights_are_checked(bad: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        ObjectiveConfig(**bad)  # type: ignore[arg-type]

@@ -1,0 +1,471 @@
+"""The retargeter as a whole: state, bad frames, limits, both sides, few fingers, round trips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from trees import limited_poses, pincer, random_rotations
+
+from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    align_recording,
+    calibrate_scale,
+    palm_alignment,
+    reference_landmarks,
+)
+from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
+from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.retargeters import retargeter as retargeter_module
+from smooth_operator.retargeters.presets import PRESETS, method_config, method_names
+from smooth_operator.retargeters.retargeter import Retargeter, RetargetState
+from smooth_operator.retargeters.sbr import SbrConfig
+from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.types import HandFrame, HandRecording, Result, Status
+
+FRESH = SbrConfig(sampling=SamplingConfig(samples=128, elites=16, cycles=4))
+"""Random numbers in every frame, as in preset ``paper``, but few of them."""
+
+
+def motion(hand: Hand, count: int, seed: int = 0) -> np.ndarray:
+    """(T, 21, 3) a smooth motion of a human hand that is the robot's, turned, moved and larger;
+    in the middle, thumb and index meet."""
+    rng = np.random.default_rng(seed)
+    ends = limited_poses(rng, hand.limits, 4)
+    at = np.linspace(0, 3, count)
+    q = np.stack([np.interp(at, range(4), column) for column in ends.T], axis=1)
+    landmarks = np.zeros((count, 21, 3))
+    landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.landmark_positions(q)
+    middle = slice(count // 3, count // 2)
+    landmarks[middle, TIPS[1]] = landmarks[middle, TIPS[0]] + (0.003, 0.002, 0.0)
+    return 1.15 * landmarks @ random_rotations(rng).T + rng.normal(0, 0.3, 3)
+
+
+def play(retargeter: Retargeter, frames: Sequence[np.ndarray | HandFrame]) -> list[Result]:
+    """From a fresh state."""
+    state, results = retargeter.init(), []
+    for frame in frames:
+        state, result = retargeter.step(state, frame)
+        results.append(result)
+    return results
+
+
+def positions(results: Sequence[Result]) -> np.ndarray:
+    return np.stack([result.command.positions for result in results])
+
+
+def leaves_equal(a: RetargetState, b: RetargetState) -> bool:
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.array_equal(x, y) for x, y in pairs)
+
+
+@pytest.fixture(scope="module")
+def fresh() -> Retargeter:
+    return Retargeter(config=FRESH)
+
+
+@pytest.fixture(scope="module")
+def realtime() -> Retargeter:
+    return Retargeter()
+
+
+@pytest.fixture(scope="module")
+def frames() -> np.ndarray:
+    return motion(load_hand(), 30)
+
+
+# State
+
+
+def test_the_same_seed_and_frames_give_the_same_commands(
+    fresh: Retargeter, frames: np.ndarray
+) -> None:
+    first, again = positions(play(fresh, frames)), positions(play(fresh, frames))
+    np.testing.assert_array_equal(first, again)
+    state, others = fresh.init(seed=1), []
+    for frame in frames:
+        state, result = fresh.step(state, frame)
+        others.append(result)
+    assert (positions(others) != first).any(axis=1).all()
+
+
+def test_a_new_retargeter_gives_the_same_commands(fresh: Retargeter, frames: np.ndarray) -> None:
+    twin = Retargeter(load_hand(), config=FRESH)
+    np.testing.assert_array_equal(positions(play(twin, frames)), positions(play(fresh, frames)))
+
+
+def test_reset_restores_everything_and_never_recompiles(
+    fresh: Retargeter, frames: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh.warm_up()
+
+    def traced_again(*_: object) -> None:
+        raise AssertionError("the program is compiled a second time")
+
+    monkeypatch.setattr(retargeter_module, "palm_alignment", traced_again)
+    fresh.reset()
+    first = [fresh(frame) for frame in frames[:15]]
+    assert np.asarray(fresh._state.method.latched).any()  # a pinch: something to forget
+    assert int(fresh._state.method.count) == 15
+    fresh.reset()
+    assert leaves_equal(fresh._state, fresh.init())
+    np.testing.assert_array_equal(
+        positions([fresh(frame) for frame in frames[:15]]), positions(first)
+    )
+    fresh.reset(seed=5)
+    fresh(np.full((21, 3), np.nan))
+    fresh(HandFrame(frames[0], stamp=1, valid=np.ones(21, bool)))
+    fresh(frames[0].tolist())
+    fresh(frames[0].astype(np.float32))
+    fresh.reset()
+    fresh.run(HandRecording(frames[:2], np.arange(2.0)), seed=3)
+    with pytest.raises(AssertionError, match="a second time"):  # were it so, this is what happens
+        Retargeter(config=FRESH).warm_up()
+
+
+def test_a_step_changes_nothing_but_what_it_returns(fresh: Retargeter, frames: np.ndarray) -> None:
+    state = fresh.init()
+    for frame in frames[:3]:
+        state, _ = fresh.step(state, frame)
+    copy = jax.tree.map(lambda leaf: np.array(leaf), state)
+    landmarks = frames[3].copy()
+    one_state, one = fresh.step(state, landmarks)
+    fresh.step(one_state, frames[4])
+    np.testing.assert_array_equal(landmarks, frames[3])
+    assert leaves_equal(state, copy)
+    two_state, two = fresh.step(state, frames[3])  # an old state may be used again
+    np.testing.assert_array_equal(one.command.positions, two.command.positions)
+    assert leaves_equal(one_state, two_state)
+    assert not leaves_equal(state, one_state)
+
+
+def test_warming_up_leaves_the_state_alone(fresh: Retargeter, frames: np.ndarray) -> None:
+    fresh.reset()
+    fresh(frames[0])
+    before = fresh._state
+    assert fresh.warm_up() >= 0
+    assert leaves_equal(fresh._state, before)
+
+
+def test_a_run_is_what_a_loop_gives(fresh: Retargeter, frames: np.ndarray) -> None:
+    landmarks = frames.copy()
+    landmarks[7] = np.nan
+    stamps = np.arange(len(frames)) / 60
+    seen: list[int] = []
+    trajectory, loss = fresh.run(
+        HandRecording(landmarks, stamps), track=lambda steps: (seen.append(i) or i for i in steps)
+    )
+    results = play(fresh, landmarks)
+    np.testing.assert_array_equal(trajectory.joint_positions, positions(results))
+    assert trajectory.joint_names == fresh.hand.joint_names
+    np.testing.assert_array_equal(trajectory.stamps, stamps)
+    np.testing.assert_array_equal(trajectory.status, [r.status for r in results])
+    assert (trajectory.latency_ms > 0).all()
+    assert np.flatnonzero(np.isnan(loss)).tolist() == [7]
+    assert seen == list(range(len(frames)))
+
+
+# Bad frames
+
+
+def spoiled(frame: np.ndarray, how: str) -> np.ndarray | HandFrame:
+    bad = frame.copy()
+    if how == "nan":
+        bad[TIPS[2], 1] = np.nan
+    elif how == "all nan":
+        bad[:] = np.nan
+    elif how == "inf":
+        bad[0, 0] = np.inf
+    elif how == "beyond float32":
+        bad[0, 0] = 1e300
+    elif how == "huge":
+        bad *= 1e30
+    elif how == "flag":
+        valid = np.ones(21, bool)
+        valid[BASES[4]] = False
+        return HandFrame(bad, valid=valid)
+    elif how == "collinear":
+        bad[list(BASES)] = bad[0] + np.outer(np.arange(5), [0.01, 0.02, -0.01])
+    elif how == "coincident":
+        bad[:] = bad[0]
+    elif how == "zeros":
+        bad[:] = 0
+    return bad
+
+
+BAD = {
+    "nan": Status.INVALID_LANDMARKS,
+    "all nan": Status.INVALID_LANDMARKS,
+    "inf": Status.INVALID_LANDMARKS,
+    "beyond float32": Status.INVALID_LANDMARKS,
+    "flag": Status.INVALID_LANDMARKS,
+    "collinear": Status.DEGENERATE_PALM,
+    "coincident": Status.DEGENERATE_PALM,
+    "zeros": Status.DEGENERATE_PALM,
+}
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast:RuntimeWarning")
+@pytest.mark.parametrize(("how", "status"), BAD.items())
+@pytest.mark.parametrize("kind", ["fresh", "realtime"])
+def test_a_bad_frame_never_taints_the_next(
+    kind: str, request: pytest.FixtureRequest, frames: np.ndarray, how: str, status: Status
+) -> None:
+    retargeter: Retargeter = request.getfixturevalue(kind)
+    at = 13  # amid the pinch
+    clean = play(retargeter, frames[5:20])
+    bad = spoiled(frames[at], how)
+    results = play(retargeter, [*frames[5:at], bad, bad, *frames[at:20]])
+    held, rest = results[8:10], results[:8] + results[10:]
+    assert [result.status for result in held] == [status, status]
+    for result in held:
+        np.testing.assert_array_equal(result.command.positions, results[7].command.positions)
+    assert all(result.status == Status.OK for result in rest)
+    np.testing.assert_array_equal(positions(rest), positions(clean))
+
+
+@pytest.mark.parametrize("how", ["all nan", "collinear"])
+def test_before_the_first_good_frame_the_hand_is_neutral(
+    realtime: Retargeter, frames: np.ndarray, how: str
+) -> None:
+    state, result = realtime.step(realtime.init(), spoiled(frames[0], how))
+    assert result.status != Status.OK
+    hand = realtime.hand
+    np.testing.assert_allclose(result.command.positions, hand.expand(hand.neutral), atol=1e-6)
+    assert leaves_equal(state, realtime.init())  # the first good frame is still the first
+
+
+def test_landmarks_that_are_not_needed_may_be_missing(
+    realtime: Retargeter, frames: np.ndarray
+) -> None:
+    needed = {*realtime.method.needs, *realtime.hand.align_indices}
+    partial = frames[:4].copy()
+    partial[:, [i for i in range(21) if i not in needed]] = np.nan
+    results = play(realtime, partial)
+    assert [result.status for result in results] == [Status.OK] * 4
+    np.testing.assert_array_equal(positions(results), positions(play(realtime, frames[:4])))
+
+
+def test_nonsense_gives_finite_commands_within_the_limits(
+    realtime: Retargeter, frames: np.ndarray
+) -> None:
+    rng = np.random.default_rng(0)
+    limits = realtime.hand.joint_limits
+    nonsense = [spoiled(frames[0], "huge"), *rng.normal(0, 10, (10, 21, 3)),
+                *rng.normal(0, 1e-6, (10, 21, 3)), *(frames[:5] * 1e-3), *frames[:3]]  # fmt: skip
+    for result in play(realtime, nonsense):
+        assert np.isfinite(result.command.positions).all()
+        assert (result.command.positions >= limits[:, 0]).all()
+        assert (result.command.positions <= limits[:, 1]).all()
+    assert result.status == Status.OK
+
+
+@pytest.mark.parametrize("kind", ["fresh", "realtime"])
+def test_commands_are_within_the_limits(
+    kind: str, request: pytest.FixtureRequest, frames: np.ndarray
+) -> None:
+    retargeter: Retargeter = request.getfixturevalue(kind)
+    limits = retargeter.hand.joint_limits
+    exaggerated = frames.copy()  # fingers that no robot of this size can follow
+    exaggerated[:, list(TIPS)] += 2 * (frames[:, list(TIPS)] - frames[:, :1])
+    at_limit = 0
+    for result in play(retargeter, [*frames, *exaggerated]):
+        q = result.command.positions
+        assert q.shape == (20,)
+        assert (q >= limits[:, 0]).all()
+        assert (q <= limits[:, 1]).all()
+        at_limit += (q == limits[:, 0]).sum() + (q == limits[:, 1]).sum()
+        named = dict(zip(result.command.names, q, strict=True))
+        for finger in ("index", "middle", "ring", "pinky"):
+            assert named[f"{finger}_mp2dp"] == named[f"{finger}_pp2mp"]
+    assert kind == "fresh" or at_limit > 50  # the limits did bind
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("shape", [(20, 3), (21, 2), (63,), (1, 21, 3), (25, 3)])
+def test_landmarks_of_another_shape_are_refused(fresh: Retargeter, shape: tuple[int, ...]) -> None:
+    with pytest.raises(RecordingError, match=r"must have shape \(21, 3\)"):
+        fresh(np.zeros(shape))
+
+
+def test_the_other_hand_is_refused(fresh: Retargeter, frames: np.ndarray) -> None:
+    with pytest.raises(ConfigError, match="a left human hand can't drive the right hand"):
+        fresh(HandFrame(frames[0], side="left"))
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown method 'sbrr'. Did you mean 'sbr'\?"):
+        Retargeter(method="sbrr")
+    with pytest.raises(UnknownNameError, match=r"unknown preset.*'fast'.*paper, realtime"):
+        Retargeter(preset="fast")
+    with pytest.raises(UnknownNameError, match="unknown hand"):
+        Retargeter("shadow")
+    with pytest.raises(ConfigError, match="side must be 'right' or 'left'"):
+        Retargeter(side="both")
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(ConfigError, match="settle_rounds must be 1 or more"):
+        SbrConfig(settle_rounds=0)
+    for scale in (0.0, -1.0, 50.0):
+        with pytest.raises(ConfigError, match=r"between 0\.1 and 10"):
+            AlignmentConfig(scale=scale)
+
+
+# Presets
+
+
+def test_presets() -> None:
+    assert "sbr" in method_names()
+    assert next(iter(PRESETS["sbr"])) == "realtime"
+    assert method_config("sbr") is method_config("sbr", "realtime")
+    paper = method_config("sbr", "paper")
+    assert isinstance(paper, SbrConfig)
+    assert paper != method_config("sbr", "realtime")
+    assert paper == SbrConfig(
+        AlignmentConfig(scale=None),
+        ObjectiveConfig(pose_weight=0.05, velocity_weight=0.1, transition=0.02),
+        SamplingConfig(8192, 128, 20, 0.2, 0.1, 1e-6, "fresh"),
+        NewtonConfig(iterations=0),
+        settle_rounds=1,
+    )
+
+
+def test_settling_starts_where_the_operator_is(
+    realtime: Retargeter, fresh: Retargeter, frames: np.ndarray
+) -> None:
+    """The first command should be near the one after a second of the same frame."""
+    settled = positions(play(realtime, [frames[0]] * 60))
+    creeping = positions(play(fresh, [frames[0]] * 60))
+    assert abs(settled[0] - settled[-1]).max() < 0.1
+    assert abs(creeping[0] - creeping[-1]).max() > 0.2
+
+
+# Geometry of the task
+
+
+def test_turning_moving_and_scaling_the_human_hand_changes_nothing(
+    realtime: Retargeter, frames: np.ndarray
+) -> None:
+    rng = np.random.default_rng(1)
+    plain = play(realtime, frames)
+    moved = 0.9 * frames @ random_rotations(rng).T + (2.0, -1.0, 0.5)
+    other = play(realtime, moved)
+    # float32 two metres from the origin rounds by 0.1 um; the hand is to move by no more than mrad
+    np.testing.assert_allclose(positions(other), positions(plain), atol=5e-3)
+    np.testing.assert_allclose([r.scale for r in plain], 1 / 1.15, rtol=1e-4)
+    np.testing.assert_allclose([r.scale for r in other], 1 / 1.15 / 0.9, rtol=1e-4)
+
+
+def test_the_left_hand_does_what_the_right_does(realtime: Retargeter, frames: np.ndarray) -> None:
+    left = Retargeter(side="left")
+    mirrored = [HandFrame(frame * (-1, 1, 1), side="left") for frame in frames]
+    # the base samples are fixed and the hands are mirror images: the same joint angles
+    np.testing.assert_allclose(
+        positions(play(left, mirrored)), positions(play(realtime, frames)), atol=1e-3
+    )
+
+
+def test_the_stamp_is_the_frames(realtime: Retargeter, frames: np.ndarray) -> None:
+    result = realtime(HandFrame(frames[0], stamp=12.5))
+    assert result.command.stamp == 12.5
+    assert result.command.names == realtime.hand.joint_names
+    assert result.latency_ms > 0
+
+
+# The solver is to find the pose, so nothing else may pull at it; and from the neutral pose, so that
+# it has to reach further than from frame to frame.
+EXACT = SbrConfig(
+    objective=ObjectiveConfig(PlainTargets(), pose_weight=1e-4, velocity_weight=0.0),
+    sampling=SamplingConfig(samples=1024, elites=64, cycles=10, sigma=0.4),
+    polish=NewtonConfig(iterations=4),
+    settle_rounds=10,
+)
+
+
+def round_trip(hand: Hand, config: SbrConfig, count: int) -> np.ndarray:
+    """(count, F) distances of robot tips from those of the random poses that were asked for [m]."""
+    retargeter = Retargeter(hand, config=config)
+    q = limited_poses(np.random.default_rng(2), hand.limits, count)
+    landmarks = np.full((count, 21, 3), np.nan)
+    landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.landmark_positions(q)
+    results = [retargeter.step(retargeter.init(), frame)[1] for frame in landmarks]
+    assert all(result.status == Status.OK for result in results)
+    miss = hand.tips(positions(results)) - hand.tips(hand.expand(q))
+    return np.linalg.norm(miss, axis=-1)
+
+
+def test_a_random_pose_comes_back() -> None:
+    miss = round_trip(load_hand(), EXACT, 200).max(axis=1)
+    assert np.mean(miss < 0.005) >= 0.95
+    assert np.median(miss) < 0.001
+
+
+def test_a_hand_of_three_fingers() -> None:
+    spec = load_hand().spec
+    spec = replace(spec, name="tripod", fingers=spec.fingers[:3],
+                   align=("thumb", "index", "middle"))  # fmt: skip
+    hand = load_hand(spec)
+    miss = round_trip(hand, EXACT, 60).max(axis=1)
+    assert np.mean(miss < 0.005) >= 0.95
+    # the missing fingers' landmarks are not needed: round_trip left them out
+
+
+# Alignment of whole recordings
+
+
+def test_recordings_are_aligned_frame_by_frame(frames: np.ndarray) -> None:
+    hand = load_hand()
+    landmarks = frames.copy()
+    landmarks[3, 0] = np.nan  # the wrist is not a palm landmark of this hand
+    landmarks[4, BASES[0]] = np.nan
+    landmarks[5] = spoiled(frames[5], "collinear")
+    aligned = align_recording(HandRecording(landmarks, np.arange(30.0)), hand)
+    assert np.isnan(aligned[3, 0]).all()
+    assert np.isfinite(aligned[3, 1:]).all()
+    assert np.isnan(aligned[[4, 5]]).all()
+    rest = [i for i in range(30) if i not in (3, 4, 5)]
+    for i in rest:
+        np.testing.assert_allclose(
+            aligned[i], palm_alignment(frames[i], hand).apply(frames[i]), atol=1e-12
+        )
+    np.testing.assert_allclose(
+        aligned[rest][:, list(hand.align_indices)],
+        np.broadcast_to(hand.align_points, (len(rest), 3, 3)), atol=1e-9,
+    )  # fmt: skip
+
+
+def test_a_scale_is_calibrated_once(frames: np.ndarray) -> None:
+    hand = load_hand()
+    landmarks = frames.copy()
+    landmarks[0] = np.nan
+    landmarks[1] = spoiled(frames[1], "coincident")
+    recording = HandRecording(landmarks, np.arange(30.0))
+    scale = calibrate_scale(recording, hand)
+    assert scale == pytest.approx(1 / 1.15)
+    fixed = palm_alignment(frames * 1.3, hand, AlignmentConfig(scale))
+    np.testing.assert_array_equal(fixed.scale, scale)
+    with pytest.raises(RecordingError, match="to calibrate a scale on"):
+        calibrate_scale(recording[:2], hand)
+
+
+def test_two_fingers_are_aligned_by_their_bases_and_the_wrist(tmp_path: Path) -> None:
+    hand = load_hand(pincer(tmp_path))
+    rng = np.random.default_rng(3)
+    landmarks = reference_landmarks(hand) @ random_rotations(rng).T / 0.8 + rng.normal(0, 1, 3)
+    fit = palm_alignment(landmarks, hand)
+    assert fit.condition > MIN_CONDITION
+    assert fit.scale == pytest.approx(0.8)
+    np.testing.assert_allclose(fit.apply(landmarks), reference_landmarks(hand), atol=1e-12)

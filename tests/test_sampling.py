@@ -1,0 +1,317 @@
+"""Algorithm 1 on functions whose minima are known, and the normals that it draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.solvers.normals import (
+    counter_normal_matrix,
+    counter_normals,
+    fixed_normals,
+    frame_key,
+    random_words,
+    seed_words,
+)
+from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+
+# Many elites: with few, the covariance (about the new mean) collapses before the mean arrives.
+SMALL = SamplingConfig(samples=2048, elites=512, cycles=15, sigma=0.3)
+KEY = np.array([7, 11], np.uint32)
+
+
+def bowl(centre, stiffness=1.0):
+    """A quadratic with a known minimum."""
+    weights = np.broadcast_to(stiffness, len(centre))
+    return lambda q: sum(w * (x - c) ** 2 for x, c, w in zip(q, centre, weights, strict=True))
+
+
+def minimise(cost, start, limits, config=SMALL, key=KEY) -> np.ndarray:
+    run = jax.jit(lambda s, k: sample_minimise(cost, s, np.asarray(limits, float), k, config))
+    return np.asarray(run(jnp.asarray(start, jnp.float32), jnp.asarray(key)))
+
+
+# Known minima
+
+
+@pytest.mark.parametrize("draws", ["fresh", "quasi", "pseudo"])
+def test_a_minimum_inside_the_bounds(draws: Literal["fresh", "quasi", "pseudo"]) -> None:
+    centre = [0.3, -0.2, 0.45, 0.1]
+    found = minimise(bowl(centre, [1, 2, 0.7, 3]), [0, 0, 0, 0], [[-1, 1]] * 4,
+                     replace(SMALL, draws=draws))  # fmt: skip
+    np.testing.assert_allclose(found, centre, atol=1e-3)
+
+
+def test_minima_beyond_the_bounds_end_at_them() -> None:
+    limits = np.array([[-0.5, 0.2], [-0.1, 0.6], [-1.0, 1.0]])
+    found = minimise(bowl([3.0, -3.0, 0.25], 5.0), [0, 0, 0], limits)
+    # a mean of candidates that are clipped to the limit is on it, to rounding
+    np.testing.assert_allclose(found, [0.2, -0.1, 0.25], atol=2e-3)
+    assert (found >= limits[:, 0].astype(np.float32)).all()
+    assert (found <= limits[:, 1].astype(np.float32)).all()
+
+
+def test_bounds_that_do_not_hold_zero() -> None:
+    limits = [[0.5, 1.5], [-2.0, -1.0], [0.8, 0.9]]
+    found = minimise(bowl([0.7, -1.3, 0.0], 4.0), [1.2, -1.9, 0.85], limits)
+    np.testing.assert_allclose(found, [0.7, -1.3, 0.8], atol=1e-3)
+
+
+def test_correlated_variables() -> None:
+    """A long valley across the axes, which a diagonal covariance would creep along."""
+
+    def valley(q):
+        return 50 * (q[0] - q[1]) ** 2 + (q[0] + q[1] - 1.0) ** 2
+
+    found = minimise(valley, [0.0, 0.0], [[-2, 2]] * 2, replace(SMALL, cycles=30))
+    np.testing.assert_allclose(found, [0.5, 0.5], atol=1e-3)
+
+
+def test_the_lowest_of_several_minima() -> None:
+    def egg_box(q):
+        return sum(1 - jnp.cos(12 * (x - 0.3)) + 2 * (x - 0.3) ** 2 for x in q)
+
+    start = [0.3 - 2 * np.pi / 12, 0.3 + 2 * np.pi / 12]  # in the next basins
+    found = minimise(egg_box, start, [[-1, 1]] * 2,
+                     replace(SMALL, samples=4096, elites=64, sigma=0.4, cycles=20))  # fmt: skip
+    np.testing.assert_allclose(found, [0.3, 0.3], atol=0.02)
+
+
+def test_all_candidates_may_be_elites() -> None:
+    """M = N: plain importance sampling (MPOPI without its elites)."""
+    config = SamplingConfig(samples=256, elites=256, cycles=25, temperature=0.02)
+    found = minimise(bowl([0.3, -0.2]), [0, 0], [[-1, 1]] * 2, config)
+    np.testing.assert_allclose(found, [0.3, -0.2], atol=0.03)
+
+
+def test_one_elite_and_one_candidate() -> None:
+    config = SamplingConfig(samples=64, elites=1, cycles=5)
+    first = minimise(bowl([0.3]), [0.0], [[-1, 1]], config)
+    assert abs(first[0] - 0.3) < 0.05
+    lonely = minimise(bowl([0.3]), [0.0], [[-1, 1]], SamplingConfig(samples=1, elites=1, cycles=2))
+    assert np.isfinite(lonely).all()
+
+
+def test_one_cycle_returns_the_start_within_the_limits() -> None:
+    config = replace(SMALL, cycles=1)
+    limits = [[-1, 1], [0.5, 1.0], [-1, -0.5]]
+    found = minimise(bowl([0.3] * 3), [0.25, 0.0, 0.0], limits, config)
+    np.testing.assert_array_equal(found, np.float32([0.25, 0.5, -0.5]))
+
+
+def test_one_variable() -> None:
+    np.testing.assert_allclose(minimise(bowl([0.42]), [0.0], [[0.1, 2]]), [0.42], atol=0.01)
+
+
+def test_only_candidates_within_the_limits_are_scored() -> None:
+    limits = np.array([[0.1, 0.2], [-0.05, 0.3]])
+
+    def wall(q):
+        inside = [(x >= np.float32(lo)) & (x <= np.float32(hi))
+                  for x, (lo, hi) in zip(q, limits, strict=True)]  # fmt: skip
+        return jnp.where(inside[0] & inside[1], bowl([0.15, 0.1])(q), jnp.nan)
+
+    found = minimise(wall, [0.15, 0.0], limits)
+    np.testing.assert_allclose(found, [0.15, 0.1], atol=0.02)
+
+
+def test_a_constant_may_be_added_to_the_cost() -> None:
+    """The softmax subtracts the lowest cost: without it, all weights would be nought."""
+    plain = minimise(bowl([0.3, -0.2]), [0, 0], [[-1, 1]] * 2)
+    shifted = minimise(lambda q: bowl([0.3, -0.2])(q) + 1000.0, [0, 0], [[-1, 1]] * 2,
+                       replace(SMALL, temperature=1.0))  # fmt: skip
+    assert np.isfinite(shifted).all()
+    np.testing.assert_allclose(shifted, plain, atol=0.1)
+
+
+# Random numbers in use
+
+
+def test_the_key_decides_fresh_draws_and_nothing_else() -> None:
+    cost, limits = bowl([0.3, -0.2]), [[-1, 1]] * 2
+    short = replace(SMALL, cycles=4)
+    first, again, other = (
+        minimise(cost, [0, 0], limits, short, key) for key in (KEY, KEY, KEY + 1)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).all()
+    fixed = replace(short, draws="quasi")
+    one, two = (minimise(cost, [0, 0], limits, fixed, key) for key in (KEY, KEY + 1))
+    np.testing.assert_array_equal(one, two)
+    seeded = minimise(cost, [0, 0], limits, replace(fixed, base_seed=1))
+    assert (one != seeded).any()
+
+
+def algorithm_1(cost, start, limits, config: SamplingConfig, draw) -> np.ndarray:
+    """The paper's Algorithm 1, line by line, in float64; ``draw`` gives the normals of a cycle."""
+    low, high = np.transpose(limits)
+    mean = np.array(start, float)  # 1
+    cov = config.sigma**2 * np.eye(len(start)) + config.jitter * np.eye(len(start))  # 2
+    for cycle in range(1, config.cycles + 1):  # 3
+        normals = draw(cycle)  # (m, N)
+        candidates = mean[:, None] + np.linalg.cholesky(cov) @ normals
+        candidates = np.clip(candidates, low[:, None], high[:, None])  # 4
+        costs = cost(candidates)  # 5
+        if cycle < config.cycles:  # 6
+            elites = np.argsort(costs)[: config.elites]  # 7
+            weights = np.exp(-(costs[elites] - costs[elites].min()) / config.temperature)  # 8
+            weights /= weights.sum()  # 9
+            chosen = candidates[:, elites]
+            mean = chosen @ weights  # 10
+            spread = chosen - mean[:, None]
+            cov = (spread * weights) @ spread.T + config.jitter * np.eye(len(mean))  # 11
+    return np.clip(mean, low, high)  # 14
+
+
+@pytest.mark.parametrize("draws", ["fresh", "pseudo"])
+def test_it_is_algorithm_1_to_the_letter(draws: Literal["fresh", "pseudo"]) -> None:
+    config = SamplingConfig(samples=300, elites=20, cycles=4, temperature=0.05, draws=draws)
+    cost, start = bowl([0.3, -0.5, 0.1], [1, 2, 0.5]), [0.1, -0.1, 0.0]
+    limits = np.array([[-0.2, 0.25], [-0.6, 0.4], [-1, 1]])
+    words = random_words(jnp.asarray(KEY), config.cycles - 1)
+
+    def normals_of(cycle: int) -> np.ndarray:
+        if draws == "pseudo":
+            return fixed_normals(3, config.samples, draws, config.base_seed)
+        if cycle == config.cycles:  # its draw is never read
+            return np.zeros((3, config.samples))
+        rows = counter_normals(jnp.arange(config.samples, dtype=jnp.uint32), words[cycle - 1], 3)
+        return np.asarray(rows, float)
+
+    expected = algorithm_1(cost, start, limits, config, normals_of)
+    found = minimise(cost, start, limits, config)
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+    assert found[0] < 0.25  # clipped candidates took part in the mean
+    assert np.linalg.norm(expected - start) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"samples": 0}, "samples >= elites"), ({"elites": 0}, "samples >= elites"),
+        ({"samples": 10, "elites": 11}, "elites=11"), ({"cycles": 0}, "cycles=0"),
+        ({"sigma": 0.0}, "sigma=0.0"), ({"temperature": -1.0}, "temperature=-1.0"),
+        ({"jitter": 0.0}, "jitter=0.0"), ({"draws": "halton"}, "draws must be"),
+    ],
+)  # fmt: skip
+def test_settings_are_checked(bad: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SamplingConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_the_defaults_are_the_papers_table() -> None:
+    config = SamplingConfig()
+    assert (config.samples, config.elites, config.cycles) == (8192, 128, 20)
+    assert (config.sigma, config.temperature, config.jitter) == (0.2, 0.1, 1e-6)
+    assert config.draws == "fresh"
+
+
+# The normals themselves
+
+COLUMNS = 8
+
+
+@pytest.fixture(scope="module")
+def normals() -> np.ndarray:
+    """(frames, cycles, columns, candidates): 8 x 4 x 8 x 4096, a million draws, as in a run."""
+    index = jnp.arange(4096, dtype=jnp.uint32)
+    seed = jnp.asarray(seed_words(0))
+
+    @jax.jit
+    def frame(count: jax.Array) -> jax.Array:
+        words = random_words(frame_key(seed, count), 4)
+        return jnp.stack([jnp.stack(counter_normals(index, w, COLUMNS)) for w in words])
+
+    return np.stack([np.asarray(frame(jnp.uint32(i)), float) for i in range(8)])
+
+
+def test_normals_are_normal(normals: np.ndarray) -> None:
+    flat = normals.ravel()
+    count = flat.size
+    assert count >= 1_000_000
+    # each bound is 4.5 standard errors; the seed is fixed, so that this either holds or does not
+    assert abs(flat.mean()) < 4.5 / np.sqrt(count)
+    assert abs(flat.var() - 1) < 4.5 * np.sqrt(2 / count)
+    assert abs(stats.skew(flat)) < 4.5 * np.sqrt(6 / count)
+    assert abs(stats.kurtosis(flat)) < 4.5 * np.sqrt(24 / count)
+    assert stats.kstest(flat, "norm").pvalue > 1e-3
+    assert 4.5 < abs(flat).max() < 6.5
+    for column in range(COLUMNS):  # the cosine halves and the sine halves
+        assert stats.kstest(normals[:, :, column].ravel(), "norm").pvalue > 1e-4
+
+
+def test_normals_do_not_correlate(normals: np.ndarray) -> None:
+    def largest(rows: np.ndarray) -> float:
+        correlation = np.corrcoef(rows) - np.eye(len(rows))
+        return float(abs(correlation).max() * np.sqrt(rows.shape[1]))
+
+    by_column = normals.transpose(2, 0, 1, 3).reshape(COLUMNS, -1)
+    by_cycle = normals.transpose(1, 0, 2, 3).reshape(4, -1)
+    by_frame = normals.reshape(8, -1)
+    by_everything = normals.reshape(-1, 4096)
+    assert largest(by_column) < 4
+    assert largest(by_cycle) < 4
+    assert largest(by_frame) < 4
+    assert largest(by_everything) < 6  # of 32,640 pairs
+    assert largest(by_column**2) < 4  # nor do their sizes, which a bad radius would share
+    neighbours = np.stack([by_everything[:, :-1].ravel(), by_everything[:, 1:].ravel()])
+    assert largest(neighbours) < 4  # nor one candidate with the next
+
+
+def test_normals_do_not_repeat(normals: np.ndarray) -> None:
+    """Two candidates that drew the same vector would be one candidate, drawn twice."""
+    vectors = normals.transpose(0, 1, 3, 2).reshape(-1, COLUMNS)
+    assert len(np.unique(vectors, axis=0)) == len(vectors)
+
+
+def test_frame_keys_do_not_repeat() -> None:
+    counts = jnp.arange(200_000, dtype=jnp.uint32)
+    keys = np.asarray(jax.vmap(lambda c: frame_key(jnp.asarray(seed_words(3)), c))(counts))
+    assert len(np.unique(keys, axis=0)) == len(keys)
+    other = np.asarray(jax.vmap(lambda c: frame_key(jnp.asarray(seed_words(4)), c))(counts))
+    assert len(np.unique(np.concatenate([keys, other]), axis=0)) == 2 * len(keys)
+    bits = np.unpackbits(keys.view(np.uint8), axis=1).mean(axis=0)
+    assert abs(bits - 0.5).max() < 0.01
+    flips = np.unpackbits((keys[1:] ^ keys[:-1]).view(np.uint8), axis=1).mean(axis=0)
+    assert abs(flips - 0.5).max() < 0.01  # neighbours share nothing
+
+
+def test_seeds_give_words() -> None:
+    assert len({tuple(seed_words(seed)) for seed in range(1000)}) == 1000
+    np.testing.assert_array_equal(seed_words(5), seed_words(5))
+    assert seed_words(2**70).shape == (2,)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 16])
+def test_the_matrix_holds_the_same_normals(count: int) -> None:
+    index = jnp.asarray([0, 5, 4095, 2**20, 17], jnp.uint32)
+    words = jnp.asarray([123, 2**32 - 5], jnp.uint32)
+    rows = counter_normals(index, words, count)
+    matrix = counter_normal_matrix(index, words, count)
+    assert matrix.shape == (count, 5)
+    np.testing.assert_allclose(np.stack(rows), matrix, atol=5e-7)  # one may fuse, one not
+    alone = counter_normals(index[1:2], words, count)  # a function of the index, not of its place
+    np.testing.assert_allclose(np.stack(alone)[:, 0], np.stack(rows)[:, 1], atol=5e-7)
+
+
+@pytest.mark.parametrize("kind", ["quasi", "pseudo"])
+def test_fixed_normals(kind: Literal["quasi", "pseudo"]) -> None:
+    base = fixed_normals(16, 1024, kind, 0)
+    assert base.shape == (16, 1024)
+    assert base.dtype == np.float32
+    assert np.isfinite(base).all()
+    np.testing.assert_array_equal(base, fixed_normals(16, 1024, kind, 0))
+    assert (base != fixed_normals(16, 1024, kind, 1)).any()
+    worst = 0.04 if kind == "quasi" else 0.15  # what quasi-random points are for
+    assert abs(base.mean(axis=1)).max() < worst
+    assert abs(base.var(axis=1) - 1).max() < 0.2
+    assert fixed_normals(3, 100, kind, 0).shape == (3, 100)  # not a power of two
+    with pytest.raises(ConfigError, match="'quasi' or 'pseudo', not 'halton'"):
+        fixed_normals(3, 8, "halton", 0)  # type: ignore[arg-type]
