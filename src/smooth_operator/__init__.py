@@ -61,7 +61,7 @@ _HOME = {
     "Result": "smooth_operator.types",
     "Status": "smooth_operator.types",
 }
-__all__ = sorted(_HOME)  # noqa: PLE0605
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
