@@ -49,7 +49,10 @@ class Similarity(NamedTuple, Generic[_Held]):
 
 
 def umeyama(
-    source: AnyKind, target: AnyArray, scale: float | AnyArray | None = None
+    source: AnyKind,
+    target: AnyArray,
+    scale: float | AnyArray | None = None,
+    weights: AnyArray | None = None,
 ) -> Similarity[AnyKind]:
     """Least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
 
@@ -63,14 +66,21 @@ def umeyama(
         source: (..., n, 3) points [m].
         target: (..., n, 3) corresponding points [m].
         scale: ratio of sizes to hold fixed; None estimates it.
+        weights: (..., n) how much each pair counts, 0 to leave one out; None for all alike.
 
     Returns:
         the transform. Check ``condition`` before using it: degenerate sets give a finite but
         meaningless rotation.
     """
     xp = namespace(source, target)
-    centre_s, centre_t = source.mean(axis=-2), target.mean(axis=-2)
-    a, b = source - centre_s[..., None, :], target - centre_t[..., None, :]
+    if weights is None:
+        centre_s, centre_t = source.mean(axis=-2), target.mean(axis=-2)
+        root: AnyArray | float = 1.0
+    else:
+        share = weights[..., None] / xp.maximum(weights.sum(axis=-1), 1e-12)[..., None, None]
+        centre_s, centre_t = (source * share).sum(axis=-2), (target * share).sum(axis=-2)
+        root = xp.sqrt(weights)[..., None]
+    a, b = (source - centre_s[..., None, :]) * root, (target - centre_t[..., None, :]) * root
     spread, spread_t = (a**2).sum(axis=(-2, -1)), (b**2).sum(axis=(-2, -1))
     tiny = xp.finfo(a.dtype).tiny
     # Normalising both sets makes every threshold below free of units.

@@ -1,7 +1,7 @@
 """The definitions behind the paper's own figures, where they differ from the sound ones.
 
 - The human hand is fitted anew each frame (rotation, translation, scale) to the robot's *own
-  pose* with every landmark that both have, 14 on the mimic hand; the retargeters are driven
+  pose* with every landmark that both have; the retargeters are driven
   through three. The fit absorbs part of the error that is to be measured.
 - The headline cosine similarity and scale ratio are medians over frames and thumb vectors, which
   hide the frames that went wrong.
@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.geometry import umeyama
 from smooth_operator.metrics import summary
 
 _EPSILON: Final = 1e-8  # [m] or [m^2], as published
@@ -76,26 +77,10 @@ def fit_to_robot(
         (T, N, 3) all human landmarks in the robot's frame [m]; NaN in frames with fewer than three
         common landmarks or with collinear ones.
     """
-    both = np.isfinite(human).all(axis=-1) & np.isfinite(robot).all(axis=-1)
-    weight = both[..., None].astype(np.float64)
-    count = np.maximum(weight.sum(axis=1, keepdims=True), 1.0)
-
-    def centred(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        known = np.where(both[..., None], points, 0.0)
-        centre = known.sum(axis=1, keepdims=True) / count
-        return centre, (known - centre) * weight
-
-    human_centre, a = centred(human)
-    robot_centre, b = centred(robot)
-    u, s, vt = np.linalg.svd(np.swapaxes(b, 1, 2) @ a)
-    sign = np.ones_like(s)
-    sign[:, 2] = np.sign(np.linalg.det(u @ vt))  # a rotation, never a reflection
-    rotation = (u * sign[:, None]) @ vt
-    spread = np.sum(a**2, axis=(1, 2))
-    scale = np.sum(s * sign, axis=-1) / np.where(spread > 0, spread, 1.0)
-    fitted = scale[:, None, None] * ((human - human_centre) @ np.swapaxes(rotation, 1, 2))
-    good = s[:, 1] > 1e-9 * s[:, 0]  # one direction only: collinear, or two points, or one
-    return np.where(good[:, None, None], fitted + robot_centre, np.nan)
+    known = np.isfinite(human).all(axis=-1) & np.isfinite(robot).all(axis=-1)
+    source, target = (np.where(known[..., None], points, 0.0) for points in (human, robot))
+    fit = umeyama(source, target, weights=known.astype(np.float64))
+    return np.where((fit.condition > 1e-9)[:, None, None], fit.apply(human), np.nan)
 
 
 def _cosines(a: Float[np.ndarray, "T K 3"], b: Float[np.ndarray, "T K 3"]) -> np.ndarray:

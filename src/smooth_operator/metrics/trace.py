@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.objective.keyvectors import KeyvectorLayout
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,5 @@ def keyvectors(
     Returns:
         (T, K, 3) [m].
     """
-    pairs = np.array(list(combinations(range(tips.shape[1]), 2)))
-    return np.concatenate(
-        [tips - wrist[:, None], tips[:, pairs[:, 1]] - tips[:, pairs[:, 0]]], axis=1
-    )
+    layout = KeyvectorLayout(FINGERS[: tips.shape[1]])  # only the number of fingers counts here
+    return layout.between_points(np.concatenate([wrist[:, None], tips], axis=1))

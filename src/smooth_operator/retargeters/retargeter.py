@@ -120,7 +120,9 @@ class Retargeter:
                 f"a {frame.side} human hand can't drive the {self.hand.spec.side} hand "
                 f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
             )
-        state, answer = self._program(state, frame.landmarks.astype(np.float32), frame.valid)
+        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
+            landmarks = frame.landmarks.astype(np.float32)
+        state, answer = self._program(state, landmarks, frame.valid)
         q, status = np.asarray(answer.q, float), Status(int(answer.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))

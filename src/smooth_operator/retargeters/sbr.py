@@ -34,6 +34,8 @@ class SbrConfig:
             without the velocity term, since there is no last command to be near to. The hand then
             starts where the operator is, and does not creep there from the neutral pose over
             several frames. 1 is as published: once, velocity term and all.
+        settle_sigma: initial standard deviation of the sampler while it settles [rad]: the first
+            pose may be anywhere, and the wrong basin would last.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -41,10 +43,13 @@ class SbrConfig:
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     polish: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=0))
     settle_rounds: int = 1
+    settle_sigma: float = 0.4
 
     def __post_init__(self) -> None:
         if self.settle_rounds < 1:
             raise ConfigError(f"settle_rounds must be 1 or more, not {self.settle_rounds}")
+        if self.settle_sigma <= 0:
+            raise ConfigError(f"settle_sigma must be positive [rad], not {self.settle_sigma}")
 
     def build(self, hand: Hand) -> Sbr:
         """The method for one hand."""
@@ -105,6 +110,7 @@ class Sbr:
         )
         starting = (state.frames == 0) & (config.settle_rounds > 1)
         velocity_weight = jnp.where(starting, 0.0, config.objective.velocity_weight)
+        sigma = jnp.where(starting, config.settle_sigma, config.sampling.sigma)
         goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity_weight)
         local = LocalObjective(self.objective)
 
@@ -115,6 +121,7 @@ class Sbr:
                 limits,
                 frame_key(state.seed, state.frames + jnp.uint32(round)),
                 config.sampling,
+                sigma,
             )
             return newton_minimise(lambda few: local.expand(few, goal), q, limits, config.polish)
 

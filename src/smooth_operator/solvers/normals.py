@@ -51,7 +51,7 @@ def counter_normal_matrix(
 
 def seed_words(seed: int) -> UInt32[np.ndarray, "2"]:
     """Two well mixed words from any integer seed."""
-    words: np.ndarray = np.random.SeedSequence(abs(seed)).generate_state(2)
+    words: np.ndarray = np.random.SeedSequence([abs(seed), int(seed < 0)]).generate_state(2)
     return words
 
 
@@ -110,7 +110,7 @@ def fixed_normals(
     """
     rng = np.random.default_rng(seed)
     if kind == "pseudo":
-        return rng.standard_normal((count, samples)).astype(np.float32)
+        return _whitened(rng.standard_normal((count, samples)))
     if kind != "quasi":
         raise ConfigError(f"base samples must be 'quasi' or 'pseudo', not {kind!r}")
     ratio = 2.0
@@ -120,7 +120,17 @@ def fixed_normals(
     points = (rng.random((count, 1)) + steps[:, None] * np.arange(1, samples + 1)) % 1.0
     inverse = NormalDist().inv_cdf  # SciPy's would cost half a second of import at start-up
     quantiles = [inverse(u) for u in np.clip(points, 1e-6, 1 - 1e-6).ravel()]
-    return np.array(quantiles, np.float32).reshape(count, samples)
+    return _whitened(np.array(quantiles).reshape(count, samples))
+
+
+def _whitened(normals: Float[np.ndarray, "count samples"]) -> Float[np.ndarray, "count samples"]:
+    """Mean 0 and covariance I exactly, where there are samples enough: a few hundred fixed normals
+    in 16 dimensions would otherwise lean one way for ever."""
+    count, samples = normals.shape
+    if samples > 2 * count:
+        normals = normals - normals.mean(axis=1, keepdims=True)
+        normals = np.linalg.solve(np.linalg.cholesky(normals @ normals.T / samples), normals)
+    return normals.astype(np.float32)
 
 
 def _to_float(x: UInt32[Array, "*n"]) -> Float[Array, "*n"]:

@@ -70,6 +70,7 @@ def sample_minimise(
     limits: Float[np.ndarray, "m 2"],
     key: UInt32[Array, "2"],
     config: SamplingConfig,
+    sigma: Float[Array, ""] | float | None = None,
 ) -> Float[Array, " m"]:
     """Minimise a cost within bounds by Algorithm 1.
 
@@ -82,6 +83,7 @@ def sample_minimise(
         limits: (m, 2) bounds.
         key: two random words; unused when the base normals are fixed.
         config: hyper-parameters.
+        sigma: initial standard deviation [rad], instead of the configured one; may be traced.
 
     Returns:
         (m,) the final mean, clipped to the bounds.
@@ -132,7 +134,8 @@ def sample_minimise(
         return (mean, jnp.linalg.cholesky(cov)), None
 
     mean = start.astype(dtype)  # lines 1-2
-    factor = jnp.sqrt(config.sigma**2 + config.jitter) * jnp.eye(size, dtype=dtype)
+    width = config.sigma if sigma is None else sigma
+    factor = jnp.sqrt(width**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     words = random_words(key, config.cycles - 1)
     (mean, _), _ = lax.scan(cycle, (mean, factor), words)
     return jnp.clip(mean, low, high)  # line 14
