@@ -21,7 +21,7 @@ SBR_REALTIME: Final = SbrConfig(
         pose_weight=0.049,
         velocity_weight=0.107,
     ),
-    sampling=SamplingConfig(samples=256, elites=24, cycles=6, draws="quasi"),
+    sampling=SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi"),
     polish=NewtonConfig(iterations=3),
     settle_rounds=10,
 )
