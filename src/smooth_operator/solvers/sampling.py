@@ -125,14 +125,19 @@ def sample_minimise(
     def cycle(carry: tuple[Array, Array], words: Array) -> tuple[tuple[Array, Array], None]:
         mean, factor = carry
         costs = cost(draw_all(words, mean, factor))  # lines 4-5
-        best, index = lax.top_k(-costs, config.elites)  # line 7
+        # Line 7, best first. Behind a barrier: were XLA to see best[0], it would sort all candidates.
+        best, index = lax.optimization_barrier(lax.top_k(-costs, config.elites))
         elite = draw(index, words, mean, factor)
-        weights = jax.nn.softmax(best / config.temperature)  # lines 8-9; softmax subtracts J_min
-        mean = elite @ weights  # line 10
-        spread = elite - mean[:, None]
-        cov = (spread * weights) @ spread.T + config.jitter * jnp.eye(size, dtype=dtype)  # line 11
-        return (mean, jnp.linalg.cholesky(cov)), None
+        # Lines 8-9. J_min is the first; the sum of the weights divides last, where it is cheap.
+        weights = jnp.exp((best - best[0]) / config.temperature)
+        sums = jnp.concatenate([elite, ones]) @ weights
+        mean = sums[:-1] / sums[-1]  # line 10
+        spread = (elite - mean[:, None]) * jnp.sqrt(weights / sums[-1])
+        cov = spread @ spread.T + epsilon  # line 11
+        return (mean, lax.linalg.cholesky(cov, symmetrize_input=False)), None
 
+    ones = jnp.ones((1, config.elites), dtype)
+    epsilon = config.jitter * jnp.eye(size, dtype=dtype)
     mean = start.astype(dtype)  # lines 1-2
     width = config.sigma if sigma is None else sigma
     factor = jnp.sqrt(width**2 + config.jitter) * jnp.eye(size, dtype=dtype)
