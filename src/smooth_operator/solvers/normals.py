@@ -140,7 +140,7 @@ def _to_float(x: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def _minus_two_log(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """-2 ln x of numbers in (0, 1], to 2e-6; the general function is careful, and three times slower.
+    """-2 ln x of numbers in (0, 1], to 3e-6; the general function is careful, and slower.
 
     With x = 2^e (1 + f), f in [-1/3, 1/3], ln x = e ln 2 + ln(1 + f).
     """

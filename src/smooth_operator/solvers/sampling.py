@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -125,7 +124,7 @@ def sample_minimise(
     def cycle(carry: tuple[Array, Array], words: Array) -> tuple[tuple[Array, Array], None]:
         mean, factor = carry
         costs = cost(draw_all(words, mean, factor))  # lines 4-5
-        # Line 7, best first. Behind a barrier: were XLA to see best[0], it would sort all candidates.
+        # Line 7, best first. Behind a barrier: if XLA sees best[0], it sorts all candidates.
         best, index = lax.optimization_barrier(lax.top_k(-costs, config.elites))
         elite = draw(index, words, mean, factor)
         # Lines 8-9. J_min is the first; the sum of the weights divides last, where it is cheap.
