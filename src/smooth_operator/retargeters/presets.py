@@ -22,7 +22,7 @@ SBR_REALTIME: Final = SbrConfig(
         velocity_weight=0.107,
     ),
     sampling=SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi"),
-    polish=NewtonConfig(iterations=3),
+    polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
     settle_rounds=10,
 )
 """For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
