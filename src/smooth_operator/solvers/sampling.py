@@ -125,7 +125,8 @@ def sample_minimise(
         mean, factor = carry
         costs = cost(draw_all(words, mean, factor))  # lines 4-5
         # Line 7, best first. Behind a barrier: if XLA sees best[0], it sorts all candidates.
-        best, index = lax.optimization_barrier(lax.top_k(-costs, config.elites))
+        chosen = lax.top_k(-costs, config.elites)
+        best, index = lax.optimization_barrier(chosen)  # type: ignore[no-untyped-call]
         elite = draw(index, words, mean, factor)
         # Lines 8-9. J_min is the first; the sum of the weights divides last, where it is cheap.
         weights = jnp.exp((best - best[0]) / config.temperature)
