@@ -150,7 +150,9 @@ def _minus_two_log(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     series = jnp.float32(_LOG_SERIES[-1])
     for c in _LOG_SERIES[-2::-1]:
         series = series * f + c
-    return series * f - lax.convert_element_type(exponent, jnp.float32) * (2 * math.log(2) / 2**23)
+    whole: Array = lax.convert_element_type(exponent, jnp.float32) * (2 * math.log(2) / 2**23)
+    minus: Array = series * f - whole
+    return minus
 
 
 # -2 ln(1 + f) / f, a polynomial through Chebyshev nodes: an even number, since f = 0 divides by 0
