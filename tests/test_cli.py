@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, SbrConfig, load_hand
-from smooth_operator.cli import cache as cli_cache
 from smooth_operator.cli import main
 from smooth_operator.errors import RecordingError
 from smooth_operator.metrics import METRICS
+from smooth_operator.offline import cache as offline_cache
 from smooth_operator.recording import read_commands, read_log, read_recording
 from smooth_operator.retargeters.presets import PRESETS
 from smooth_operator.solvers.sampling import SamplingConfig
@@ -329,17 +329,17 @@ def test_the_cache_gives_way_where_it_can_not_be(
     (tmp_path / "file").touch()
     for value in ("off", "0", str(tmp_path / "file" / "cache")):
         monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
-        assert cli_cache.enable_cache() is None
+        assert offline_cache.enable_cache() is None
 
 
 def test_a_damaged_cache_is_emptied_and_other_warnings_pass(tmp_path: Path) -> None:
     (tmp_path / "jit-cache").touch()
-    with pytest.warns(UserWarning, match="heed me"), cli_cache.healing(tmp_path):
+    with pytest.warns(UserWarning, match="heed me"), offline_cache.healing(tmp_path):
         warnings.warn("heed me", stacklevel=1)
     assert (tmp_path / "jit-cache").exists()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with cli_cache.healing(tmp_path):
+        with offline_cache.healing(tmp_path):
             warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
     assert not (tmp_path / "jit-cache").exists()
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from smooth_operator.cli.console import Progressing, print_metrics
-from smooth_operator.cli.options import Demo
+from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
-from smooth_operator.cli.session import Outcome, configuration, execute, measure, plan
+from smooth_operator.cli.session import execute_shown, measure_shown
 from smooth_operator.metrics import Trace, save_plots
+from smooth_operator.offline import Outcome, configuration, plan
 from smooth_operator.recording import LogWriter, atomic_write, to_json, write_commands
 from smooth_operator.sources import SyntheticOperator, TrackerModel
 from smooth_operator.types import HandRecording, JointCommand, Status
@@ -43,8 +44,8 @@ def demo(options: Demo) -> None:
         scale=options.scale,
     )
     with folder_for(options.output):
-        outcome = execute(todo, progress)
-        trace, metrics = measure(todo, outcome, options.definition, progress)
+        outcome = execute_shown(todo, progress)
+        trace, metrics = measure_shown(todo, outcome, options.definition, progress)
         config = configuration("demo", todo, operator=operator, duration=options.duration)
         with progress.waiting("writing"), staged(options.output) as folder:
             _write(folder, todo.recording, outcome, trace, metrics, config)

@@ -7,13 +7,11 @@ import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import config_path, output_error, read_commands
-
-PROGRAM: Final = "smooth-operator"
-"""Value of ``program`` in every configuration that this program writes."""
 
 
 def read_configuration(path: Path) -> dict[str, Any] | None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from smooth_operator.cli.console import Progressing, print_metrics
-from smooth_operator.cli.options import Retarget
 from smooth_operator.cli.outputs import check_commands_path, folder_for
-from smooth_operator.cli.session import configuration, execute, measure, plan
+from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.session import execute_shown, measure_shown
+from smooth_operator.offline import configuration, plan
 from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
 from smooth_operator.types import Status
 
@@ -36,8 +37,8 @@ def retarget(options: Retarget) -> None:
         scale=options.scale,
     )
     with folder_for(options.output.parent):
-        outcome = execute(todo, progress)
-        _, metrics = measure(todo, outcome, options.definition, progress)
+        outcome = execute_shown(todo, progress)
+        _, metrics = measure_shown(todo, outcome, options.definition, progress)
         config = configuration(
             "retarget",
             todo,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.cli.options import View
 from smooth_operator.cli.outputs import read_configuration
 from smooth_operator.cli.page import playback
+from smooth_operator.cli.view_options import View
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.human.alignment import AlignmentConfig

@@ -1,0 +1,61 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
+
+from tyro.conf import arg
+
+HandSide: TypeAlias = Literal["right", "left"]
+# Spelt out again: the module that owns it imports JAX, and `--help` needs none.
+Scale: TypeAlias = float | Literal["frame", "calibrate"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """Options of every command."""
+
+    debug: bool = False
+    """Show the traceback of an error (also: SMOOTH_OPERATOR_DEBUG=1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retargeting:
+    """Options of every command that retargets."""
+
+    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
+    """Robot hand, by its catalogue name."""
+
+    method: Annotated[str, arg(metavar="NAME")] = "sbr"
+    """Retargeting method."""
+
+    preset: Annotated[str | None, arg(metavar="NAME")] = None
+    """Preset of the method: for sbr realtime (used if left out) or paper."""
+
+    seed: int = 0
+    """Of all random numbers: the same seed and frames give the same commands."""
+
+    scale: Annotated[Scale | None, arg(metavar="frame|calibrate|FLOAT")] = None
+    """Robot size over human size: found in every frame, once for the recording, or given; as the
+    preset says if left out."""
+
+    definition: Literal["sound", "paper"] = "sound"
+    """How the metrics are defined; paper is as published, to compare with its table."""
+
+    quiet: bool = False
+    """No progress on standard error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """Options of every command that serves a page."""
+
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Where the page listens; 0.0.0.0 lets the whole network in, without a password."""
+
+    port: int = 8080
+    """First port to try for the page; 0 for any free one."""
+
+    no_browser: bool = False
+    """Serve the page, but open no browser."""

@@ -1,0 +1,44 @@
+"""Options of ``smooth-operator view``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common, HandSide, Page
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(Common, Page):
+    """Play joint commands beside the hand that they came from, in the browser."""
+
+    details: ClassVar[str] = """Commands and frames are matched by their time stamps.
+
+Examples:
+  smooth-operator view out.npz glove.npz
+  smooth-operator view smooth-operator-demo/commands.npz smooth-operator-demo/log.mcap
+"""
+
+    commands: Annotated[Positional[Path], arg(metavar="OUT.npz")]
+    """Commands, as retarget writes them."""
+
+    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
+    """The recording that they answer."""
+
+    hand: Annotated[str | None, arg(metavar="NAME")] = None
+    """Robot hand; as OUT.json says if left out."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; as OUT.json or the recording says if left out."""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames a second of a recording that holds no time stamps; as OUT.json says if left out."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.view import view
+
+        view(self)

@@ -1,0 +1,81 @@
+"""Doing what was planned for one recording, and measuring it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.metrics import Definition, Trace, evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.offline.cache import enable_cache, healing
+from smooth_operator.offline.plan import Plan
+from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.types import CommandTrajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a plan.
+
+    Attributes:
+        commands: the joint commands.
+        tracking_loss: (T,) of each frame, NaN where a command was held.
+        first_command_s: from the start of the plan's execution until the first command could be
+            given [s]: building and compiling.
+    """
+
+    commands: CommandTrajectory
+    tracking_loss: Float[np.ndarray, " T"]
+    first_command_s: float
+
+
+def build(todo: Plan) -> tuple[Retargeter, float]:
+    """A retargeter for the plan, compiled.
+
+    JAX's compilation cache is switched on for the process: see
+    :func:`smooth_operator.offline.cache.enable_cache`.
+
+    Returns:
+        the retargeter, and how long it took until it could give its first command [s].
+    """
+    started = time.perf_counter()
+    with healing(enable_cache()):
+        retargeter = Retargeter(todo.hand, config=todo.config, seed=todo.seed)
+        retargeter.warm_up()
+    return retargeter, time.perf_counter() - started
+
+
+def execute(
+    todo: Plan,
+    built: tuple[Retargeter, float] | None = None,
+    track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+) -> Outcome:
+    """Retargets the recording from a fresh state.
+
+    Args:
+        todo: the plan.
+        built: what :func:`build` gave for it, or for another plan of the same hand,
+            configuration and seed; None to build now.
+        track: wraps the iteration over frames, for a progress bar.
+    """
+    retargeter, first_command_s = build(todo) if built is None else built
+    commands, loss = retargeter.run(todo.recording, track=track)
+    return Outcome(commands, loss, first_command_s)
+
+
+def measure(
+    todo: Plan, outcome: Outcome, definition: Definition = "sound"
+) -> tuple[Trace, dict[str, Any]]:
+    """The trace and its metrics, with those that only the run itself knows."""
+    trace = assemble_trace(todo.recording, outcome.commands, todo.hand, todo.config.alignment)
+    loss = outcome.tracking_loss[np.isfinite(outcome.tracking_loss)]
+    extra = {
+        "tracking_loss": float(loss.mean()) if len(loss) else None,
+        "first_command_s": outcome.first_command_s,
+    }
+    return trace, dict(evaluate(trace, definition, extra))
