@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,6 +66,29 @@ class FingerSpec:
 
 
 @dataclass(frozen=True)
+class JointMap:
+    """How one joint follows human joint angles: position = offset + sum of gain x angle.
+
+    Attributes:
+        joint: name of an actuated joint.
+        offset: its position where all angles are zero, a straight finger [rad].
+        gains: angle name, one of :data:`smooth_operator.human.joint_angles.JOINT_ANGLES` -> gain
+            with sign.
+    """
+
+    joint: str
+    offset: float = 0.0
+    gains: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(number) for number in (self.offset, *self.gains.values())):
+            raise HandModelError(
+                f"joint map of {self.joint!r}: offset and gains must be finite numbers, not "
+                f"{self.offset} and {dict(self.gains)}"
+            )
+
+
+@dataclass(frozen=True)
 class HandSpec:
     """A robot hand for retargeting: a model file and how to read it as a hand.
 
@@ -80,6 +104,8 @@ class HandSpec:
             a hand of two fingers needs the wrist.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for those not named.
         mirror: whether the file holds the other side and is to be mirrored on loading.
+        joint_map: how joints follow human joint angles, for methods that go by them. Joints without
+            a row are measured on the hand, which needs all four points of their finger.
     """
 
     name: str
@@ -91,6 +117,7 @@ class HandSpec:
     align: tuple[str, ...] = ("thumb", "index", "pinky")
     neutral: Mapping[str, float] = field(default_factory=dict)
     mirror: bool = False
+    joint_map: tuple[JointMap, ...] = ()
 
     def __post_init__(self) -> None:
         names = [finger.name for finger in self.fingers]
@@ -114,4 +141,9 @@ class HandSpec:
             raise HandModelError(
                 f"hand {self.name!r}: align needs three different landmarks to fix a rotation, not "
                 f"{self.align}; name fingers of {names} or 'wrist'"
+            )
+        mapped = [row.joint for row in self.joint_map]
+        if twice := sorted({joint for joint in mapped if mapped.count(joint) > 1}):
+            raise HandModelError(
+                f"hand {self.name!r}: joint_map has more than one row for {twice}; give one a joint"
             )

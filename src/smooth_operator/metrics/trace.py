@@ -151,4 +151,4 @@ def keyvectors(
         (T, K, 3) [m].
     """
     layout = KeyvectorLayout(FINGERS[: tips.shape[1]])  # only the number of fingers counts here
-    return layout.between_points(np.concatenate([wrist[:, None], tips], axis=1))
+    return layout.among([wrist, *np.moveaxis(tips, 1, 0)])

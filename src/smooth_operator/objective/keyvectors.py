@@ -1,18 +1,81 @@
-"""Keyvectors: the vectors between wrist and fingertips that human and robot are to share."""
+"""Keyvectors: the vectors between landmarks that human and robot are to share."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import cast
 
 from smooth_operator.geometry import AnyArray, AnyKind, namespace
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 
 
+class VectorLayout:
+    """Which vectors between landmarks a target policy speaks of.
+
+    Subclasses say :attr:`vectors`; a robot's counterparts of the landmarks have the same names.
+    """
+
+    @property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices; None is the origin of the palm frame."""
+        raise NotImplementedError
+
+    @cached_property
+    def landmarks(self) -> tuple[int, ...]:
+        """The landmarks that the vectors join, in the order in which they first appear."""
+        return tuple(dict.fromkeys(i for pair in self.vectors for i in pair if i is not None))
+
+    def human(self, landmarks: AnyKind) -> AnyKind:
+        """The human's vectors.
+
+        Args:
+            landmarks: (..., 21, 3) aligned landmarks [m].
+
+        Returns:
+            (..., K, 3) [m].
+        """
+        return self.among([landmarks[..., i, :] for i in self.landmarks])
+
+    def among(self, points: Sequence[AnyKind]) -> AnyKind:
+        """The vectors among points.
+
+        Args:
+            points: one (..., 3) array for each of :attr:`landmarks` [m].
+
+        Returns:
+            (..., K, 3) [m].
+        """
+        xp = namespace(points[0])
+        stacked = xp.stack([*points, xp.zeros_like(points[0])], axis=-2)  # the last: the origin
+        at = {landmark: i for i, landmark in enumerate(self.landmarks)}
+        start = [len(points) if i is None else at[i] for i, _ in self.vectors]
+        end = [at[j] for _, j in self.vectors]
+        vectors: AnyKind = stacked[..., end, :] - stacked[..., start, :]
+        return vectors
+
+
 @dataclass(frozen=True)
-class KeyvectorLayout:
-    """Which keyvectors a hand has; built from its fingers, not listed.
+class TipLayout(VectorLayout):
+    """From the origin of the palm frame to each fingertip: positions rather than directions.
+
+    Attributes:
+        fingers: human finger names, thumb first.
+    """
+
+    fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(F,) (origin, tip)."""
+        return tuple((None, tip) for tip in tips_of(self.fingers))
+
+
+@dataclass(frozen=True)
+class KeyvectorLayout(VectorLayout):
+    """The paper's keyvectors; built from a hand's fingers, not listed.
 
     Order: wrist to each tip (F), thumb tip to each other tip (F - 1), then tip to tip among the
     other fingers; 15 for five fingers, 6 for three. Point 0 is the wrist, point i the i-th tip.
@@ -22,6 +85,12 @@ class KeyvectorLayout:
     """
 
     fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices."""
+        points = (WRIST, *tips_of(self.fingers))
+        return tuple((points[i], points[j]) for i, j in self.pairs)
 
     @cached_property
     def pairs(self) -> tuple[tuple[int, int], ...]:
@@ -43,22 +112,6 @@ class KeyvectorLayout:
         side, as in the thumb slice."""
         return tuple((k, i - 2, j - 2) for k, (i, j) in enumerate(self.pairs) if i >= 2)
 
-    @property
-    def landmarks(self) -> tuple[int, ...]:
-        """Human landmarks that the points are: wrist, then tips."""
-        return (WRIST, *(TIPS[FINGERS.index(finger)] for finger in self.fingers))
-
-    def human(self, landmarks: AnyKind) -> AnyKind:
-        """Human keyvectors.
-
-        Args:
-            landmarks: (..., 21, 3) aligned landmarks [m].
-
-        Returns:
-            (..., K, 3) [m].
-        """
-        return self.between_points(landmarks[..., list(self.landmarks), :])
-
     def robot(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
         """Robot keyvectors.
 
@@ -70,12 +123,12 @@ class KeyvectorLayout:
             (..., K, 3) [m].
         """
         xp = namespace(tips)
-        base = xp.broadcast_to(wrist, (*tips.shape[:-2], 1, 3))
-        points: AnyKind = xp.concatenate([base, tips], axis=-2)
-        return self.between_points(points)
-
-    def between_points(self, points: AnyKind) -> AnyKind:
-        """(..., F + 1, 3) points to (..., K, 3) vectors."""
-        start, end = (list(side) for side in zip(*self.pairs, strict=True))
-        vectors: AnyKind = points[..., end, :] - points[..., start, :]
+        base = xp.broadcast_to(wrist, (*tips.shape[:-2], 3))
+        points = [base, *(tips[..., i, :] for i in range(len(self.fingers)))]
+        vectors: AnyKind = self.among(cast(list[AnyKind], points))
         return vectors
+
+
+def tips_of(fingers: Sequence[str]) -> tuple[int, ...]:
+    """Landmark indices of fingertips."""
+    return tuple(TIPS[FINGERS.index(finger)] for finger in fingers)

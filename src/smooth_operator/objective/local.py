@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.loss import FrameGoal, Objective
 
 
@@ -22,19 +23,21 @@ class LocalObjective:
 
     @cached_property
     def kinematics(self) -> PointKinematics:
-        """Fingertips with derivatives."""
-        hand = self.objective.hand
-        return PointKinematics(hand.tree, hand.tip_names)
+        """The moving points that the vectors join, with derivatives."""
+        names = [LANDMARKS[i] for i in self.objective.layout.landmarks]
+        points = self.objective.points
+        moving = tuple(name for name in names if points[name].joint >= 0)
+        return PointKinematics(self.objective.hand.tree, moving)
 
     @cached_property
-    def incidence(self) -> Float[np.ndarray, "K F"]:
-        """Keyvectors from tips: v = incidence @ tips - wrist terms."""
-        pairs = self.objective.layout.pairs
-        matrix = np.zeros((len(pairs), len(self.objective.hand.fingers)))
-        for k, (i, j) in enumerate(pairs):
-            matrix[k, j - 1] = 1
-            if i > 0:
-                matrix[k, i - 1] = -1
+    def incidence(self) -> Float[np.ndarray, "K P"]:
+        """Vectors from the P moving points, but for a constant: v = incidence @ points + ..."""
+        moving = [LANDMARKS.index(name) for name in self.kinematics.names]
+        matrix = np.zeros((len(self.objective.layout.vectors), len(moving)))
+        for k, (i, j) in enumerate(self.objective.layout.vectors):
+            for landmark, sign in ((j, 1.0), (i, -1.0)):
+                if landmark in moving:
+                    matrix[k, moving.index(landmark)] = sign
         return matrix
 
     def expand(
@@ -56,7 +59,7 @@ class LocalObjective:
         errors = self._errors(motion.points, goal)
         slope, bend = objective.slopes(errors)
         incidence = jnp.asarray(self.incidence, q.dtype)
-        force = incidence.T @ (goal.weights[:, None] * slope)  # (F, 3): dJ/dp
+        force = incidence.T @ (goal.weights[:, None] * slope)  # (P, 3): dJ/dp
         stretch = goal.weights[:, None] * bend  # (K, 3)
         relative = jnp.einsum("kf,fjc->kcj", incidence, motion.velocities)
         flat = relative.reshape(-1, relative.shape[-1])
@@ -86,7 +89,11 @@ class LocalObjective:
         matrix, offset = self.objective.hand.expansion
         return jnp.asarray(matrix, q.dtype) @ q + jnp.asarray(offset, q.dtype)
 
-    def _errors(self, tips: Float[Array, "F 3"], goal: FrameGoal) -> Float[Array, "K 3"]:
-        layout = self.objective.layout
-        wrist = jnp.asarray(self.objective.hand.wrist, tips.dtype)
-        return layout.robot(tips, wrist) - goal.vectors
+    def _errors(self, moving: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, "K 3"]:
+        layout, known = self.objective.layout, self.objective.points
+        at = {name: moving[p] for p, name in enumerate(self.kinematics.names)}
+        points = [
+            at[name] if name in at else jnp.asarray(known[name].position, moving.dtype)
+            for name in (LANDMARKS[i] for i in layout.landmarks)
+        ]
+        return layout.among(points) - goal.vectors

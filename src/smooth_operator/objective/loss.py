@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from functools import cached_property
+from typing import Literal, NamedTuple, cast
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.targets import DexPilotTargets, PlainTargets
+from smooth_operator.hands.kinematics import Keypoint
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.objective.keyvectors import VectorLayout
+from smooth_operator.objective.targets import DexPilotTargets, TargetPolicy
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class ObjectiveConfig:
         velocity_weight: lambda_vel (w_v of the table), penalty on the change of the command.
     """
 
-    targets: DexPilotTargets | PlainTargets = field(default_factory=DexPilotTargets)
+    targets: TargetPolicy = field(default_factory=DexPilotTargets)
     loss: Literal["smooth_l1", "squared"] = "smooth_l1"
     transition: float = 0.02
     pose_weight: float = 0.05
@@ -71,10 +74,27 @@ class Objective:
     hand: Hand
     config: ObjectiveConfig
 
+    @cached_property
+    def layout(self) -> VectorLayout:
+        """The vectors that the target policy speaks of; the hand's keyvectors, as a rule.
+
+        Raises:
+            ConfigError: if the hand lacks a point that one of them needs.
+        """
+        layout = self.config.targets.layout(self.hand.fingers)
+        lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in self.points]
+        if lacking:
+            raise ConfigError(
+                f"{type(self.config.targets).__name__} needs counterparts of {lacking} on the "
+                f"robot, and hand {self.hand.name!r} has only {sorted(self.points)}: add the "
+                "points to its description, or choose another method"
+            )
+        return layout
+
     @property
-    def layout(self) -> KeyvectorLayout:
-        """The hand's keyvectors."""
-        return KeyvectorLayout(self.hand.fingers)
+    def points(self) -> Mapping[str, Keypoint]:
+        """The robot's counterparts of human landmarks, by name."""
+        return self.hand.tree.keypoints
 
     def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
         """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
@@ -84,15 +104,17 @@ class Objective:
             goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
         """
-        tips = self.hand.tree.walk(
-            self.hand.expand_rows(q), self.hand.tip_names, within_limits=within_limits
+        names = {i: LANDMARKS[i] for i in self.layout.landmarks}
+        moving = [i for i, name in names.items() if self.points[name].joint >= 0]
+        walked = self.hand.tree.walk(
+            self.hand.expand_rows(q), [names[i] for i in moving], within_limits=within_limits
         )
-        points = [tuple(float(c) for c in self.hand.wrist), *tips]
+        at: dict[int | None, Sequence[Array | float]] = {None: (0.0, 0.0, 0.0)}
+        at |= {i: tuple(map(float, self.points[name].position)) for i, name in names.items()}
+        at |= {i: cast(Sequence[Array], point) for i, point in zip(moving, walked, strict=True)}
         total: Array = jnp.zeros((), q[0].dtype)
-        for k, (i, j) in enumerate(self.layout.pairs):
-            error = [
-                jnp.asarray(points[j][c] - points[i][c]) - goal.vectors[k, c] for c in range(3)
-            ]
+        for k, (i, j) in enumerate(self.layout.vectors):
+            error = [jnp.asarray(at[j][c] - at[i][c]) - goal.vectors[k, c] for c in range(3)]
             terms = [self.penalty(e) for e in error]
             total = total + goal.weights[k] * (terms[0] + terms[1] + terms[2])
         return total

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.keyvectors import KeyvectorLayout, TipLayout, VectorLayout
 
 
 class Targets(NamedTuple):
@@ -30,11 +30,14 @@ class Targets(NamedTuple):
 
 
 class TargetPolicy(Protocol):
-    """Human keyvectors to targets; hysteresis is passed in and out, never kept inside."""
+    """Human vectors to targets; hysteresis is passed in and out, never kept inside."""
+
+    def layout(self, fingers: tuple[str, ...]) -> VectorLayout:
+        """Which vectors the policy speaks of, for a hand of these fingers."""
 
     def __call__(
         self,
-        layout: KeyvectorLayout,
+        layout: Any,
         human: Float[Array, "K 3"],
         latched: Bool[Array, " P"],
         closure: Float[Array, " P"] | None = None,
@@ -57,6 +60,10 @@ class PlainTargets:
     w_thumb: float = 1.0
     w_between: float = 1.0
 
+    def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
+        """The paper's keyvectors."""
+        return KeyvectorLayout(fingers)
+
     def __call__(
         self,
         layout: KeyvectorLayout,
@@ -69,6 +76,33 @@ class PlainTargets:
             closure = latched.astype(human.dtype)
         weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
         return Targets(human * self.beta, weights.astype(human.dtype), latched, closure)
+
+
+@dataclass(frozen=True)
+class TipTargets:
+    """Every fingertip goes where the human's is in the palm frame: positions, not directions.
+
+    Attributes:
+        beta: scale of the human position.
+    """
+
+    beta: float = 1.0
+
+    def layout(self, fingers: tuple[str, ...]) -> TipLayout:
+        """From the palm's origin to each tip."""
+        return TipLayout(fingers)
+
+    def __call__(
+        self,
+        layout: TipLayout,
+        human: Float[Array, "K 3"],
+        latched: Bool[Array, " P"],
+        closure: Float[Array, " P"] | None = None,
+    ) -> Targets:
+        """Targets of one frame; the latches stay as they are."""
+        if closure is None:
+            closure = latched.astype(human.dtype)
+        return Targets(human * self.beta, jnp.ones(len(human), human.dtype), latched, closure)
 
 
 @dataclass(frozen=True)
@@ -115,6 +149,10 @@ class DexPilotTargets:
                 f"pinch distances must satisfy 0 < project <= escape, not project={self.project}, "
                 f"escape={self.escape} [m]"
             )
+
+    def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
+        """The paper's keyvectors."""
+        return KeyvectorLayout(fingers)
 
     def __call__(
         self,

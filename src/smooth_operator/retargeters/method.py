@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.hands.hand import Hand
@@ -15,11 +16,12 @@ class MethodOutput(NamedTuple):
 
     Attributes:
         q: (m,) positions of the actuated joints, within their limits [rad].
-        tracking_loss: weighted keyvector loss at q, the first term of Eq. (1).
+        tracking_loss: the method's own weighted tracking loss at q, without regularisation: for
+            keyvector methods the first term of Eq. (1).
     """
 
-    q: Float[Array, " m"]
-    tracking_loss: Float[Array, ""]
+    q: Float[Array, " m"] | Float[np.ndarray, " m"]
+    tracking_loss: Float[Array, ""] | np.floating
 
 
 class MethodConfig(Protocol):
@@ -29,12 +31,16 @@ class MethodConfig(Protocol):
     def alignment(self) -> AlignmentConfig:
         """How landmarks reach the palm frame."""
 
-    def build(self, hand: Hand) -> Method:
-        """The method for one hand."""
+    def build(self, hand: Hand) -> Method | HostMethod:
+        """The method for one hand.
+
+        Raises:
+            SmoothOperatorError: if the hand can't be served, with the reason.
+        """
 
 
-class Method(Protocol):
-    """A method for one hand. Frozen: all that changes is in the state."""
+class Stateful(Protocol):
+    """What all methods share. Frozen: all that changes is in the state."""
 
     @property
     def hand(self) -> Hand:
@@ -47,10 +53,35 @@ class Method(Protocol):
     def init(self, seed: int) -> Any:
         """The state before the first frame: a pytree of arrays, not None at its leaves."""
 
+
+class Method(Stateful, Protocol):
+    """A method that is one compiled program."""
+
     def step(self, state: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, MethodOutput]:
         """One frame; traceable, without side effects.
 
         Args:
             state: from :meth:`init` or the last step.
             aligned: (21, 3) landmarks in the palm frame [m]; those in :attr:`needs` are finite.
+        """
+
+
+@runtime_checkable
+class HostMethod(Stateful, Protocol):
+    """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
+
+    def prepare(self, state: Any, aligned: Float[Array, "21 3"]) -> Any:
+        """The problem of one frame, as a pytree; traceable, without side effects.
+
+        Args:
+            state: from :meth:`init` or the last step.
+            aligned: (21, 3) landmarks in the palm frame [m]; those in :attr:`needs` are finite.
+        """
+
+    def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
+        """Solve it; NumPy in and out, without side effects.
+
+        Args:
+            state: that the problem was prepared from.
+            problem: of :meth:`prepare`.
         """

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 from smooth_operator.errors import UnknownNameError
+from smooth_operator.objective.key_objectives import AkoTargets
 from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.targets import DexPilotTargets
+from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, TipTargets
+from smooth_operator.retargeters.descent import DescentConfig
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.sbr import SbrConfig
 from smooth_operator.solvers.newton import NewtonConfig
@@ -33,8 +36,58 @@ finger-to-finger keyvectors to the thumb's. The weights were tuned on three reco
 set that GeoRT trains on, the built-in operator); docs/benchmarks.md says which and shows others.
 """
 
+KEYVECTOR: Final = DescentConfig(
+    objective=ObjectiveConfig(targets=PlainTargets(), pose_weight=2.5e-3, velocity_weight=0.0)
+)
+"""All keyvectors follow the human's, solved by SLSQP from the last command.
+
+Smooth-L1 in units of its transition and a tolerance of 1e-6 leave no dead band: the hand moves in
+every frame that the human's does.
+"""
+
+KEYVECTOR_VECTOR: Final = replace(
+    KEYVECTOR,
+    objective=ObjectiveConfig(
+        targets=PlainTargets(w_thumb=0.0, w_between=0.0), pose_weight=0.0, velocity_weight=4e-3
+    ),
+)
+"""``vector`` in dex-retargeting's sense: wrist-to-tip vectors only, held by the last command."""
+
+KEYVECTOR_POSITION: Final = replace(
+    KEYVECTOR,
+    objective=ObjectiveConfig(targets=TipTargets(), pose_weight=0.0, velocity_weight=4e-3),
+)
+"""``position`` in dex-retargeting's sense: fingertips at the human's places in the palm frame."""
+
+HYBRID: Final = replace(KEYVECTOR, start="joint_angle")
+"""mimic-one's (Nava et al. 2025): the keyvector method, begun at the joint-angle solution."""
+
+DEXPILOT: Final = DescentConfig(
+    objective=ObjectiveConfig(
+        targets=DexPilotTargets(
+            project=0.03, escape=0.05, eta1=5e-3, eta2=0.03, w_set1=200.0, w_set2=400.0
+        ),
+        pose_weight=2.5e-3,
+        velocity_weight=0.0,
+    )
+)
+"""DexPilot (Handa et al. 2019) with its own numbers; no velocity term."""
+
+AKO: Final = DescentConfig(
+    objective=ObjectiveConfig(targets=AkoTargets(), pose_weight=0.0, velocity_weight=0.1)
+)
+"""Analyzing Key Objectives (Xin et al. 2025)."""
+
 PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
     "sbr": {"realtime": SBR_REALTIME, "paper": SBR_PAPER},
+    "keyvector": {
+        "default": KEYVECTOR,
+        "vector": KEYVECTOR_VECTOR,
+        "position": KEYVECTOR_POSITION,
+    },
+    "hybrid": {"default": HYBRID},
+    "dexpilot": {"default": DEXPILOT},
+    "ako": {"default": AKO},
 }
 """Method name -> preset name -> configuration; the first preset of a method is its default."""
 

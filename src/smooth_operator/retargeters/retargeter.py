@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from functools import cache, partial
-from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
-from smooth_operator.retargeters.method import Method, MethodConfig
+from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
 from smooth_operator.retargeters.presets import method_config
+from smooth_operator.retargeters.program import RetargetState as RetargetState
+from smooth_operator.retargeters.program import frame_program
 from smooth_operator.types import (
     CommandTrajectory,
     HandFrame,
@@ -30,31 +29,13 @@ from smooth_operator.types import (
 )
 
 
-class RetargetState(NamedTuple):
-    """All that a retargeter remembers between frames; a pytree.
-
-    Attributes:
-        method: state of the method.
-        q: (m,) last good command of the actuated joints [rad].
-    """
-
-    method: Any
-    q: Float[Array, " m"]
-
-
-class _Answer(NamedTuple):
-    q: Float[Array, " m"]
-    status: Int[Array, ""]
-    tracking_loss: Float[Array, ""]
-    scale: Float[Array, ""]
-
-
 class Retargeter:
     """Retargets frames of a tracked human hand onto one robot hand.
 
     Use it with explicit state (:meth:`init`, :meth:`step`), or call it and let it keep the state
     (:meth:`__call__`, :meth:`reset`). Either way a frame is one compiled program from landmarks to
-    command, compiled at the first frame or by :meth:`warm_up`.
+    command (up to the solver, for methods whose solver is a library on the host), compiled at the
+    first frame or by :meth:`warm_up`.
 
     A frame that is invalid, not finite or degenerate gives the last good command (before the first
     good frame: the neutral pose) with a status that says why, and leaves the state as it was.
@@ -85,10 +66,8 @@ class Retargeter:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         self.config = method_config(method, preset) if config is None else config
         self.seed = seed
-        self.method: Method = self.config.build(self.hand)
-        self._program = jax.jit(
-            partial(_program, self.method, self.config), compiler_options=_compiler_options()
-        )
+        self.method: Method | HostMethod = self.config.build(self.hand)
+        self._program = frame_program(self.method, self.config.alignment)
         self._state = self.init()
 
     def init(self, seed: int | None = None) -> RetargetState:
@@ -122,6 +101,7 @@ class Retargeter:
             )
         with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
             landmarks = frame.landmarks.astype(np.float32)
+        assert frame.valid is not None  # filled in on construction
         state, answer = self._program(state, landmarks, frame.valid)
         q, status = np.asarray(answer.q, float), Status(int(answer.status))
         # float32 may round a limit outwards: the last word is in float64
@@ -151,7 +131,7 @@ class Retargeter:
             seconds it took.
         """
         start = time.perf_counter()
-        self.step(self.init(), np.full((21, 3), np.nan))
+        self.step(self.init(), reference_landmarks(self.hand))
         return time.perf_counter() - start
 
     def run(
@@ -187,53 +167,3 @@ class Retargeter:
         )
         loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
         return trajectory, np.array(loss)
-
-
-@cache
-def _compiler_options() -> dict[str, Any] | None:
-    """Options that make a CPU program start sooner.
-
-    XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
-    faster for it. The option is XLA's own and may go: where it is unknown, there is none.
-    """
-    if jax.default_backend() != "cpu":
-        return None
-    options = {"xla_cpu_use_fusion_emitters": False}
-    try:
-        jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
-    except Exception:  # what XLA raises for an unknown option has changed between versions
-        return None
-    return options
-
-
-def _program(
-    method: Method,
-    config: MethodConfig,
-    state: RetargetState,
-    landmarks: Float[Array, "21 3"],
-    valid: Array,
-) -> tuple[RetargetState, _Answer]:
-    """Landmarks to command; whatever the input, the arithmetic inside stays finite."""
-    hand = method.hand
-    needs = np.array(sorted({*method.needs, *hand.align_indices}))
-    finite = jnp.isfinite(landmarks).all(axis=-1) & valid
-    present = finite[needs].all()
-    safe = jnp.where(present, landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
-    palm = palm_alignment(safe, hand, config.alignment)
-    well_posed = palm.condition >= MIN_CONDITION  # False for NaN
-    after, output = method.step(state.method, palm.apply(safe))
-    solved = jnp.isfinite(output.q).all()
-
-    ok = present & well_posed & solved
-    status = jnp.where(
-        ~present,
-        Status.INVALID_LANDMARKS,
-        jnp.where(
-            ~well_posed,
-            Status.DEGENERATE_PALM,
-            jnp.where(~solved, Status.SOLVER_FAILED, Status.OK),
-        ),
-    )
-    kept = RetargetState(after, output.q)
-    state = jax.tree.map(lambda new, old: jnp.where(ok, new, old), kept, state)
-    return state, _Answer(state.q, status, output.tracking_loss, palm.scale)

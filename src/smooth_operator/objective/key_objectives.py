@@ -1,0 +1,113 @@
+"""Targets of "Analyzing Key Objectives" (AKO, Xin et al. 2025): what leads depends on distance.
+
+A finger near the thumb is led by its thumb vector; the further away, the more its wrist vector
+counts, with a sigmoid in between instead of DexPilot's latch: no state, no jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.landmarks import WRIST
+from smooth_operator.objective.keyvectors import VectorLayout, tips_of
+from smooth_operator.objective.targets import Targets
+
+
+@dataclass(frozen=True)
+class PinchLayout(VectorLayout):
+    """Wrist to each tip (F), thumb tip to each other tip (F - 1), last joint to tip (F).
+
+    14 vectors for five fingers.
+
+    Attributes:
+        fingers: human finger names, thumb first.
+    """
+
+    fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices."""
+        tips = tips_of(self.fingers)
+        return (
+            *((WRIST, tip) for tip in tips),
+            *((tips[0], tip) for tip in tips[1:]),
+            *((tip - 1, tip) for tip in tips),
+        )
+
+
+@dataclass(frozen=True)
+class AkoTargets:
+    """Targets and weights of AKO.
+
+    Attributes:
+        w_thumb_wrist: weight of wrist to thumb tip.
+        w_wrist: weight of wrist to each other tip, before switching.
+        w_pinch: weight of thumb tip to each other tip.
+        w_distal: weight of last joint to tip, which holds the direction of the pad.
+        switch_distance: thumb-to-tip distance at which wrist and pinch vector count half [m].
+        switch_scale: steepness of the switch [1/m].
+        contact: distance under which a pinch is meant to close [m].
+        release: distance from which the pinch vector is the human's own [m]; the target length
+            rises from 0 at ``contact`` in between.
+        switch_pinch: whether pinch vectors fade away from the thumb as wrist vectors fade near it.
+            Without it, as by default, fingers are closer to the human's on every recording tried:
+            docs/benchmarks.md.
+    """
+
+    w_thumb_wrist: float = 10.0
+    w_wrist: float = 1.0
+    w_pinch: float = 10.0
+    w_distal: float = 10.0
+    switch_distance: float = 0.02
+    switch_scale: float = 10.0
+    contact: float = 0.01
+    release: float = 0.02
+    switch_pinch: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.contact < self.release:
+            raise ConfigError(
+                f"pinch distances must satisfy 0 <= contact < release, not contact={self.contact}, "
+                f"release={self.release} [m]"
+            )
+
+    def layout(self, fingers: tuple[str, ...]) -> PinchLayout:
+        """AKO's vectors."""
+        return PinchLayout(fingers)
+
+    def __call__(
+        self,
+        layout: PinchLayout,
+        human: Float[Array, "K 3"],
+        latched: Bool[Array, " P"],
+        closure: Float[Array, " P"] | None = None,
+    ) -> Targets:
+        """Targets of one frame; nothing latches, the state is handed back."""
+        fingers = len(layout.fingers)
+        pinch = slice(fingers, 2 * fingers - 1)
+        distance = jnp.linalg.norm(human[pinch], axis=-1)
+        open_share = jax.nn.sigmoid(self.switch_scale * (distance - self.switch_distance))
+        # 2 (d - contact) for the published 10 and 20 mm
+        slope = self.release / (self.release - self.contact)
+        length = jnp.where(
+            distance >= self.release, distance, slope * jnp.maximum(distance - self.contact, 0.0)
+        )
+        scaled = human[pinch] * (length / jnp.maximum(distance, 1e-9))[:, None]
+        weights = jnp.concatenate(
+            [
+                jnp.full(1, self.w_thumb_wrist, human.dtype),
+                self.w_wrist * open_share,
+                self.w_pinch * (1 - open_share if self.switch_pinch else jnp.ones_like(open_share)),
+                jnp.full(fingers, self.w_distal, human.dtype),
+            ]
+        )
+        if closure is None:
+            closure = latched.astype(human.dtype)
+        return Targets(human.at[pinch].set(scaled), weights, latched, closure)

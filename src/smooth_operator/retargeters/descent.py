@@ -1,0 +1,173 @@
+"""Methods that descend: targets as an objective, solved by SLSQP from a warm start.
+
+DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
+weights and starting point only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.retargeters.joint_angle import JointAngleMap
+from smooth_operator.retargeters.method import MethodOutput
+from smooth_operator.retargeters.program import compiled
+from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
+
+
+@dataclass(frozen=True)
+class DescentConfig:
+    """Settings of a descending method.
+
+    Attributes:
+        alignment: how human landmarks reach the palm frame.
+        objective: targets, loss and weights.
+        solver: when SLSQP stops.
+        start: where it begins: at the ``previous`` command, or at the ``joint_angle`` method's
+            answer to the frame.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    solver: SlsqpConfig = field(default_factory=SlsqpConfig)
+    start: Literal["previous", "joint_angle"] = "previous"
+
+    def __post_init__(self) -> None:
+        if self.start not in ("previous", "joint_angle"):
+            raise ConfigError(f"start must be 'previous' or 'joint_angle', not {self.start!r}")
+
+    def build(self, hand: Hand) -> Descent:
+        """The method for one hand.
+
+        Raises:
+            ConfigError: if the hand lacks points that the targets need.
+            SmoothOperatorError: if the start is of joint angles and the hand has no map of them.
+        """
+        method = Descent(hand, self)
+        _ = method.needs  # whatever the hand lacks is said now
+        return method
+
+
+class DescentState(NamedTuple):
+    """All that a descending method remembers between frames.
+
+    Attributes:
+        q: (m,) last command of the actuated joints [rad].
+        latched: (F - 1,) fingers latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+    """
+
+    q: Float[np.ndarray, " m"]
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+
+
+class DescentProblem(NamedTuple):
+    """One frame, ready to be solved.
+
+    Attributes:
+        goal: targets and weights.
+        start: (m,) where to begin [rad].
+        latched, closure: as the state has them, after this frame.
+    """
+
+    goal: FrameGoal
+    start: Float[Array, " m"]
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """A descending method for one hand."""
+
+    hand: Hand
+    config: DescentConfig
+
+    @cached_property
+    def objective(self) -> Objective:
+        """What is minimised."""
+        return Objective(self.hand, self.config.objective)
+
+    @cached_property
+    def joint_angles(self) -> JointAngleMap | None:
+        """Where to begin, if not at the previous command."""
+        return JointAngleMap(self.hand) if self.config.start == "joint_angle" else None
+
+    @cached_property
+    def needs(self) -> tuple[int, ...]:
+        """Landmarks of the vectors, and of the joint angles if it starts there."""
+        angles = () if self.joint_angles is None else self.joint_angles.needs
+        return tuple(sorted({*self.objective.layout.landmarks, *angles}))
+
+    @cached_property
+    def evaluate(self) -> Callable[[np.ndarray, FrameGoal], Float[Array, " 1+m"]]:
+        """(m,) joint positions and a goal to value and gradient, as one array: one transfer.
+
+        Through the unrolled kinematics: it takes 2 s longer to compile than the small program of
+        :class:`smooth_operator.objective.local.LocalObjective`, and a third of its time to run.
+        """
+
+        def both(q: Array, goal: FrameGoal) -> Array:
+            value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
+            return jnp.concatenate([value[None], gradient])
+
+        return compiled(both)
+
+    def init(self, seed: int) -> DescentState:
+        """Neutral pose, open latches; nothing here is random."""
+        fingers = len(self.hand.fingers) - 1
+        return DescentState(
+            np.asarray(self.hand.neutral, np.float32),
+            jnp.zeros(fingers, bool),
+            jnp.zeros(fingers, jnp.float32),
+        )
+
+    def prepare(self, state: DescentState, aligned: Float[Array, "21 3"]) -> DescentProblem:
+        """Targets of the frame, and where to begin."""
+        config, layout = self.config.objective, self.objective.layout
+        targets = config.targets(layout, layout.human(aligned), state.latched, state.closure)
+        previous = jnp.asarray(state.q)
+        start = previous if self.joint_angles is None else self.joint_angles.positions(aligned)
+        return DescentProblem(
+            FrameGoal(
+                targets.vectors,
+                targets.weights.astype(jnp.float32),
+                previous,
+                jnp.float32(config.velocity_weight),
+            ),
+            start,
+            targets.latched,
+            targets.closure,
+        )
+
+    def solve(
+        self, state: DescentState, problem: DescentProblem
+    ) -> tuple[DescentState, MethodOutput]:
+        """SLSQP; its last word is the best point it has seen."""
+        evaluate, goal = self.evaluate, problem.goal
+        found = slsqp_minimise(
+            lambda q: np.asarray(evaluate(q.astype(np.float32), goal)),
+            np.asarray(problem.start),
+            self.hand.limits,
+            self.config.solver,
+        )
+        q = found.x.astype(np.float32)
+        config = self.config.objective
+        regular = config.pose_weight * ((found.x - self.hand.neutral) ** 2).sum()
+        regular += config.velocity_weight * ((found.x - np.asarray(state.q)) ** 2).sum()
+        after = DescentState(q, problem.latched, problem.closure)
+        if not np.isfinite(found.value):  # finite nowhere: say so, rather than stand still unseen
+            q = np.full_like(q, np.nan)
+        return after, MethodOutput(q, np.float32(found.value - regular))

@@ -1,0 +1,144 @@
+"""One frame, from landmarks to an answer, whatever they are and wherever the solver runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    palm_alignment,
+    reference_landmarks,
+)
+from smooth_operator.retargeters.method import HostMethod, Method, Stateful
+from smooth_operator.types import Status
+
+
+class RetargetState(NamedTuple):
+    """All that a retargeter remembers between frames; a pytree.
+
+    Attributes:
+        method: state of the method.
+        q: (m,) last good command of the actuated joints [rad].
+    """
+
+    method: Any
+    q: Float[Array, " m"] | Float[np.ndarray, " m"]
+
+
+class Answer(NamedTuple):
+    """What a frame came to.
+
+    Attributes:
+        q: (m,) command of the actuated joints [rad], the last good one unless the status is OK.
+        status: a :class:`smooth_operator.types.Status`.
+        tracking_loss: of the command.
+        scale: robot size over human size in this frame's alignment.
+    """
+
+    q: Float[Array, " m"] | Float[np.ndarray, " m"]
+    status: Int[Array, ""]
+    tracking_loss: Float[Array, ""] | np.floating
+    scale: Float[Array, ""]
+
+
+Program: TypeAlias = Callable[
+    [RetargetState, Float[np.ndarray, "21 3"], Bool[np.ndarray, "21"]],
+    tuple[RetargetState, Answer],
+]
+"""State, landmarks [m] and their validity to the next state and the answer."""
+
+
+def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Program:
+    """The program of one frame; it compiles when it is first called."""
+    if isinstance(method, HostMethod):
+        return _host_program(method, alignment)
+
+    def program(
+        state: RetargetState, landmarks: Float[Array, "21 3"], valid: Bool[Array, "21"]
+    ) -> tuple[RetargetState, Answer]:
+        seen = _see(method, alignment, landmarks, valid)
+        after, output = method.step(state.method, seen.aligned)
+        solved = jnp.isfinite(output.q).all()
+        status = jnp.where((seen.status == Status.OK) & ~solved, Status.SOLVER_FAILED, seen.status)
+        kept = RetargetState(after, output.q)
+        state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
+        return state, Answer(state.q, status, output.tracking_loss, seen.scale)
+
+    return compiled(program)
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``jax.jit`` with the options that suit programs of one frame."""
+    return jax.jit(function, compiler_options=_compiler_options())
+
+
+class _Seen(NamedTuple):
+    """A frame after alignment; harmless landmarks where it can't be used."""
+
+    aligned: Float[Array, "21 3"]
+    status: Int[Array, ""]
+    scale: Float[Array, ""]
+
+
+def _see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array) -> _Seen:
+    """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
+    hand = method.hand
+    needs = np.array(sorted({*method.needs, *hand.align_indices}))
+    finite = jnp.isfinite(landmarks).all(axis=-1) & valid
+    present = finite[needs].all()
+    safe = jnp.where(present, landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
+    palm = palm_alignment(safe, hand, alignment)
+    well_posed = palm.condition >= MIN_CONDITION  # False for NaN
+    status = jnp.where(
+        ~present,
+        Status.INVALID_LANDMARKS,
+        jnp.where(~well_posed, Status.DEGENERATE_PALM, Status.OK),
+    )
+    return _Seen(palm.apply(safe), status, palm.scale)
+
+
+def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
+    def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array, Array]:
+        seen = _see(method, alignment, landmarks, valid)
+        return method.prepare(state, seen.aligned), seen.status, seen.scale
+
+    before = compiled(prepare)
+
+    def program(
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
+    ) -> tuple[RetargetState, Answer]:
+        problem, status, scale = before(state.method, landmarks, valid)
+        if int(status) != Status.OK:
+            return state, Answer(state.q, status, jnp.float32(jnp.nan), scale)
+        after, output = method.solve(state.method, problem)
+        if not np.isfinite(output.q).all():
+            failed = jnp.int32(Status.SOLVER_FAILED)
+            return state, Answer(state.q, failed, output.tracking_loss, scale)
+        return RetargetState(after, output.q), Answer(output.q, status, output.tracking_loss, scale)
+
+    return program
+
+
+@cache
+def _compiler_options() -> dict[str, Any] | None:
+    """Options that make a CPU program start sooner.
+
+    XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
+    faster for it. The option is XLA's own and may go: where it is unknown, there is none.
+    """
+    if jax.default_backend() != "cpu":
+        return None
+    options = {"xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
+    except Exception:  # what XLA raises for an unknown option has changed between versions
+        return None
+    return options

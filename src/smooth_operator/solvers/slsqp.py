@@ -1,0 +1,120 @@
+"""Sequential least-squares quadratic programming within bounds: NLopt's SLSQP, on the host.
+
+Kraft's SLSQP (1988) is what DexPilot and its successors are solved with. Whatever makes it stop,
+the answer here is the best point that it has seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, TypeAlias
+
+import nlopt
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+
+ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""(m,) float64 to (1 + m,): the value, then the gradient."""
+
+
+@dataclass(frozen=True)
+class SlsqpConfig:
+    """When SLSQP stops.
+
+    Attributes:
+        tolerance: change of the objective in one iteration that counts as none.
+        max_evaluations: evaluations of the objective per frame.
+        time_budget_ms: time per frame [ms]; the best point so far is then the answer, and the
+            same frames no longer give the same commands on a slower machine. None: no limit.
+    """
+
+    tolerance: float = 1e-6
+    max_evaluations: int = 100
+    time_budget_ms: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.tolerance <= 0 or self.max_evaluations < 1:
+            raise ConfigError(
+                "SLSQP needs tolerance > 0 and max_evaluations >= 1, not "
+                f"tolerance={self.tolerance}, max_evaluations={self.max_evaluations}"
+            )
+        if self.time_budget_ms is not None and not self.time_budget_ms > 0:
+            raise ConfigError(
+                f"time_budget_ms must be positive, or None for no limit, not {self.time_budget_ms}"
+            )
+
+
+class SlsqpResult(NamedTuple):
+    """Where SLSQP ended.
+
+    Attributes:
+        x: (m,) the best point seen, within the bounds.
+        value: the objective there; NaN if it was finite nowhere.
+        evaluations: of the objective.
+        stopped_by: ``tolerance``, ``evaluations``, ``time`` or ``rounding`` (no further descent in
+            the precision of the objective).
+    """
+
+    x: Float[np.ndarray, " m"]
+    value: float
+    evaluations: int
+    stopped_by: Literal["tolerance", "evaluations", "time", "rounding"]
+
+
+def slsqp_minimise(
+    objective: ValueAndGradient,
+    start: Float[np.ndarray, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    config: SlsqpConfig,
+) -> SlsqpResult:
+    """Minimise within bounds.
+
+    Args:
+        objective: value and gradient at a point; not finite where it can't be told.
+        start: (m,) where to begin; clipped to the bounds.
+        limits: (m, 2) bounds.
+        config: when to stop.
+    """
+    low, high = limits[:, 0], limits[:, 1]
+    best = np.clip(np.asarray(start, np.float64), low, high)
+    lowest, evaluations = np.inf, 0
+
+    def evaluate(x: np.ndarray, gradient: np.ndarray) -> float:
+        nonlocal best, lowest, evaluations
+        evaluations += 1
+        both = objective(x)
+        value = float(both[0])
+        if not math.isfinite(both.sum()):  # one number tells of them all
+            raise nlopt.ForcedStop("the objective is not finite")
+        if value < lowest:
+            best, lowest = x.copy(), value
+        if gradient.size:
+            gradient[:] = both[1:]
+        return value
+
+    solver = nlopt.opt(nlopt.LD_SLSQP, len(best))
+    solver.set_lower_bounds(low)
+    solver.set_upper_bounds(high)
+    solver.set_ftol_abs(config.tolerance)
+    solver.set_maxeval(config.max_evaluations)
+    if config.time_budget_ms is not None:
+        solver.set_maxtime(config.time_budget_ms * 1e-3)
+    solver.set_min_objective(evaluate)
+    stopped_by: Literal["tolerance", "evaluations", "time", "rounding"] = "tolerance"
+    try:
+        solver.optimize(best.copy())
+    except (nlopt.RoundoffLimited, nlopt.ForcedStop, RuntimeError):
+        # RuntimeError is what NLopt makes of a failed line search, which float32 may end in.
+        stopped_by = "rounding"
+    else:
+        code = solver.last_optimize_result()
+        if code == nlopt.MAXEVAL_REACHED:
+            stopped_by = "evaluations"
+        elif code == nlopt.MAXTIME_REACHED:
+            stopped_by = "time"
+    best = np.clip(best, low, high)  # NLopt may round over a bound
+    return SlsqpResult(best, lowest if np.isfinite(lowest) else np.nan, evaluations, stopped_by)

@@ -1,0 +1,265 @@
+"""DexPilot, keyvector, AKO and hybrid: what each minimises, and how all of them answer."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smooth_operator import HandFrame, HandSpec, Retargeter, Status, load_hand, method_config
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.objective.key_objectives import AkoTargets, PinchLayout
+from smooth_operator.objective.keyvectors import TipLayout
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.targets import TipTargets
+from smooth_operator.recording import read_recording
+from smooth_operator.retargeters.descent import Descent, DescentConfig
+from smooth_operator.solvers.slsqp import SlsqpConfig
+from smooth_operator.sources import SyntheticOperator
+
+METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def retargeter(request: pytest.FixtureRequest, hand: Hand) -> Retargeter:
+    built = Retargeter(hand, method=request.param)
+    built.warm_up()
+    return built
+
+
+def posed(hand: Hand, share: float) -> np.ndarray:
+    """Landmarks of a human hand that is the robot's own, some way from neutral to its far limit."""
+    q = hand.neutral + share * (hand.limits[:, 1] - hand.neutral)
+    at = dict(zip(hand.tree.names, hand.landmark_positions(q), strict=True))
+    from smooth_operator.landmarks import LANDMARKS
+
+    return np.stack([at.get(name, hand.wrist) for name in LANDMARKS])
+
+
+# AKO's targets
+
+
+def ako_vectors(gaps: list[float]) -> np.ndarray:
+    vectors = np.zeros((14, 3))
+    vectors[:5, 0] = 0.1
+    vectors[5:9, 1] = gaps
+    vectors[9:, 2] = 0.02
+    return vectors
+
+
+def test_ako_has_fourteen_vectors() -> None:
+    layout = PinchLayout(FINGERS)
+    assert layout.vectors == (
+        *((0, tip) for tip in (4, 8, 12, 16, 20)),
+        *((4, tip) for tip in (8, 12, 16, 20)),
+        *((tip - 1, tip) for tip in (4, 8, 12, 16, 20)),
+    )
+
+
+def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20() -> None:
+    human = jnp.asarray(ako_vectors([0.005, 0.01, 0.015, 0.03]), jnp.float32)
+    targets = AkoTargets()(PinchLayout(FINGERS), human, jnp.zeros(4, bool))
+    lengths = np.linalg.norm(targets.vectors[5:9], axis=1)
+    np.testing.assert_allclose(lengths, [0.0, 0.0, 0.01, 0.03], atol=1e-7)  # 2 (15 - 10) mm = 10
+    np.testing.assert_array_equal(targets.vectors[:5], human[:5])
+
+
+def test_ako_switches_between_wrist_and_pinch_at_20_mm() -> None:
+    human = jnp.asarray(ako_vectors([0.02, 0.0, 0.12, 0.02]), jnp.float32)
+    policy = AkoTargets(switch_pinch=True)
+    weights = np.asarray(policy(PinchLayout(FINGERS), human, jnp.zeros(4, bool)).weights)
+    s = 1 / (1 + np.exp(-10 * (np.array([0.02, 0.0, 0.12, 0.02]) - 0.02)))
+    np.testing.assert_allclose(weights[1:5], s, rtol=1e-6)
+    np.testing.assert_allclose(weights[5:9], 10 * (1 - s), rtol=1e-6)
+    np.testing.assert_allclose(weights[[0, 9, 10, 11, 12, 13]], 10)
+    held = AkoTargets()(PinchLayout(FINGERS), human, jnp.zeros(4, bool)).weights
+    np.testing.assert_allclose(held[5:9], 10)
+
+
+def test_ako_refuses_a_hand_without_last_joints(hand: Hand) -> None:
+    spec = hand.spec
+    stub = dataclasses.replace(
+        spec.fingers[1], points=(spec.fingers[1].points[0], None, None, spec.fingers[1].points[3])
+    )
+    poor: HandSpec = dataclasses.replace(
+        spec, name="poor", fingers=(spec.fingers[0], stub, *spec.fingers[2:])
+    )
+    with pytest.raises(ConfigError, match=r"AkoTargets needs .*index_dip.*'poor'"):
+        Retargeter(poor, method="ako")
+    Retargeter(poor, method="dexpilot")  # asks for tips only
+
+
+# The objective behind them
+
+
+@pytest.mark.parametrize("policy", [AkoTargets(), TipTargets()])
+def test_objective_of_other_vectors_is_their_weighted_loss(
+    hand: Hand, policy: AkoTargets | TipTargets
+) -> None:
+    objective = Objective(
+        hand, ObjectiveConfig(targets=policy, loss="squared", pose_weight=0.0, velocity_weight=0.0)
+    )
+    rng = np.random.default_rng(3)
+    q = rng.uniform(*hand.limits.T)
+    layout = objective.layout
+    goals = rng.normal(scale=0.05, size=(len(layout.vectors), 3))
+    weights = rng.uniform(0.5, 2.0, len(layout.vectors))
+    at = dict(zip(hand.tree.names, hand.landmark_positions(q), strict=True))
+    from smooth_operator.landmarks import LANDMARKS
+
+    expected = 0.0
+    for k, (i, j) in enumerate(layout.vectors):
+        start = np.zeros(3) if i is None else at[LANDMARKS[i]]
+        expected += weights[k] * ((at[LANDMARKS[j]] - start - goals[k]) ** 2).sum()
+    goal = FrameGoal(jnp.asarray(goals), jnp.asarray(weights), jnp.asarray(q), 0.0)
+    got = objective([jnp.asarray(v, jnp.float32) for v in q], goal)
+    np.testing.assert_allclose(float(got), expected, rtol=1e-4)
+    if isinstance(policy, TipTargets):
+        assert isinstance(layout, TipLayout)
+        assert len(layout.vectors) == 5
+
+
+def test_gradient_against_finite_differences(hand: Hand) -> None:
+    method = DescentConfig(
+        objective=ObjectiveConfig(targets=AkoTargets(), pose_weight=0.02, velocity_weight=0.1)
+    ).build(hand)
+    rng = np.random.default_rng(5)
+    q = rng.uniform(*(hand.limits * 0.8).T).astype(np.float32)
+    goal = FrameGoal(
+        jnp.asarray(rng.normal(scale=0.05, size=(14, 3)), jnp.float32),
+        jnp.ones(14, jnp.float32),
+        jnp.asarray(hand.neutral, jnp.float32),
+        jnp.float32(0.1),
+    )
+    gradient = np.asarray(method.evaluate(q, goal))[1:]
+    step = 1e-2  # of float32 values of order 1: the error of the difference is about 1e-4
+    for i in range(len(q)):
+        ends = [
+            np.asarray(method.evaluate(q + s * np.eye(len(q))[i], goal))[0] for s in (step, -step)
+        ]
+        assert abs((ends[0] - ends[1]) / (2 * step) - gradient[i]) < 2e-2 * max(1, abs(gradient[i]))
+
+
+# The methods
+
+
+def test_round_trip_brings_the_tips_to_the_robots_own(hand: Hand, retargeter: Retargeter) -> None:
+    q = hand.neutral + 0.25 * (hand.limits[:, 1] - hand.neutral)
+    state = retargeter.init()
+    frame = posed(hand, 0.25)
+    for _ in range(15):  # AKO's velocity term lets it come no faster
+        state, result = retargeter.step(state, frame)
+    tips = hand.tips(result.command.positions)
+    error = np.linalg.norm(tips - hand.tips(hand.expand(q)), axis=1)
+    assert result.status == Status.OK
+    assert error.max() < 0.008, error
+
+
+def test_commands_stay_within_limits_and_bad_frames_hold(
+    hand: Hand, retargeter: Retargeter
+) -> None:
+    recording = SyntheticOperator(seed=4, rate_hz=30.0).record(2.0)
+    landmarks = recording.landmarks.copy()
+    landmarks[10:13, 8] = np.nan
+    landmarks[20, [1, 5, 17]] = 0.0  # a palm that is a point
+    state, held = retargeter.init(), []
+    for i, points in enumerate(landmarks):
+        before = state
+        state, result = retargeter.step(state, points)
+        low, high = hand.joint_limits.T
+        assert (result.command.positions >= low - 1e-9).all()
+        assert (result.command.positions <= high + 1e-9).all()
+        if result.status != Status.OK:
+            held.append(i)
+            assert state is before  # nothing of the frame is remembered
+    assert held == [10, 11, 12, 20]
+
+
+def test_the_same_frames_give_the_same_commands(retargeter: Retargeter) -> None:
+    recording = SyntheticOperator(seed=1, rate_hz=30.0).record(1.0)
+    runs = []
+    for _ in range(2):
+        retargeter.reset()
+        runs.append([retargeter(frame).command.positions for frame in recording])
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+def test_dexpilots_latch_lives_in_the_state_and_resets(hand: Hand) -> None:
+    """Human thumb-to-index distances of 25, 40 and 60 mm: closes under 30, opens above 50."""
+    retargeter = Retargeter(hand, method="dexpilot")
+    assert isinstance(retargeter.method, Descent)
+    neutral = posed(hand, 0.0)
+
+    def frame(gap: float) -> np.ndarray:
+        points = neutral.copy()
+        away = points[8] - points[4]
+        points[8] = points[4] + away / np.linalg.norm(away) * gap
+        return points
+
+    state = retargeter.init()
+    seen = []
+    for gap in (0.06, 0.04, 0.025, 0.04, 0.06, 0.04):
+        state, _ = retargeter.step(state, frame(gap))
+        seen.append(bool(state.method.latched[0]))
+    assert seen == [False, False, True, True, False, False]
+    state, _ = retargeter.step(retargeter.init(), frame(0.025))
+    assert state.method.latched[0]
+    assert not retargeter.init().method.latched.any()
+
+
+def test_a_time_budget_ends_a_frame_early(hand: Hand) -> None:
+    config = method_config("dexpilot")
+    assert isinstance(config, DescentConfig)
+    hurried = dataclasses.replace(config, solver=SlsqpConfig(time_budget_ms=1e-3))
+    patient, quick = Retargeter(hand, config=config), Retargeter(hand, config=hurried)
+    frame = posed(hand, 0.5)
+    well, early = patient(frame), quick(frame)
+    assert early.status == Status.OK
+    assert early.tracking_loss > well.tracking_loss
+
+
+def test_both_sides(retargeter: Retargeter) -> None:
+    """Mirrored frames on the mirrored hand give the same joint angles."""
+    right = SyntheticOperator(seed=2, rate_hz=10.0).record(1.0)
+    left = Retargeter("mimic_p050", side="left", config=retargeter.config)
+    retargeter.reset()
+    for frame in right:
+        mirrored = HandFrame(frame.landmarks * [-1, 1, 1], frame.stamp, "left")
+        a, b = retargeter(frame).command.positions, left(mirrored).command.positions
+        np.testing.assert_allclose(a, b, atol=0.02)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("method", "cosine", "flatness"),
+    [("dexpilot", 0.998, 6.3e-6), ("keyvector", 0.971, 1.6e-5), ("hybrid", 0.975, 2.4e-5),
+     ("ako", 0.995, 4.8e-6)],
+)  # fmt: skip
+def test_each_is_at_least_as_good_as_published_code_on_a_glove(
+    shared: Path, hand: Hand, method: str, cosine: float, flatness: float
+) -> None:
+    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    recording = read_recording(path)[:500]
+    commands, _ = Retargeter(hand, method=method).run(recording)
+    human = align_recording(recording, hand)
+    tips = hand.tips(commands.joint_positions)
+    ours = tips[:, 1:] - tips[:, :1]
+    theirs = human[:, [8, 12, 16, 20]] - human[:, [4]]
+    alike = (ours * theirs).sum(-1) / (
+        np.linalg.norm(ours, axis=-1) * np.linalg.norm(theirs, axis=-1)
+    )
+    bend = ((tips[2:] + tips[:-2] - 2 * tips[1:-1]) ** 2).sum(-1).mean()
+    assert alike.mean() >= cosine - 5e-4  # the figure has three places
+    assert bend <= flatness
+    assert (np.abs(np.diff(commands.joint_positions, axis=0)).max(axis=1) > 1e-6).mean() > 0.95

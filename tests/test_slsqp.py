@@ -1,0 +1,108 @@
+"""SLSQP on functions whose minima are known, and all its ways to stop."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
+
+WIDE = np.tile([-3.0, 3.0], (4, 1))
+CENTRE = np.array([0.5, -1.0, 2.0, 0.0])
+
+
+def bowl(x: np.ndarray) -> np.ndarray:
+    stiffness = np.array([1.0, 4.0, 9.0, 30.0])
+    return np.concatenate([[(stiffness * (x - CENTRE) ** 2).sum()], 2 * stiffness * (x - CENTRE)])
+
+
+def rosenbrock(x: np.ndarray) -> np.ndarray:
+    a, b = x
+    value = (1 - a) ** 2 + 100 * (b - a * a) ** 2
+    return np.array([value, -2 * (1 - a) - 400 * a * (b - a * a), 200 * (b - a * a)])
+
+
+def test_minimum_of_a_quadratic() -> None:
+    found = slsqp_minimise(bowl, np.full(4, 2.5), WIDE, SlsqpConfig(tolerance=1e-12))
+    np.testing.assert_allclose(found.x, CENTRE, atol=1e-5)
+    assert found.value < 1e-9
+    assert found.stopped_by == "tolerance"
+
+
+def test_minimum_of_rosenbrocks_valley() -> None:
+    found = slsqp_minimise(
+        rosenbrock, np.array([-1.2, 1.0]), WIDE[:2], SlsqpConfig(tolerance=1e-14)
+    )
+    np.testing.assert_allclose(found.x, [1, 1], atol=1e-4)
+
+
+def test_active_bounds_hold_exactly() -> None:
+    limits = np.array([[1.0, 2.0], [-3.0, -2.0], [-1.0, 1.0], [0.25, 3.0]])  # none holds the centre
+    found = slsqp_minimise(bowl, np.zeros(4), limits, SlsqpConfig(tolerance=1e-12))
+    np.testing.assert_allclose(found.x, [1.0, -2.0, 1.0, 0.25], atol=1e-9)
+    assert (found.x >= limits[:, 0]).all()
+    assert (found.x <= limits[:, 1]).all()
+
+
+def test_a_start_outside_the_bounds_is_brought_in() -> None:
+    seen: list[np.ndarray] = []
+
+    def watched(x: np.ndarray) -> np.ndarray:
+        seen.append(x.copy())
+        return bowl(x)
+
+    slsqp_minimise(watched, np.full(4, 99.0), WIDE, SlsqpConfig())
+    np.testing.assert_array_equal(seen[0], np.full(4, 3.0))
+
+
+def test_a_cap_on_evaluations_gives_the_best_so_far() -> None:
+    found = slsqp_minimise(
+        rosenbrock, np.array([-1.2, 1.0]), WIDE[:2], SlsqpConfig(max_evaluations=6)
+    )
+    assert found.stopped_by == "evaluations"
+    assert found.evaluations <= 7
+    assert found.value <= rosenbrock(np.array([-1.2, 1.0]))[0]
+    assert found.value == rosenbrock(found.x)[0]
+
+
+def test_a_time_budget_is_honoured() -> None:
+    def slow(x: np.ndarray) -> np.ndarray:
+        time.sleep(0.02)
+        return rosenbrock(x)
+
+    config = SlsqpConfig(tolerance=1e-14, time_budget_ms=50)
+    start = time.perf_counter()
+    found = slsqp_minimise(slow, np.array([-1.2, 1.0]), WIDE[:2], config)
+    assert found.stopped_by == "time"
+    assert 3 <= found.evaluations <= 6  # it looks at the clock between evaluations
+    assert time.perf_counter() - start < 1.0
+    assert np.isfinite(found.value)
+
+
+def test_an_objective_that_breaks_gives_the_best_finite_point() -> None:
+    calls = 0
+
+    def breaking(x: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        return rosenbrock(x) if calls < 4 else np.full(3, np.nan)
+
+    found = slsqp_minimise(breaking, np.array([-1.2, 1.0]), WIDE[:2], SlsqpConfig())
+    assert calls == 4
+    assert found.value == rosenbrock(found.x)[0]
+
+
+def test_an_objective_that_is_nowhere_finite_says_so() -> None:
+    found = slsqp_minimise(lambda x: np.full(5, np.nan), np.zeros(4), WIDE, SlsqpConfig())
+    assert np.isnan(found.value)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"tolerance": 0.0}, {"max_evaluations": 0}, {"time_budget_ms": 0.0}]
+)
+def test_a_bad_configuration_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        SlsqpConfig(**bad)  # type: ignore[arg-type]
