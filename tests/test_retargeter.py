@@ -25,7 +25,7 @@ from smooth_operator.human.alignment import (
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
-from smooth_operator.retargeters import retargeter as retargeter_module
+from smooth_operator.retargeters import program as program_module
 from smooth_operator.retargeters.presets import PRESETS, method_config, method_names
 from smooth_operator.retargeters.retargeter import Retargeter, RetargetState
 from smooth_operator.retargeters.sbr import SbrConfig
@@ -112,7 +112,7 @@ def test_reset_restores_everything_and_never_recompiles(
     def traced_again(*_: object) -> None:
         raise AssertionError("the program is compiled a second time")
 
-    monkeypatch.setattr(retargeter_module, "palm_alignment", traced_again)
+    monkeypatch.setattr(program_module, "palm_alignment", traced_again)
     fresh.reset()
     first = [fresh(frame) for frame in frames[:15]]
     assert np.asarray(fresh._state.method.latched).any()  # a pinch: something to forget
