@@ -112,9 +112,9 @@ def test_opens_in_the_mcap_library_and_keeps_to_what_viewers_parse(tmp_path: Pat
         summary = make_reader(stream, validate_crcs=True).get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        assert summary.statistics.message_count == 31
+        assert summary.statistics.message_count == 41
         topics = {c.topic: c for c in summary.channels.values()}
-        assert set(topics) == {"/hand", "/command", "/timing", "/config"}
+        assert set(topics) == {"/hand", "/command", "/status", "/timing", "/config"}
         messages = list(make_reader(stream).iter_messages())
     times = [message.log_time for _, _, message in messages]
     assert times == sorted(times)
@@ -444,7 +444,7 @@ def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
     [
         ("/camera", b"{}", None, "MCAP file of another program, with the topics /camera"),
         ("/hand", b"{}", None, "MCAP file of another program"),
-        ("/hand", b"{}", "2", "version 2, this program reads version 1; upgrade"),
+        ("/hand", b"{}", "3", "version 3, this program reads up to version 2; upgrade"),
         ("/hand", b"{}", "1", "lacks a field or has a wrong one"),
         ("/hand", b"\xff", "1", "a message on /hand is not JSON"),
         ("/command", b"[1]", "1", "a message on /command is not an object"),

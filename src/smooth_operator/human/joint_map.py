@@ -51,13 +51,13 @@ def joint_map(hand: Hand) -> tuple[JointMap, ...]:
 
     Rows in the hand's description are taken as they are. The others are derived: the effect of each
     joint on each angle, as a median over poses all through the joints' ranges, makes a matrix, and
-    its pseudo-inverse the gains; a joint that moves one angle takes that angle, two joints at a
-    thumb's base share two by a 2 x 2 solution, and a joint that bends two phalanges takes the least
-    squares of both (half of each, where it bends both alike), so that the finger's curl as a whole
-    is the human's. Following the nearer phalanx alone measured a thumb cosine up to 0.03 higher,
-    but moved less like the human: on a glove's first 500 frames a velocity correlation of 0.88
-    instead of 0.92 and a flatness of 1.24e-5 instead of 0.99e-5 m^2. The offset makes the neutral
-    pose answer its own angles. A joint that moves no angle stays at neutral.
+    its pseudo-inverse the gains. A joint that alone moves one angle takes that angle; joints that
+    move the same ones, as at a thumb's base, share them; a joint that bends two phalanges takes the
+    least squares of both (half of each, where it bends both alike), so that the finger's curl as
+    a whole is the human's. Following the nearer phalanx alone measured a thumb cosine up to 0.03
+    higher, but moved less like the human: on a glove's first 500 frames a velocity correlation of
+    0.88 instead of 0.92 and a flatness of 1.24e-5 instead of 0.99e-5 m^2. The offset makes the
+    neutral pose answer its own angles. A joint that moves no angle stays at neutral.
 
     Raises:
         HandModelError: if a joint without a row moves a finger without all four landmarks.

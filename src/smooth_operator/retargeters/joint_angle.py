@@ -1,8 +1,8 @@
 """The joint-angle method: human joint angles to robot joints, by sign, gain and offset.
 
 The oldest way of retargeting, and the fastest: no search, no memory, so no lag and no wrong basin,
-but nothing that holds the fingertips where the human's are. Commands
-are clipped to the limits, and joints that others follow answer for all that they move.
+but nothing that holds the fingertips where the human's are. Commands are clipped to the limits, and
+joints that others follow answer for all that they move.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from smooth_operator.geometry import AnyKind, namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import AlignmentConfig
@@ -54,21 +55,25 @@ class JointAngleMap:
             base + i for base, use in zip(BASES, used, strict=True) if use for i in range(4)
         )
 
-    def positions(self, aligned: Float[Array, "21 3"]) -> Float[Array, " m"]:
-        """Joint positions for one hand; traceable.
+    def positions(self, aligned: Float[AnyKind, "*batch 21 3"]) -> Float[AnyKind, "*batch m"]:
+        """Joint positions for a hand, or many.
 
         Args:
-            aligned: (21, 3) landmarks in the palm frame [m]; those in :attr:`needs` are finite.
+            aligned: (..., 21, 3) landmarks in the palm frame [m]; those in :attr:`needs` are
+                finite. JAX (traceable), or NumPy (on the host, in its own precision).
 
         Returns:
-            (m,) positions of the actuated joints [rad], within their limits.
+            (..., m) positions of the actuated joints [rad], within their limits.
         """
+        xp = namespace(aligned)
         angles = joint_angles(aligned, self.axes)
         # What is not needed may be NaN, and zero times NaN is not zero.
-        angles = jnp.where(jnp.isfinite(angles), angles, 0.0)
-        gains, offsets = (jnp.asarray(a, angles.dtype) for a in (self._gains, self._offsets))
-        limits = jnp.asarray(self.hand.limits, angles.dtype)
-        return jnp.clip(offsets + gains @ angles, limits[:, 0], limits[:, 1])
+        angles = xp.where(xp.isfinite(angles), angles, 0)
+        gains, offsets, low, high = (
+            xp.asarray(a, angles.dtype) for a in (self._gains.T, self._offsets, *self.hand.limits.T)
+        )
+        q: AnyKind = xp.clip(angles @ gains + offsets, low, high)
+        return q
 
     def __str__(self) -> str:
         return format_map(self.rows)

@@ -10,6 +10,7 @@ from smooth_operator.objective.key_objectives import AkoTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, TipTargets
 from smooth_operator.retargeters.descent import DescentConfig
+from smooth_operator.retargeters.joint_angle import JointAngleConfig
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.sbr import SbrConfig
 from smooth_operator.solvers.newton import NewtonConfig
@@ -80,6 +81,7 @@ AKO: Final = DescentConfig(
 
 PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
     "sbr": {"realtime": SBR_REALTIME, "paper": SBR_PAPER},
+    "joint_angle": {"default": JointAngleConfig()},
     "keyvector": {
         "default": KEYVECTOR,
         "vector": KEYVECTOR_VECTOR,

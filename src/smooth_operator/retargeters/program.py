@@ -44,24 +44,25 @@ class Answer(NamedTuple):
     """
 
     q: Float[Array, " m"] | Float[np.ndarray, " m"]
-    status: Int[Array, ""]
-    tracking_loss: Float[Array, ""] | np.floating
-    scale: Float[Array, ""]
+    status: Int[Array, ""] | int
+    tracking_loss: Float[Array, ""] | float
+    scale: Float[Array, ""] | float
 
+
+Step: TypeAlias = Callable[[RetargetState, Array, Array], tuple[RetargetState, Answer]]
+"""State, (21, 3) landmarks [m] and (21,) validity to the next state and the answer; traceable."""
 
 Program: TypeAlias = Callable[
     [RetargetState, Float[np.ndarray, "21 3"], Bool[np.ndarray, "21"]],
     tuple[RetargetState, Answer],
 ]
-"""State, landmarks [m] and their validity to the next state and the answer."""
+"""The same on the host, compiled."""
 
 
-def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Program:
-    """The program of one frame; it compiles when it is first called."""
-    if isinstance(method, HostMethod):
-        return _host_program(method, alignment)
+def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
+    """One frame as a function to be compiled, by itself or in a longer program."""
 
-    def program(
+    def step(
         state: RetargetState, landmarks: Float[Array, "21 3"], valid: Bool[Array, "21"]
     ) -> tuple[RetargetState, Answer]:
         seen = _see(method, alignment, landmarks, valid)
@@ -70,9 +71,37 @@ def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Pr
         status = jnp.where((seen.status == Status.OK) & ~solved, Status.SOLVER_FAILED, seen.status)
         kept = RetargetState(after, output.q)
         state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
-        return state, Answer(state.q, status, output.tracking_loss, seen.scale)
+        return state, Answer(state.q, status, jnp.asarray(output.tracking_loss), seen.scale)
 
-    return compiled(program)
+    return step
+
+
+def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Program:
+    """The program of one frame; it compiles when it is first called."""
+    if isinstance(method, HostMethod):
+        return _host_program(method, alignment)
+    step = frame_step(method, alignment)
+
+    def packed(state: RetargetState, landmarks: Array, valid: Array) -> tuple[RetargetState, Array]:
+        state, answer = step(state, landmarks, valid)
+        return state, _pack(answer.q, answer.status, answer.tracking_loss, answer.scale)
+
+    run = compiled(packed)
+
+    def program(
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
+    ) -> tuple[RetargetState, Answer]:
+        state, flat = run(state, landmarks, valid)
+        numbers = np.asarray(flat)
+        status, loss, scale = numbers[-3:].tolist()
+        return state, Answer(numbers[:-3], int(status), loss, scale)
+
+    return program
+
+
+def _pack(*parts: Array | np.ndarray | float) -> Array:
+    """One array: what the host reads costs by the piece, not by the byte."""
+    return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -106,23 +135,24 @@ def _see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: 
 
 
 def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
-    def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array, Array]:
+    def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array]:
         seen = _see(method, alignment, landmarks, valid)
-        return method.prepare(state, seen.aligned), seen.status, seen.scale
+        return method.prepare(state, seen.aligned), _pack(seen.status, seen.scale)
 
     before = compiled(prepare)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
     ) -> tuple[RetargetState, Answer]:
-        problem, status, scale = before(state.method, landmarks, valid)
-        if int(status) != Status.OK:
-            return state, Answer(state.q, status, jnp.float32(jnp.nan), scale)
+        problem, flat = before(state.method, landmarks, valid)
+        code, scale = np.asarray(flat).tolist()
+        if code != Status.OK:
+            return state, Answer(state.q, int(code), np.nan, scale)
         after, output = method.solve(state.method, problem)
+        loss = float(output.tracking_loss)
         if not np.isfinite(output.q).all():
-            failed = jnp.int32(Status.SOLVER_FAILED)
-            return state, Answer(state.q, failed, output.tracking_loss, scale)
-        return RetargetState(after, output.q), Answer(output.q, status, output.tracking_loss, scale)
+            return state, Answer(state.q, Status.SOLVER_FAILED, loss, scale)
+        return RetargetState(after, output.q), Answer(output.q, int(code), loss, scale)
 
     return program
 

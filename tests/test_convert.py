@@ -1,0 +1,929 @@
+"""Recordings and commands through every format and back: nothing is lost or overwritten."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from smooth_operator.cli import main
+from smooth_operator.errors import (
+    ConfigError,
+    MissingExtraError,
+    OutputError,
+    RecordingError,
+)
+from smooth_operator.recording import (
+    Episode,
+    read_commands,
+    read_episode,
+    read_log,
+    read_recording,
+    write_commands,
+    write_episode,
+)
+from smooth_operator.recording.convert import Format
+from smooth_operator.recording.lerobot import write_dataset
+from smooth_operator.recording.lerobot.stats import column_statistics, joint_statistics
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+
+FRAMES = 40
+JOINTS = ("base", "middle", "tip")
+CONFIG = {
+    "program": "smooth-operator",
+    "hand": "mimic_p050",
+    "limit": "inf",
+    "list": [1, 2.5, None],
+}
+
+Run = Callable[..., tuple[int, str]]
+
+
+# --- material --------------------------------------------------------------------------------
+
+
+def hand(
+    *, side: Side = "right", rich: bool = True, seed: int = 0, name: str = "a"
+) -> HandRecording:
+    """Irregular stamps, missing landmarks, flags that only the tracker knows."""
+    rng = np.random.default_rng(seed)
+    points = 0.02 * rng.normal(size=(FRAMES, 21, 3))
+    points[:, 0] = 0.0
+    points[:, 9] = (0.0, 0.0, 0.095)
+    points[3:5, 8] = np.nan
+    points[6] = np.nan  # a frame without any
+    points[7, 4, 1] = -0.0
+    valid = rng.random((FRAMES, 21)) > 0.02
+    valid[:, [0, 9]] = True
+    orientations = rng.normal(size=(FRAMES, 21, 4))
+    orientations[2, 5] = np.nan
+    return HandRecording(
+        points,
+        1.7e9 + np.cumsum(rng.uniform(0.005, 0.015, FRAMES)),
+        side,
+        valid=valid,
+        metacarpals=rng.normal(size=(FRAMES, 4, 3)) if rich else None,
+        orientations=orientations if rich else None,
+        name=name,
+        meta={"glove_ids": [7], "format": "manus"},
+    )
+
+
+def answers(stamps: np.ndarray, seed: int = 0) -> CommandTrajectory:
+    rng = np.random.default_rng(seed)
+    latency = rng.uniform(0.1, 2.0, len(stamps))
+    latency[1] = np.nan
+    return CommandTrajectory(
+        rng.normal(size=(len(stamps), len(JOINTS))),
+        JOINTS,
+        stamps,
+        latency,
+        rng.integers(0, len(Status), len(stamps)).astype(np.int8),
+    )
+
+
+def episode(
+    *, side: Side = "right", rich: bool = True, parts: str = "both", seed: int = 0, name: str = "a"
+) -> Episode:
+    recording = hand(side=side, rich=rich, seed=seed, name=name)
+    commands = answers(recording.stamps, seed)
+    stages = {
+        "align/scale": np.where(np.arange(FRAMES) % 3, 0.25, np.nan),
+        "solve": np.linspace(0, 1, FRAMES),
+    }
+    return Episode(
+        recording=None if parts == "commands" else recording,
+        commands=None if parts == "hand" else commands,
+        config=CONFIG if rich else None,
+        stages_ms=stages if rich and parts != "hand" else {},
+        task="pinch — daumen" if rich else None,
+        name=name,
+    )
+
+
+def assert_same(a: Episode, b: Episode) -> None:
+    assert (a.recording is None, a.commands is None) == (b.recording is None, b.commands is None)
+    assert (a.config, a.task, a.name, a.meta) == (b.config, b.task, b.name, b.meta)
+    pairs: list[tuple[str, Any, Any]] = []
+    if a.recording is not None and b.recording is not None:
+        assert (a.recording.side, a.recording.name) == (b.recording.side, b.recording.name)
+        names = ("landmarks", "stamps", "valid", "metacarpals", "orientations")
+        pairs += [(n, getattr(a.recording, n), getattr(b.recording, n)) for n in names]
+    if a.commands is not None and b.commands is not None:
+        assert a.commands.joint_names == b.commands.joint_names
+        names = ("joint_positions", "stamps", "latency_ms", "status")
+        pairs += [(n, getattr(a.commands, n), getattr(b.commands, n)) for n in names]
+    assert a.stages_ms.keys() == b.stages_ms.keys()
+    pairs += [(name, a.stages_ms[name], b.stages_ms[name]) for name in a.stages_ms]
+    for name, left, right in pairs:
+        assert (left is None) == (right is None), name
+        if left is not None:
+            np.testing.assert_array_equal(left, right, err_msg=name)
+            np.testing.assert_array_equal(np.signbit(left), np.signbit(right), err_msg=name)
+
+
+NAMES: dict[Format, str] = {"mcap": "e.mcap", "npz": "e.npz", "hdf5": "e.h5", "lerobot": "e"}
+
+
+def write(folder: Path, value: Episode, to: Format) -> Path:
+    path = folder / NAMES[to]
+    if to == "lerobot":
+        write_dataset(path, [lambda: value])
+    else:
+        write_episode(path, value)
+    return path
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """``smooth-operator convert`` in this process: exit status and standard error."""
+    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+
+    def call(*arguments: object) -> tuple[int, str]:
+        capfd.readouterr()
+        status = main(["convert", *(str(argument) for argument in arguments)])
+        out, err = capfd.readouterr()
+        assert out == ""
+        return status, err
+
+    return call
+
+
+# --- round trips -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("to", NAMES)
+@pytest.mark.parametrize("origin", NAMES)
+@pytest.mark.parametrize(("side", "rich"), [("right", False), ("left", True)])
+def test_every_pair_of_formats(
+    tmp_path: Path, origin: Format, to: Format, side: Side, rich: bool
+) -> None:
+    value = episode(side=side, rich=rich)
+    (tmp_path / "1").mkdir()
+    (tmp_path / "2").mkdir()
+    first = read_episode(write(tmp_path / "1", value, origin))
+    assert_same(value, first)
+    assert first.notes == ()
+    assert_same(value, read_episode(write(tmp_path / "2", first, to)))
+
+
+@pytest.mark.parametrize("to", NAMES)
+@pytest.mark.parametrize("parts", ["hand", "commands"])
+def test_either_part_alone(tmp_path: Path, to: Format, parts: str) -> None:
+    value = episode(parts=parts)
+    assert_same(value, read_episode(write(tmp_path, value, to)))
+
+
+@pytest.mark.parametrize("to", NAMES)
+def test_one_frame_one_joint_one_stage(tmp_path: Path, to: Format) -> None:
+    value = episode().sliced(slice(0, 1))
+    assert value.commands is not None
+    commands = replace(
+        value.commands,
+        joint_positions=value.commands.joint_positions[:, :1],
+        joint_names=("only",),
+    )
+    value = replace(value, commands=commands, stages_ms={"solve": np.array([0.5])})
+    path = tmp_path / NAMES[to]
+    if to == "lerobot":
+        with pytest.raises(ConfigError, match="say it with --fps"):
+            write_dataset(path, [lambda: value])
+        write_dataset(path, [lambda: value], fps=30)
+    else:
+        write_episode(path, value)
+    assert_same(value, read_episode(path))
+
+
+@pytest.mark.parametrize("to", NAMES)
+def test_commands_for_some_frames(tmp_path: Path, to: Format) -> None:
+    value = episode()
+    assert value.commands is not None
+    kept = np.array([2, 3, 9, 30])
+    commands = replace(
+        value.commands,
+        **{
+            name: getattr(value.commands, name)[kept]
+            for name in ("joint_positions", "stamps", "latency_ms", "status")
+        },
+    )
+    value = replace(value, commands=commands, stages_ms={"solve": np.arange(4.0)})
+    assert value.answered().tolist() == kept.tolist()
+    assert_same(value, read_episode(write(tmp_path, value, to)))
+
+
+@pytest.mark.parametrize("to", ["mcap", "npz", "hdf5"])
+def test_commands_on_a_clock_of_their_own(tmp_path: Path, to: Format) -> None:
+    value = episode()
+    assert value.commands is not None
+    stamps = value.commands.stamps.copy()
+    stamps[10:12] = stamps[9]  # a loop faster than the tracker answers a frame more than once
+    stamps[20:] += 0.001
+    value = replace(value, commands=replace(value.commands, stamps=stamps))
+    path = write(tmp_path, value, to)
+    assert_same(value, read_episode(path))
+    recording = read_recording(path)
+    assert value.recording is not None
+    np.testing.assert_array_equal(recording.stamps, value.recording.stamps)
+    with pytest.raises(RecordingError, match=r"20 commands answer no frame.*\.mcap or \.h5"):
+        write_dataset(tmp_path / "d", [lambda: value])
+    assert not (tmp_path / "d").exists()
+
+
+def test_infinities_in_a_log_are_said(tmp_path: Path, run: Run) -> None:
+    value = episode()
+    assert value.commands is not None
+    value.commands.joint_positions[4, 1] = np.inf
+    write_episode(tmp_path / "a.h5", value)
+    assert_same(value, read_episode(tmp_path / "a.h5"))
+    status, err = run(tmp_path / "a.h5", "--output", tmp_path / "a.mcap", "--quiet")
+    assert status == 0
+    assert "1 infinite values of joint_positions become NaN" in err
+
+
+# --- the formats as others see them ----------------------------------------------------------
+
+
+def test_npz_is_what_the_other_commands_read(tmp_path: Path) -> None:
+    value = episode(side="left")
+    path = write(tmp_path, value, "npz")
+    assert value.recording is not None
+    assert value.commands is not None
+    back = read_recording(path)
+    assert back.side == "left"
+    np.testing.assert_array_equal(back.landmarks, value.recording.landmarks)
+    np.testing.assert_array_equal(back.valid, value.recording.valid)
+    np.testing.assert_array_equal(read_commands(path).status, value.commands.status)
+    assert json.loads((tmp_path / "e.json").read_text()) == CONFIG
+    with np.load(path, allow_pickle=False) as arrays:
+        assert arrays["landmarks"].dtype == np.float64
+        assert "landmark_timestamps" not in arrays
+
+
+def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path: Path) -> None:
+    points = hand().landmarks
+    path = tmp_path / "a.npz"
+    odd = {"valid": np.ones(FRAMES), "orientations": np.ones((FRAMES, 21, 3, 3))}
+    np.savez(path, landmarks=points, timestamps=hand().stamps, side="left", **odd)  # type: ignore[arg-type]
+    back = read_recording(path)
+    assert back.orientations is None
+    assert back.valid is not None
+    assert back.valid[0].all()
+    assert back.meta["ignored"] == ["valid", "orientations"]
+
+
+def test_log_has_a_topic_each_and_carries_its_origin(tmp_path: Path) -> None:
+    path = write(tmp_path, episode(), "mcap")
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        counts = summary.statistics.channel_message_counts
+        topics = {channel.topic: counts[i] for i, channel in summary.channels.items()}
+        statuses = [json.loads(m.data) for _, _, m in reader.iter_messages(["/status"])]
+        (origin,) = [record.metadata for record in reader.iter_metadata()]
+    expected = {"/hand": 40, "/command": 40, "/status": 40, "/timing": 40, "/config": 1}
+    assert topics == expected
+    assert statuses[0]["reason"] == Status(statuses[0]["status"]).reason
+    assert (origin["name"], json.loads(origin["meta"])) == ("a", {"glove_ids": [7]})
+
+
+def test_log_of_version_1_is_read(tmp_path: Path) -> None:
+    with (tmp_path / "old.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("x", "jsonschema", b'{"type":"object"}')
+        for topic, message in (
+            ("/timing", {"stamp": 1.5, "latency_ms": 0.5, "stages": []}),
+            ("/command", {"stamp": 1.5, "names": ["a"], "positions": [0.25], "status": 2}),
+        ):
+            channel = writer.register_channel(topic, "json", schema, {"version": "1"})
+            writer.add_message(channel, 0, json.dumps(message).encode(), 0, 0)
+        writer.finish()
+    commands = read_log(tmp_path / "old.mcap").commands
+    assert commands is not None
+    assert commands.status.tolist() == [Status.DEGENERATE_PALM]
+    assert commands.latency_ms.tolist() == [0.5]
+
+
+def test_hdf5_as_it_is_documented(tmp_path: Path) -> None:
+    value = episode()
+    assert value.commands is not None
+    with h5py.File(write(tmp_path, value, "hdf5")) as file:
+        found: dict[str, Any] = {}
+        file.visititems(lambda name, item: found.update({name: item}))
+        arrays = {
+            k: (v.shape, v.attrs.get("units")) for k, v in found.items() if hasattr(v, "shape")
+        }
+        assert dict(file.attrs)["format"] == "smooth-operator"
+        assert file["commands/status"].attrs["status_names"][1] == "INVALID_LANDMARKS"
+        assert json.loads(file["configuration"][()]) == CONFIG
+        stage = file["commands/stages_ms/align_scale"].attrs["stage"]
+    assert stage == "align/scale"
+    assert arrays == {
+        "hand/landmarks": ((40, 21, 3), "m"),
+        "hand/stamps": ((40,), "s"),
+        "hand/valid": ((40, 21), None),
+        "hand/metacarpals": ((40, 4, 3), "m"),
+        "hand/orientations": ((40, 21, 4), "quaternion wxyz"),
+        "commands/joint_positions": ((40, 3), "rad"),
+        "commands/joint_names": ((3,), None),
+        "commands/stamps": ((40,), "s"),
+        "commands/latency_ms": ((40,), "ms"),
+        "commands/status": ((40,), None),
+        "commands/stages_ms/align_scale": ((40,), "ms"),
+        "commands/stages_ms/solve": ((40,), "ms"),
+        "configuration": ((), None),
+    }
+
+
+def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path: Path) -> None:
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["hand/landmarks"] = hand().landmarks.astype(np.float32)
+    with pytest.raises(RecordingError, match="40 frames and no time stamps; say how many"):
+        read_recording(path)
+    assert read_recording(path, rate=50.0, side="left").rate_hz == pytest.approx(50.0)
+    found = read_episode(path, rate=50.0)
+    assert "does not say which hand it is" in found.notes[0]
+    with h5py.File(path, "r+") as file:
+        file["hand/landmarks"][...] *= 1000.0
+    with pytest.raises(RecordingError, match="millimetres"):
+        read_episode(path, rate=50.0)
+
+
+def test_dataset_read_with_pyarrow_alone(tmp_path: Path) -> None:
+    """Against the layout of LeRobot v3.0, which its loader reads by these names and types."""
+    values = [episode(name="a"), episode(name="b", seed=1, rich=False)]
+    root = tmp_path / "set"
+    notes = write_dataset(root, [lambda v=v: v for v in values])  # type: ignore[misc]
+    info = json.loads((root / "meta" / "info.json").read_text())
+    data = pq.read_table(root / info["data_path"].format(chunk_index=0, file_index=0))
+    listed = {
+        "observation.state": ("float", 63),
+        "action": ("float", 3),
+        "stamp": ("double", None),
+        "landmarks": ("double", 63),
+        "landmarks_valid": ("bool", 21),
+        "left_hand": ("bool", None),
+        "metacarpals": ("double", 12),
+        "orientations": ("double", 84),
+        "joint_positions": ("double", 3),
+        "command_stamp": ("double", None),
+        "status": ("int64", None),
+        "latency_ms": ("double", None),
+        "stages_ms": ("double", 2),
+        "timestamp": ("float", None),
+        "frame_index": ("int64", None),
+        "episode_index": ("int64", None),
+        "index": ("int64", None),
+        "task_index": ("int64", None),
+    }
+    assert data.column_names == list(listed) == list(info["features"])
+    for name, (kind, width) in listed.items():
+        found = data.schema.field(name).type
+        if width is not None:
+            assert (found.list_size, len(info["features"][name]["names"])) == (width, width), name
+            found = found.value_type
+        assert str(found) == kind, name
+        dtype = {"float": "float32", "double": "float64"}.get(kind, kind)
+        assert info["features"][name]["dtype"] == dtype, name
+        assert info["features"][name]["shape"] == [width or 1], name
+        assert data[name].null_count == 0
+    assert pq.ParquetFile(root / "data/chunk-000/file-000.parquet").num_row_groups == 2
+
+    fps = info["fps"]
+    spans = [float(value.stamps[-1] - value.stamps[0]) for value in values]
+    assert fps == round(float(np.median([(FRAMES - 1) / span for span in spans])))
+    for number in (0, 1):
+        rows = data.filter(pa.compute.equal(data["episode_index"], number))
+        assert rows["frame_index"].to_pylist() == list(range(FRAMES))
+        nominal = (np.arange(FRAMES) / fps).astype(np.float32)
+        np.testing.assert_array_equal(rows["timestamp"].to_numpy(), nominal)
+        recording = values[number].recording
+        assert recording is not None
+        np.testing.assert_array_equal(rows["stamp"].to_numpy(), recording.stamps)
+    assert data["index"].to_pylist() == list(range(2 * FRAMES))
+    state = np.array(data["observation.state"].to_pylist(), np.float32).reshape(-1, 21, 3)
+    assert values[0].recording is not None
+    np.testing.assert_array_equal(state[:FRAMES], values[0].recording.landmarks.astype(np.float32))
+    assert any(f"timestamp is frame_index / {fps}" in note for note in notes)
+    assert any("6 of 80 frames have missing landmarks" in note for note in notes)
+
+    totals = {k: info[k] for k in ("total_episodes", "total_frames", "total_tasks", "splits")}
+    assert totals == {
+        "total_episodes": 2,
+        "total_frames": 80,
+        "total_tasks": 2,
+        "splits": {"train": "0:2"},
+    }
+    assert (info["codebase_version"], info["video_path"]) == ("v3.0", None)
+    tasks = pq.read_table(root / "meta" / "tasks.parquet")
+    assert tasks.to_pydict() == {"task_index": [0, 1], "task": ["pinch — daumen", "unnamed"]}
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+    episodes = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
+    assert episodes["dataset_from_index"] == [0, FRAMES]
+    assert episodes["dataset_to_index"] == [FRAMES, 2 * FRAMES]
+    assert episodes["tasks"] == [["pinch — daumen"], ["unnamed"]]
+    assert episodes["meta/episodes/file_index"] == episodes["data/file_index"] == [0, 0]
+    assert episodes["stats/action/count"] == [[FRAMES], [FRAMES]]
+    stats = json.loads((root / "meta" / "stats.json").read_text(), parse_constant=pytest.fail)
+    assert stats.keys() == info["features"].keys()
+    np.testing.assert_allclose(
+        stats["observation.state"]["mean"], np.nanmean(state.reshape(80, 63), axis=0), atol=1e-7
+    )
+
+
+def test_dataset_in_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smooth_operator.recording.lerobot.writer._FILE_MB", 0)
+    monkeypatch.setattr("smooth_operator.recording.lerobot.writer._CHUNKS_SIZE", 2)
+    monkeypatch.setattr("smooth_operator.recording.lerobot.writer._KEPT_BYTES", 0)
+    values = [episode(seed=i, name=f"take {i}") for i in range(3)]
+    write_dataset(tmp_path / "d", [lambda v=v: v for v in values])  # type: ignore[misc]
+    files = sorted((tmp_path / "d" / "data").rglob("*.parquet"))
+    names = [file.relative_to(tmp_path / "d" / "data").as_posix() for file in files]
+    assert names == [
+        "chunk-000/file-000.parquet",
+        "chunk-000/file-001.parquet",
+        "chunk-001/file-000.parquet",
+    ]
+    for i, value in enumerate(values):
+        assert_same(value, read_episode(tmp_path / "d", episode=i))
+
+
+def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path: Path) -> None:
+    value = episode(side="left")
+    root = write(tmp_path, value, "lerobot")
+    file = root / "meta/episodes/chunk-000/file-000.parquet"
+    pq.write_table(pq.read_table(file).drop_columns(["smooth_operator"]), file)
+    data = root / "data/chunk-000/file-000.parquet"
+    table = pq.read_table(data)
+    # Lists of any length and null for NaN, as pandas writes them.
+    lists = {
+        name: pa.array(table[name].to_pylist(), from_pandas=True) for name in table.column_names
+    }
+    pq.write_table(pa.table(lists), data)
+    back = read_episode(root)
+    expected = replace(value, config=None, name="episode_000000")
+    assert expected.recording is not None
+    recording = replace(expected.recording, name="episode_000000", meta={})
+    assert_same(replace(expected, recording=recording), back)
+    rewrite(data, lambda t: t.drop_columns(["left_hand"]))
+    assert "does not say of episode 0 which hand" in read_episode(root).notes[0]
+    assert read_episode(root, side="left").notes == ()
+
+
+def test_statistics_leave_out_what_is_missing() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(50, 3))
+    values[:20, 1] = np.nan
+    values[:, 2] = np.nan
+    parts = [column_statistics(values[:30]), column_statistics(values[30:])]
+    whole, joint = column_statistics(values), joint_statistics(parts)
+    assert whole.to_lists()["count"] == joint.to_lists()["count"] == [50]
+    for name, reduce in (("mean", np.mean), ("std", np.std), ("min", np.min), ("max", np.max)):
+        expected = [reduce(values[:, 0]), reduce(values[20:, 1]), 0.0]
+        np.testing.assert_allclose(whole.values[name], expected, atol=1e-12)
+        np.testing.assert_allclose(joint.values[name], expected, atol=1e-12)
+    assert whole.values["q50"][1] == np.median(values[20:, 1])
+    assert column_statistics(np.array([True, False, False])).values["mean"] == pytest.approx(1 / 3)
+
+
+# --- the command -----------------------------------------------------------------------------
+
+
+def save(path: Path, value: Episode) -> Path:
+    """A recording as the trackers' files are: arrays, and nothing that is this program's own."""
+    assert value.recording is not None
+    recording = value.recording
+    arrays = {"landmarks": recording.landmarks, "timestamps": recording.stamps}
+    np.savez(path, **arrays, side=recording.side)  # type: ignore[arg-type]
+    return path
+
+
+def results(path: Path, value: Episode) -> Path:
+    assert value.commands is not None
+    path.parent.mkdir(exist_ok=True)
+    write_commands(path, value.commands, CONFIG)
+    return path
+
+
+@pytest.mark.parametrize("to", NAMES)
+def test_commands_beside_a_recording(tmp_path: Path, run: Run, to: Format) -> None:
+    value = episode(side="left")
+    glove = save(tmp_path / "glove.npz", value)
+    out = results(tmp_path / "out.npz", value)
+    target = tmp_path / NAMES[to]
+    status, err = run(glove, "--commands", out, "--output", target, "--task", "turn")
+    assert (status, f"wrote {target}" in err) == (0, True), err
+    back = read_episode(target)
+    assert back.commands is not None
+    assert back.recording is not None
+    assert (back.config, back.task, back.recording.side) == (CONFIG, "turn", "left")
+    np.testing.assert_array_equal(back.commands.joint_positions, value.commands.joint_positions)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(back.commands.status, value.commands.status)  # type: ignore[union-attr]
+
+
+def test_frames_take_their_commands_along(tmp_path: Path, run: Run) -> None:
+    value = episode()
+    write_episode(tmp_path / "a.h5", value)
+    assert run(tmp_path / "a.h5", "--frames", "10:25", "--output", tmp_path / "b.mcap")[0] == 0
+    assert_same(value.sliced(slice(10, 25)), read_episode(tmp_path / "b.mcap"))
+    back = read_episode(tmp_path / "b.mcap")
+    assert back.answered().tolist() == list(range(15))
+
+    glove = save(tmp_path / "glove.npz", value)
+    out = results(tmp_path / "out.npz", value.sliced(slice(10, 25)))
+    status, err = run(glove, "--commands", out, "--output", tmp_path / "c.h5")
+    assert status == 0
+    assert "answers 15 of the 40 frames" in err
+    assert read_episode(tmp_path / "c.h5").answered().tolist() == list(range(10, 25))
+
+
+def test_commands_of_another_recording_are_refused(tmp_path: Path, run: Run) -> None:
+    glove = save(tmp_path / "glove.npz", episode())
+    out = results(tmp_path / "out.npz", episode(seed=5))
+    status, err = run(glove, "--commands", out, "--output", tmp_path / "a.mcap")
+    assert status == 2
+    assert "was not made from" in err
+    assert "0 of its 40 time stamps" in err
+    assert run(glove, "--commands", glove, "--output", tmp_path / "a.mcap")[1].count("no commands")
+    status, err = run(out, "--commands", out, "--output", tmp_path / "a.mcap")
+    assert "it holds no hand frames" in err
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_folder_to_dataset_and_back(tmp_path: Path, run: Run) -> None:
+    source, outcome = tmp_path / "in", tmp_path / "in" / "results"
+    (source / "day 2").mkdir(parents=True)
+    values = {"one": episode(seed=1), "day 2/two": episode(seed=2, side="left")}
+    for name, value in values.items():
+        save(source / f"{name}.npz", value)
+        (outcome / name).parent.mkdir(parents=True, exist_ok=True)
+        results(outcome / f"{name}.npz", value)
+    (source / "notes.txt").write_text("x")
+    (source / ".hidden.npz").write_text("x")
+    root = tmp_path / "set"
+    status, err = run(source, "--commands", outcome, "--task", "pinch", "--output", root)
+    assert status == 0, err
+    assert "passed over 1 files that are no recordings: notes.txt" in err
+    assert "wrote" in err
+    assert "2 episodes, 80 frames" in err
+
+    assert run(root, "--to", "hdf5", "--output", tmp_path / "back", "--quiet") == (0, "")
+    files = sorted((tmp_path / "back").iterdir())
+    assert [file.name for file in files] == ["episode_000000_two.h5", "episode_000001_one.h5"]
+    for file, value in zip(files, (values["day 2/two"], values["one"]), strict=True):
+        found = read_episode(file)
+        assert found.recording is not None
+        assert value.recording is not None
+        assert (found.recording.side, found.task) == (value.recording.side, "pinch")
+        np.testing.assert_array_equal(found.recording.landmarks, value.recording.landmarks)
+
+    assert run(root, "--episode", 1, "--output", tmp_path / "one.mcap")[0] == 0
+    assert read_episode(tmp_path / "one.mcap").name == "one"
+    assert (
+        "it has no episode 2; it has 2, 0 to 1"
+        in run(root, "--episode", 2, "--output", tmp_path / "no.npz")[1]
+    )
+    status, err = run(source, "--to", "mcap", "--output", tmp_path / "logs")
+    assert status == 0, err
+    made = {p.relative_to(tmp_path / "logs").as_posix() for p in tmp_path.glob("logs/**/*.mcap")}
+    assert made == {"one.mcap", "day 2/two.mcap", "results/one.mcap", "results/day 2/two.mcap"}
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda e: replace(e, commands=None, stages_ms={}), "a holds commands and b holds none"),
+        (lambda e: replace(e, recording=None), "a holds hand frames and b holds none"),
+        (
+            lambda e: replace(e, commands=replace(e.commands, joint_names=("x", "y", "z"))),
+            "commands for different joints",
+        ),
+    ],
+)
+def test_episodes_of_a_dataset_must_be_alike(
+    tmp_path: Path, run: Run, change: Callable[[Episode], Episode], match: str
+) -> None:
+    write_episode(tmp_path / "1.h5", episode(name="a"))
+    write_episode(tmp_path / "2.h5", change(episode(name="b", seed=1)))
+    status, err = run(tmp_path / "1.h5", tmp_path / "2.h5", "--output", tmp_path / "set")
+    assert status == 2
+    assert match in err
+    assert {p.name for p in tmp_path.iterdir()} == {"1.h5", "2.h5"}
+
+
+def test_what_stands_there(tmp_path: Path, run: Run) -> None:
+    value = episode()
+    for to in NAMES:
+        source = write(tmp_path, value, "hdf5" if to != "hdf5" else "mcap")
+        target = tmp_path / f"x{Path(NAMES[to]).suffix}"
+        assert run(source, "--output", target, "--quiet")[0] == 0
+        before = read_episode(target)
+        status, err = run(source, "--output", target, "--task", "new")
+        assert (status, "it exists already; add --overwrite" in err) == (2, True), err
+        assert_same(before, read_episode(target))
+        assert run(source, "--output", target, "--task", "new", "--overwrite")[0] == 0
+        assert read_episode(target).task == "new"
+
+        # What this program did not write stays, whatever is said.
+        if to == "lerobot":
+            (target / "mine.txt").write_text("x")
+        else:
+            target.write_bytes(save(tmp_path / "glove.npz", value).read_bytes())
+        status, err = run(source, "--output", target, "--overwrite")
+        assert (status, "was not written by this program" in err) == (2, True), err
+    assert not list(tmp_path.glob(".*")), "no debris"
+
+
+def test_an_input_is_never_the_output(tmp_path: Path, run: Run) -> None:
+    path = write(tmp_path, episode(), "npz")
+    content = path.read_bytes()
+    status, err = run(path, "--output", path, "--overwrite")
+    assert (status, "it is an input" in err) == (2, True)
+    root = write(tmp_path, episode(), "lerobot")
+    assert "it is an input" in run(root, "--output", root, "--overwrite")[1]
+    assert path.read_bytes() == content
+
+
+def test_foreign_configuration_beside_an_npz(tmp_path: Path, run: Run) -> None:
+    path = write(tmp_path, episode(), "hdf5")
+    (tmp_path / "out.json").write_text("{}")
+    status, err = run(path, "--output", tmp_path / "out.npz", "--overwrite")
+    assert (status, "the configuration beside out.npz" in err) == (2, True)
+    assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.mark.parametrize("to", NAMES)
+def test_a_failure_on_the_way_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: Format
+) -> None:
+    former = episode(seed=3)
+    path = write(tmp_path, former, to)
+    names = {p.name for p in tmp_path.iterdir()}
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    where = {
+        "mcap": "mcap.writer.Writer.finish",
+        "npz": "numpy.savez",
+        "hdf5": "h5py.Group.create_dataset",
+        "lerobot": "pyarrow.parquet.ParquetWriter.write_table",
+    }
+    with monkeypatch.context() as patch:
+        patch.setattr(where[to], fail)
+        with pytest.raises(OutputError, match="no space is left on the device") as caught:
+            write(tmp_path, episode(), to)
+    assert path.name in str(caught.value)
+    assert ".tmp" not in str(caught.value)
+    assert {p.name for p in tmp_path.iterdir()} == names
+    assert_same(former, read_episode(path))
+
+
+def test_outputs_that_make_no_sense(tmp_path: Path, run: Run) -> None:
+    a, b = tmp_path / "a.h5", tmp_path / "b.mcap"
+    write_episode(a, episode(name="a"))
+    write_episode(b, episode(name="b"))
+    for arguments, match in (
+        ((a, "--output", tmp_path / "x.csv"), "names no format: use .mcap, .npz, .h5"),
+        ((a, "--output", tmp_path / "x.npz", "--to", "mcap"), "that of npz and --to says mcap"),
+        ((a, b, "--output", tmp_path / "x.npz"), "2 episodes, which do not go into one file"),
+        ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps is of LeRobot datasets"),
+        ((a, "--fps", 0, "--output", tmp_path / "x"), "fps must be a whole number"),
+        ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode is of LeRobot datasets"),
+        ((a, b, "--commands", a, "--output", tmp_path / "x"), "the commands of one"),
+        ((a, "--commands", tmp_path / "no", "--output", tmp_path / "x"), "no such file"),
+        ((a, "--commands", tmp_path, "--output", tmp_path / "x"), "1 of 1 recordings have no"),
+        ((tmp_path / "none", "--output", tmp_path / "x"), "no such file"),
+        (("--output", tmp_path / "x"), "give at least one INPUT"),
+        ((a, "--side", "left", "--output", tmp_path / "x.npz"), "a recording of a right hand"),
+        ((a, "--rate", 30, "--output", tmp_path / "x.npz"), "contradict --rate 30"),
+        ((a, "--frames", "90:", "--output", tmp_path / "x.npz"), "selects nothing"),
+        ((a, "--output", b / "x.npz"), "a file stands"),
+    ):
+        status, err = run(*arguments)
+        assert status == 2, arguments
+        assert match in err.replace("\n", " "), (match, err)
+    assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "b.mcap"}
+    (tmp_path / "empty").mkdir()
+    assert "no recording in this folder" in run(tmp_path / "empty", "--output", tmp_path / "x")[1]
+
+
+# --- what can't be read ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "extra"), [("h5py", "e.h5", "hdf5"), ("pyarrow", "e", "lerobot")]
+)
+def test_missing_extras(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, module: str, name: str, extra: str
+) -> None:
+    path = write(tmp_path, episode(), "hdf5" if extra == "hdf5" else "lerobot")
+    log = write(tmp_path, episode(), "mcap")
+    for loaded in [m for m in sys.modules if m.split(".")[0] == module]:
+        monkeypatch.setitem(sys.modules, loaded, None)
+    hint = f"python -m pip install 'smooth-operator[{extra}]'"
+    status, err = run(path, "--output", tmp_path / "x.npz")
+    assert (status, hint in err, err.count("\n")) == (2, True, 1), err
+    status, err = run(log, "--output", tmp_path / f"new{path.suffix}")
+    assert (status, hint in err) == (2, True), err
+    with pytest.raises(MissingExtraError, match="needs the extra"):
+        read_episode(path)
+    assert not (tmp_path / f"new{path.suffix}").exists()
+
+
+def test_damaged_hdf5(tmp_path: Path) -> None:
+    content = write(tmp_path, episode(), "hdf5").read_bytes()
+    path = tmp_path / "cut.h5"
+    rng = np.random.default_rng(2)
+    for length in {9, 100, len(content) - 1, *rng.integers(8, len(content), 10).tolist()}:
+        path.write_bytes(content[:length])
+        with pytest.raises(RecordingError, match="damaged or cut off"):
+            read_episode(path)
+    # Flipped bytes may hit what is not needed, but never bring anything down.
+    for _ in range(30):
+        broken = bytearray(content)
+        for at in rng.integers(8, len(content), 20):
+            broken[at] ^= 0xFF
+        path.write_bytes(broken)
+        try:
+            read_episode(path)
+        except RecordingError as error:
+            assert str(path) in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("hand/landmarks", np.zeros((40, 20, 3)), r"shape \(any, 21, 3\), not \(40, 20, 3\)"),
+        ("hand/landmarks", None, "lacks the array /hand/landmarks"),
+        ("hand/stamps", np.zeros(3), r"shape \(40\), not \(3,\)"),
+        ("hand/stamps", np.zeros(40), "have the same stamp"),
+        ("hand/valid", np.zeros((40, 21)), "must hold true or false"),
+        ("commands/joint_names", ["a"], "joint_names must have shape"),
+        ("commands/joint_names", ["a", "a", "b"], "a joint name comes twice"),
+        ("commands/status", np.full(40, 77), "status .77. is not one of"),
+        ("commands/stamps", np.full(40, np.nan), "must be finite"),
+        ("commands/latency_ms", ["x"] * 40, "must hold numbers"),
+        ("configuration", "{", "is not JSON"),
+        ("configuration", "[]", "must be a JSON object"),
+    ],
+)
+def test_wrong_hdf5(tmp_path: Path, key: str, value: Any, match: str) -> None:
+    path = write(tmp_path, episode(), "hdf5")
+    with h5py.File(path, "r+") as file:
+        labels = file["commands/status"].attrs["status_names"]
+        del file[key]
+        if value is not None:
+            file[key] = value
+        if key == "commands/status":
+            file[key].attrs["status_names"] = labels
+    with pytest.raises(RecordingError, match=match):
+        read_episode(path)
+
+
+def test_hdf5_of_another_program_or_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["observations/qpos"] = np.zeros((3, 7))
+    with pytest.raises(RecordingError, match="no group 'hand' or 'commands', but observations"):
+        read_recording(path)
+    path = write(tmp_path, episode(parts="commands"), "hdf5")
+    with pytest.raises(RecordingError, match="holds commands, but no hand frames"):
+        read_recording(path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["version"] = 9
+    with pytest.raises(RecordingError, match="version 9, this program reads version 1; upgrade"):
+        read_episode(path)
+
+
+def edit(path: Path, **changes: Any) -> None:
+    info = json.loads(path.read_text())
+    path.write_text(json.dumps({**info, **changes}))
+
+
+def rewrite(path: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+    pq.write_table(change(pq.read_table(path)), path)
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-50])
+
+
+DATA = "data/chunk-000/file-000.parquet"
+ROWS = "meta/episodes/chunk-000/file-000.parquet"
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "match"),
+    [
+        ("meta/info.json", lambda p: p.write_text("{"), "can't be read as the description"),
+        ("meta/info.json", lambda p: p.write_text("[]"), "can't be read as the description"),
+        ("meta/info.json", lambda p: edit(p, codebase_version="v2.1"), "version v2.1, v3.0 is"),
+        ("meta/info.json", lambda p: edit(p, features={}), "of another program, with nothing"),
+        ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "out of the dataset"),
+        ("meta/info.json", lambda p: edit(p, data_path="{x}"), "do not say where episode 0 is"),
+        (DATA, lambda p: p.unlink(), "no such file; the dataset is incomplete"),
+        (DATA, truncate, "damaged or cut off"),
+        (ROWS, truncate, "damaged or cut off"),
+        (ROWS, lambda p: p.unlink(), "meta/episodes holds no episodes"),
+        (DATA, lambda p: rewrite(p, lambda t: t.slice(5)), "holds 35 frames of episode 0"),
+        (
+            DATA,
+            lambda p: rewrite(p, lambda t: t.drop_columns(["landmarks_valid"])),
+            "lacks the column 'landmarks_valid'",
+        ),
+        (
+            DATA,
+            lambda p: rewrite(
+                p,
+                lambda t: t.set_column(t.column_names.index("landmarks"), "landmarks", t["stamp"]),
+            ),
+            "the column 'landmarks' must hold 63 numbers a row, not double",
+        ),
+        (
+            DATA,
+            lambda p: rewrite(
+                p,
+                lambda t: t.set_column(
+                    t.column_names.index("status"), "status", pa.array([9] * t.num_rows)
+                ),
+            ),
+            r"status \[9\] is not one of",
+        ),
+    ],
+)
+def test_wrong_datasets(
+    tmp_path: Path, name: str, change: Callable[[Path], object], match: str
+) -> None:
+    root = write(tmp_path, episode(), "lerobot")
+    change(root / name)
+    with pytest.raises(RecordingError, match=match):
+        read_episode(root)
+
+
+def test_read_recording_names_the_way_out_of_a_dataset(tmp_path: Path) -> None:
+    root = write(tmp_path, episode(), "lerobot")
+    with pytest.raises(RecordingError, match="LeRobot dataset; convert an episode of it first"):
+        read_recording(root)
+    with pytest.raises(RecordingError, match="this is a Parquet file; give the whole"):
+        read_recording(root / DATA)
+
+
+def test_cut_off_log_is_converted_and_said(tmp_path: Path, run: Run) -> None:
+    path = write(tmp_path, episode(), "mcap")
+    path.write_bytes(path.read_bytes()[:-200])
+    status, err = run(path, "--output", tmp_path / "a.h5", "--quiet")
+    assert status == 0
+    assert "the end of the log is missing" in err
+    assert len(read_episode(tmp_path / "a.h5")) == FRAMES
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (
+            lambda c: replace(c, joint_positions=np.zeros((40, 2))),
+            r"must have shape \(commands, 3\)",
+        ),
+        (lambda c: replace(c, latency_ms=np.zeros(3)), "latency_ms must have shape"),
+        (lambda c: replace(c, status=np.full(40, 9)), "status .9. is not one of"),
+    ],
+)
+def test_commands_that_do_not_fit(
+    change: Callable[[CommandTrajectory], CommandTrajectory], match: str
+) -> None:
+    value = episode()
+    assert value.commands is not None
+    with pytest.raises(RecordingError, match=match):
+        replace(value, commands=change(value.commands))
+    with pytest.raises(RecordingError, match="neither hand frames nor commands"):
+        Episode()
+    with pytest.raises(RecordingError, match="stage 'solve' must have one time for each"):
+        replace(value, stages_ms={"solve": np.zeros(3)})
+
+
+@pytest.mark.shared
+def test_real_recording_round_the_house(shared: Path, tmp_path: Path, run: Run) -> None:
+    glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    first = read_episode(glove).sliced(slice(2600, 2900))
+    steps = ["a.mcap", "b.h5", "c", "d.npz"]
+    frames: tuple[str, ...] = ("--frames", "2600:2900")
+    source = glove
+    for step in steps:
+        assert run(source, "--output", tmp_path / step, *frames)[0] == 0
+        source, frames = tmp_path / step, ()
+    assert_same(first, read_episode(source))

@@ -1,0 +1,329 @@
+"""Many tasks at once: order, failures, deaths, Ctrl-C, and nothing left behind."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
+from smooth_operator.parallel import TaskResult, run_tasks, usable_cores
+
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+
+
+# What the workers do; they import this module.
+
+
+def square(x: float) -> float:
+    return x * x
+
+
+def process_id(_: object) -> int:
+    return os.getpid()
+
+
+def cores_and_threads(_: object) -> tuple[int, int]:
+    import jax.numpy as jnp
+
+    jnp.ones((300, 300)).sum().block_until_ready()
+    return usable_cores(), len(os.listdir("/proc/self/task"))
+
+
+def misbehave(how: str) -> Any:
+    if how == "raise":
+        raise ValueError("the first line\nand the second")
+    if how == "exit":
+        sys.exit(3)
+    if how == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if how == "unsendable":
+        return lambda: None
+    if how == "own error":
+        raise MissingExtraError("this", "that")
+    return how
+
+
+def die_at_first(marker: Path) -> str:
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "alive"
+
+
+def wait_and_clean_up(marker: Path) -> None:
+    marker.touch()
+    try:
+        time.sleep(60)
+    finally:
+        marker.unlink()
+
+
+class Unreadable:
+    """Can be sent, and then not read."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (int, ("not a number",))
+
+
+def by_index(results: Iterator[TaskResult[Any]]) -> list[TaskResult[Any]]:
+    return sorted(results, key=lambda result: result.index)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left_behind() -> Iterator[None]:
+    yield
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("workers", [0, 1, 2, 5])
+def test_every_task_has_its_result(workers: int) -> None:
+    tasks = [0.1 * i for i in range(7)]
+    results = by_index(run_tasks(square, tasks, workers=workers))
+    assert [result.index for result in results] == list(range(7))
+    assert [result.value for result in results] == [x * x for x in tasks]
+    assert all(result.error is None and result.attempts == 1 for result in results)
+    assert all(result.seconds >= 0 for result in results)
+
+
+def test_no_tasks_start_no_worker() -> None:
+    assert list(run_tasks(square, [], workers=2)) == []
+
+
+def test_where_tasks_run() -> None:
+    here = {result.value for result in run_tasks(process_id, [0, 1, 2], workers=0)}
+    assert here == {os.getpid()}
+    there = {result.value for result in run_tasks(process_id, range(20), workers=2)}
+    assert os.getpid() not in there
+    assert 1 <= len(there) <= 2  # workers are kept for further tasks
+
+
+def test_arrays_travel_whole() -> None:
+    large = np.random.default_rng(0).normal(size=(200, 1000))  # more than a pipe holds
+    (result,) = run_tasks(np.asarray, [large], workers=1)
+    assert result.value is not None
+    np.testing.assert_array_equal(result.value, large)
+
+
+@needs_signals
+@pytest.mark.parametrize("workers", [0, 2])
+def test_what_goes_wrong_with_one_touches_no_other(workers: int) -> None:
+    tasks: list[Any] = ["a", "raise", "b", "exit", "own error", "c"]
+    expected = [
+        None,
+        "ValueError: the first line and the second",
+        None,
+        "SystemExit: 3",
+        "MissingExtraError: this needs the extra 'that': "
+        "python -m pip install 'smooth-operator[that]'",
+        None,
+    ]
+    if workers:
+        tasks += ["die", "unsendable", Unreadable(), "d"]
+        died = "WorkerDied: the process that worked on it died 2 times (signal SIGKILL)"
+        unread = "ValueError: invalid literal for int"
+        expected += [died, "the result can't be sent back", unread, None]
+    results = by_index(run_tasks(misbehave, tasks, workers=workers, retries=1))
+    for result, reason, task in zip(results, expected, tasks, strict=True):
+        if reason is None:
+            assert (result.value, result.error) == (task, None)
+        else:
+            assert result.value is None
+            assert (result.error or "").startswith(reason)
+            assert "\n" not in (result.error or "")
+        assert result.attempts == (2 if task == "die" else 1)
+
+
+def test_a_task_that_can_not_be_sent() -> None:
+    tasks: list[Any] = [1.0, lambda: None, 2.0]
+    one, bad, two = by_index(run_tasks(square, tasks, workers=1))
+    assert (one.value, two.value) == (1.0, 4.0)
+    assert "the task can't be sent" in (bad.error or "")
+
+
+@needs_signals
+def test_a_death_costs_an_attempt_and_nothing_else(tmp_path: Path) -> None:
+    tasks = [tmp_path / name for name in "abcde"]
+    results = by_index(run_tasks(die_at_first, tasks, workers=2))
+    assert [(r.value, r.error, r.attempts) for r in results] == [("alive", None, 2)] * 5
+
+
+@needs_signals
+def test_a_kill_from_outside_is_survived() -> None:
+    running = run_tasks(time.sleep, [0.3] * 6, workers=2)
+    results = [next(running)]
+    victim = multiprocessing.active_children()[0]
+    assert victim.pid is not None
+    os.kill(victim.pid, signal.SIGKILL)
+    results += running
+    assert sorted(result.index for result in results) == list(range(6))
+    assert all(result.error is None for result in results)
+    assert sum(result.attempts for result in results) == 7
+
+
+def test_closing_stops_the_workers(tmp_path: Path) -> None:
+    running = run_tasks(wait_and_clean_up, [tmp_path / "a", tmp_path / "b"], workers=2)
+    close_when_there(running, tmp_path)
+    assert list(tmp_path.iterdir()) == []  # they could still clean up
+
+
+def close_when_there(running: Iterator[object], folder: Path) -> None:
+    """Reads in the background of the workers until both are at work, then gives up."""
+    import threading
+
+    failure: list[BaseException] = []
+
+    def give_up(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def watch() -> None:
+        deadline = time.monotonic() + 20
+        while len(list(folder.iterdir())) < 2 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, give_up)
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        next(running)
+    except KeyboardInterrupt as stop:
+        failure.append(stop)
+    finally:
+        watcher.join()
+        signal.signal(signal.SIGINT, before)
+    assert failure, "KeyboardInterrupt must reach the caller"
+
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from smooth_operator.parallel import run_tasks
+from test_parallel import wait_and_clean_up
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    try:
+        list(run_tasks(wait_and_clean_up, [folder / "a", folder / "b"], workers=2))
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+@needs_signals
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_and_a_killed_parent_leave_no_process(tmp_path: Path, how: signal.Signals) -> None:
+    script, folder = tmp_path / "script.py", tmp_path / "folder"
+    script.write_text(SCRIPT, encoding="utf-8")
+    folder.mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(script), str(folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+    ) as process:
+        wait_for(lambda: len(list(folder.iterdir())) == 2)
+        if how == signal.SIGINT:
+            os.killpg(process.pid, how)  # as a terminal does: the workers get it as well
+            out, err = process.communicate(timeout=20)
+            assert (out, err, process.returncode) == ("interrupted\n", "", 0)
+            assert list(folder.iterdir()) == []
+        else:
+            process.kill()
+            process.communicate(timeout=20)
+    wait_for(lambda: not group_alive(process.pid))
+
+
+def wait_for(condition: Any) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.02)
+
+
+def group_alive(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
+def test_a_worker_has_all_cores_and_few_threads() -> None:
+    if usable_cores() < 2:
+        pytest.skip("needs two cores")
+    (result,) = run_tasks(cores_and_threads, [0], workers=1)
+    assert result.value is not None
+    assert result.value[0] == usable_cores()  # not tied to the core that it started on
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"workers": -1}, "workers must be 0 or more, not -1"),
+        ({"retries": -1}, "retries must be 0 or more, not -1"),
+        ({"workers": 0, "cluster": "local"}, "a cluster needs workers"),
+    ],
+)
+def test_impossible_numbers(options: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        run_tasks(square, [1.0], **options)
+
+
+def test_a_function_that_workers_can_not_import() -> None:
+    with pytest.raises(ConfigError, match="function at the top of an importable module"):
+        run_tasks(lambda x: x, [1], workers=1)
+
+
+def test_workers_that_do_not_start_are_an_error(tmp_path: Path) -> None:
+    script = tmp_path / "unguarded.py"
+    script.write_text(
+        "from smooth_operator.parallel import run_tasks\n"
+        "print([r.value for r in run_tasks(abs, [-1], workers=1)])\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode != 0
+    assert WorkerError.__name__ in done.stderr
+    assert "if __name__ ==" in done.stderr
+
+
+def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"smooth-operator\[cluster\]"):
+        run_tasks(square, [1.0], cluster="auto")
+
+
+def test_ray_is_the_pool(tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="needs ray: pip install 'smooth-operator[cluster]'")
+    marker = tmp_path / "marker"
+    tasks: list[Any] = ["a", "raise", marker, "own error", "b"]
+    results = by_index(run_tasks(on_ray, tasks, workers=2, cluster="local"))
+    assert [r.value for r in results] == ["a", None, "alive", None, "b"]
+    assert [r.attempts for r in results] == [1, 1, 2, 1, 1]
+    assert results[1].error == "ValueError: the first line and the second"
+    assert (results[3].error or "").startswith("MissingExtraError: this needs")
+
+
+def on_ray(task: Any) -> Any:
+    return die_at_first(task) if isinstance(task, Path) else misbehave(task)
+
+
+def test_a_cluster_that_is_not_there() -> None:
+    pytest.importorskip("ray", reason="needs ray: pip install 'smooth-operator[cluster]'")
+    with pytest.raises(WorkerError, match="can't reach the Ray cluster 'nobody:1'"):
+        next(run_tasks(square, [1.0], cluster="nobody:1"))
