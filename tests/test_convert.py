@@ -603,6 +603,34 @@ def test_folder_to_dataset_and_back(tmp_path: Path, run: Run) -> None:
     assert made == {"one.mcap", "day 2/two.mcap", "results/one.mcap", "results/day 2/two.mcap"}
 
 
+def test_datasets_and_damaged_files_in_a_folder(tmp_path: Path, run: Run) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    write(source, episode(name="x y"), "lerobot")
+    write_episode(source / "b.mcap", episode(name="b", seed=1))
+    assert run(source, "--to", "npz", "--output", tmp_path / "out")[0] == 0
+    made = {p.relative_to(tmp_path / "out").as_posix() for p in tmp_path.glob("out/**/*.npz")}
+    assert made == {"b.npz", "e/episode_000000_x_y.npz"}
+    assert_same(episode(name="b", seed=1), read_episode(tmp_path / "out" / "b.npz"))
+
+    (source / "c.npz").write_bytes((tmp_path / "out" / "b.npz").read_bytes()[:-60])
+    status, err = run(source, "--output", tmp_path / "set")
+    assert (status, "c.npz: the file is damaged or cut off" in err) == (2, True), err
+    assert {p.name for p in tmp_path.iterdir()} == {"in", "out"}
+
+
+def test_a_log_of_another_program_is_not_replaced(tmp_path: Path, run: Run) -> None:
+    path = write(tmp_path, episode(), "hdf5")
+    with (tmp_path / "ros.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/camera", "json", 0)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    status, err = run(path, "--output", tmp_path / "ros.mcap", "--overwrite")
+    assert (status, "was not written by this program as mcap" in err) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [

@@ -40,6 +40,10 @@ class MissingExtraError(SmoothOperatorError, ImportError):
         )
 
 
+class WorkerError(SmoothOperatorError, RuntimeError):
+    """Worker processes can't be started, or a cluster can't be reached."""
+
+
 class UnknownNameError(SmoothOperatorError, KeyError):
     """A name that is not in a catalogue (hand, method, preset, landmark, joint).
 

@@ -8,6 +8,9 @@ from smooth_operator.recording.atomic import output_error as output_error
 from smooth_operator.recording.checks import check_recording as check_recording
 from smooth_operator.recording.checks import check_stamps as check_stamps
 from smooth_operator.recording.checks import check_units as check_units
+from smooth_operator.recording.convert import read_episode as read_episode
+from smooth_operator.recording.convert import write_episode as write_episode
+from smooth_operator.recording.episode import Episode as Episode
 from smooth_operator.recording.frames import frame_slice as frame_slice
 from smooth_operator.recording.jsonable import to_json as to_json
 from smooth_operator.recording.log import LogWriter as LogWriter

@@ -23,7 +23,16 @@ from mcap.writer import CompressionType, Writer
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.recording.atomic import output_error
 from smooth_operator.recording.jsonable import to_json
-from smooth_operator.recording.schemas import COMMAND, CONFIG, HAND, SCHEMAS, TIMING, VERSION
+from smooth_operator.recording.schemas import (
+    COMMAND,
+    CONFIG,
+    HAND,
+    ORIGIN,
+    SCHEMAS,
+    STATUS,
+    TIMING,
+    VERSION,
+)
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 _COMPRESSION = {
@@ -37,7 +46,7 @@ _UNLIMITED = 2**62  # chunks are ended here, not by the MCAP writer, so that eac
 
 
 class LogWriter:
-    """A crash-safe log of hand frames, commands, timings and the configuration.
+    """A crash-safe log of hand frames, commands, their status and timing, and the configuration.
 
     Messages are gathered into chunks; a chunk goes to the operating system when it is full, when it
     is older than ``flush_seconds`` at the next write, on :meth:`flush` and on :meth:`close`. If the
@@ -184,14 +193,15 @@ class LogWriter:
             "latency_ms": _number(latency_ms),
             "stages": [{"name": k, "ms": _number(v)} for k, v in (stages or {}).items()],
         }
+        status = Status(status)
+        why = {"stamp": stamp, "status": int(status), "reason": status.reason}
         message = {
             "stamp": stamp,
             "names": names,
             "positions": [_number(x) for x in positions.tolist()],
-            "status": int(status),
         }
-        # The timing first, so that in a log that is cut off a command never lacks its timing.
-        self._append((TIMING, timing), (COMMAND, message))
+        # The command last, so that in a log that is cut off it never lacks its timing and status.
+        self._append((TIMING, timing), (STATUS, why), (COMMAND, message))
         self._names = names
 
     def write_config(self, config: Mapping[str, Any]) -> None:
@@ -209,6 +219,20 @@ class LogWriter:
         self._config = to_json(dict(config))
         if any(self._sequence.values()):
             self._append()
+
+    def write_origin(self, origin: Mapping[str, str]) -> None:
+        """Append where the log came from, as a metadata record beside the messages.
+
+        Args:
+            origin: texts by name; ``name``, ``task`` and ``meta`` (JSON) are those that
+                ``smooth-operator convert`` writes.
+
+        Raises:
+            OutputError: as for the class.
+        """
+        with self._writing():
+            self._writer.add_metadata(ORIGIN, dict(origin))
+            self._pending_bytes = 0
 
     def flush(self, *, sync: bool = False) -> None:
         """Hand everything written so far to the operating system, as a chunk of its own.
@@ -278,8 +302,8 @@ class LogWriter:
 
     def _message(self, topic: str, message: dict[str, Any]) -> None:
         data = _ENCODER.encode(message).encode()
-        # A timing has the number of its command, by which the reader joins them.
-        number = self._sequence[COMMAND if topic == TIMING else topic]
+        # Timing and status have the number of their command, by which the reader joins them.
+        number = self._sequence[COMMAND if topic in (TIMING, STATUS) else topic]
         self._writer.add_message(
             self._channels[topic], self._log_time, data, self._log_time, number
         )

@@ -15,13 +15,23 @@ import numpy as np
 import zstandard
 from jaxtyping import Float
 from mcap.exceptions import McapError, UnsupportedCompressionError
-from mcap.records import Channel, Chunk, Message
+from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.recording.checks import check_side
-from smooth_operator.recording.schemas import COMMAND, CONFIG, HAND, SCHEMAS, TIMING, VERSION
+from smooth_operator.recording.schemas import (
+    COMMAND,
+    CONFIG,
+    HAND,
+    ORIGIN,
+    READABLE_VERSIONS,
+    SCHEMAS,
+    STATUS,
+    TIMING,
+    VERSION,
+)
 from smooth_operator.recording.sniff import READABLE, file_kind
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
@@ -52,6 +62,7 @@ class Log:
         truncated: the end is missing or damaged, and what is here is what came before.
         stages_ms: (T,) time of each stage of the loop [ms] by name, one value per command, NaN
             where a command did not have the stage.
+        origin: what the log says of where it came from: ``name``, ``task``, ``meta`` (JSON).
     """
 
     recording: HandRecording | None
@@ -59,6 +70,7 @@ class Log:
     config: dict[str, Any] | None
     truncated: bool
     stages_ms: dict[str, Float[np.ndarray, " T"]] = field(default_factory=dict)
+    origin: dict[str, str] = field(default_factory=dict)
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
@@ -66,6 +78,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 
     The file is read from the front, so that one whose end is missing (a crash, a full disk) gives
     every chunk that was completed. Landmarks come back bit for bit, NaN where they were not finite.
+    Logs of version 1, whose commands carry their status themselves, are read as well.
 
     Args:
         path: the log.
@@ -81,9 +94,9 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     path = Path(path)
     if file_kind(path) != "log":
         raise RecordingError(f"{path}: not a log; read it with read_recording or read_commands")
-    messages, truncated = _read_messages(path)
+    messages, origin, truncated = _read_messages(path)
     try:
-        trajectory, stages = _commands(messages[COMMAND], messages[TIMING])
+        trajectory, stages = _commands(messages[COMMAND], messages[TIMING], messages[STATUS])
         configs = [json.loads(message["configuration"]) for _, message in messages[CONFIG]]
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
     except RecordingError:
@@ -93,18 +106,19 @@ def read_log(path: str | os.PathLike[str]) -> Log:
             f"{path}: a message of the log lacks a field or has a wrong one "
             f"({type(error).__name__}: {error}); it was not written by this program's LogWriter"
         ) from error
-    return Log(recording, trajectory, configs[0] if configs else None, truncated, stages)
+    return Log(recording, trajectory, configs[0] if configs else None, truncated, stages, origin)
 
 
 class _DamagedError(Exception):
     """The bytes end, or make no sense, from here on."""
 
 
-def _read_messages(path: Path) -> tuple[dict[str, _Messages], bool]:
-    """The messages by topic, and whether the end of the file is missing."""
+def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, str], bool]:
+    """The messages by topic, the origin, and whether the end of the file is missing."""
     messages: dict[str, _Messages] = {topic: [] for topic in SCHEMAS}
     topics: dict[int, str] = {}
     foreign: set[str] = set()
+    origin: dict[str, str] = {}
     truncated = False
     try:
         with path.open("rb") as stream:
@@ -114,6 +128,8 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], bool]:
                         topics[record.id] = record.topic
                     else:
                         foreign.add(record.topic)
+                elif isinstance(record, Metadata) and record.name == ORIGIN:
+                    origin = dict(record.metadata)
                 elif isinstance(record, Message) and record.channel_id in topics:
                     topic = topics[record.channel_id]
                     messages[topic].append((record.sequence, _decode(record.data, topic, path)))
@@ -124,7 +140,7 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], bool]:
             f"{path}: an MCAP file of another program, with the topics "
             f"{', '.join(sorted(foreign))}. What is read: {READABLE}"
         )
-    return messages, truncated
+    return messages, origin, truncated
 
 
 def _records(stream: IO[bytes], size: int) -> Iterator[Any]:
@@ -149,9 +165,9 @@ def _is_ours(channel: Channel, path: Path) -> bool:
     version = channel.metadata.get("version")
     if channel.topic not in SCHEMAS or version is None:
         return False
-    if version != VERSION:
+    if version not in READABLE_VERSIONS:
         raise RecordingError(
-            f"{path}: the log is of version {version}, this program reads version {VERSION}; "
+            f"{path}: the log is of version {version}, this program reads up to version {VERSION}; "
             "upgrade it: python -m pip install --upgrade smooth-operator"
         )
     return True
@@ -199,7 +215,7 @@ def _rows(messages: list[dict[str, Any]], key: str, axes: str, count: int) -> np
 
 
 def _commands(
-    messages: _Messages, timings: _Messages
+    messages: _Messages, timings: _Messages, statuses: _Messages
 ) -> tuple[CommandTrajectory | None, dict[str, np.ndarray]]:
     """The commands, and the stages of those that have a timing with the same sequence number."""
     if not messages:
@@ -209,9 +225,9 @@ def _commands(
     names = tuple(commands[0]["names"])
     if any(tuple(m["names"]) != names for m in commands):
         raise ValueError("the joint names change")
-    by_number = dict(timings)
-    if len(by_number) != len(timings):
-        raise ValueError("two timings have the same sequence number")
+    by_number, status_of = dict(timings), dict(statuses)
+    if len(by_number) != len(timings) or len(status_of) != len(statuses):
+        raise ValueError("two timings, or two statuses, have the same sequence number")
     latency = np.full(count, np.nan)
     stages: dict[str, np.ndarray] = {}
     for i, (number, _) in enumerate(messages):
@@ -228,7 +244,10 @@ def _commands(
         joint_names=names,
         stamps=np.array([m["stamp"] for m in commands], np.float64),
         latency_ms=latency,
-        status=np.array([Status(m["status"]) for m in commands], np.int8),
+        # In version 1 a command carries its own.
+        status=np.array(
+            [Status(status_of.get(number, m)["status"]) for number, m in messages], np.int8
+        ),
     )
     return trajectory, stages
 

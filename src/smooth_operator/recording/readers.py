@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from smooth_operator.recording.checks import (
     check_side,
     stamps_from_rate,
 )
+from smooth_operator.recording.hdf5 import read_hdf5_episode
 from smooth_operator.recording.log_reader import read_log
 from smooth_operator.recording.manus import manus_nodes
 from smooth_operator.recording.sniff import PICKLE_REMEDY, READABLE, file_kind
@@ -29,7 +31,10 @@ _LAYOUTS: dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]] = {
     25: (schema.FROM_MANUS_25, schema.METACARPALS_MANUS_25),  # WebXR's are the same
     26: (schema.FROM_OPENXR_26, schema.METACARPALS_OPENXR_26),
 }
-_STAMP_KEYS = ("timestamps", "stamps")
+LANDMARK_STAMPS = "landmark_timestamps"
+"""Stamps of the frames in a file whose ``timestamps`` are those of commands."""
+
+_STAMP_KEYS = (LANDMARK_STAMPS, "timestamps", "stamps")
 _SIDE_KEYS = ("chirality", "side")
 
 
@@ -45,13 +50,15 @@ def read_recording(
     - a ``.npy`` of shape (T, 21, 3) [m], or an ``.npz`` that holds one, named ``joints`` or
       ``landmarks`` or being its only 3-D array, with ``timestamps`` or ``stamps`` (T,) [s] and
       ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR) and 26 (OpenXR) are
-      mapped onto the 21; a single frame (21, 3) is a recording of one;
-    - the log that :class:`~smooth_operator.recording.LogWriter` writes, also when it was cut off.
+      mapped onto the 21; a single frame (21, 3) is a recording of one. With 21, ``valid``
+      (T, 21), ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz are read too;
+    - the log that :class:`~smooth_operator.recording.LogWriter` writes, also when it was cut off;
+    - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
-    "no hand"), are flagged in ``valid``. Where neither file nor caller says which hand it is, it is
-    taken for a right one and ``meta["side_assumed"]`` is True. ``meta["format"]`` is ``"manus"``,
-    ``"array"`` or ``"log"``.
+    "no hand") without flags of the file's own, are flagged in ``valid``. Where neither file nor
+    caller says which hand it is, it is taken for a right one and ``meta["side_assumed"]`` is True.
+    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``.
 
     Args:
         path: the file.
@@ -66,12 +73,15 @@ def read_recording(
             stamps; no valid landmark; sides that are mixed or contradict ``side``. The message says
             what was expected, what came and what to do.
         ConfigError: ``rate`` or ``side`` is not a possible one.
+        MissingExtraError: the file needs an extra that is not installed.
     """
     path = Path(path)
     side = None if side is None else as_side(side)
     kind = file_kind(path)
     if kind == "log":
         recording = _from_log(path, side)
+    elif kind == "hdf5":
+        recording = _from_hdf5(path, rate, side)
     else:
         recording = _from_arrays(open_arrays(path), rate, side)
     check_recording(recording, str(path))
@@ -86,6 +96,13 @@ def _from_log(path: Path, side: Side | None) -> HandRecording:
         raise RecordingError(f"{path}: the log holds no hand frames{cut}")
     check_side([log.recording.side], side, str(path))
     return log.recording
+
+
+def _from_hdf5(path: Path, rate: float | None, side: Side | None) -> HandRecording:
+    recording = read_hdf5_episode(path, rate=rate, side=side).recording
+    if recording is None:
+        raise RecordingError(f"{path}: the file holds commands, but no hand frames")
+    return replace(recording, name=path.stem)
 
 
 def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) -> HandRecording:
@@ -107,7 +124,12 @@ def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) ->
     # "No hand in view" is all zeros in some trackers; as positions they would close the hand.
     lost = (positions == 0.0).all(axis=(1, 2))
     valid = np.isfinite(positions).all(axis=-1) & ~lost[:, None]
-    if lost.any():
+    own: dict[str, np.ndarray] = {}
+    if nodes.shape[1] == 21 and meta["format"] == "array":
+        own = _beside_landmarks(arrays, len(positions), meta)
+    if "valid" in own:  # the file knows better than a guess from zeros
+        valid = own["valid"]
+    elif lost.any():
         meta["zero_frames"] = int(lost.sum())
 
     labels = [text for key in _SIDE_KEYS if key in arrays for text in arrays[key].texts()]
@@ -117,11 +139,29 @@ def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) ->
         _stamps(arrays, len(positions), rate),
         found,
         valid=valid,
-        metacarpals=None if metacarpals is None else nodes[:, metacarpals],
-        orientations=orientations,
+        metacarpals=own.get("metacarpals") if metacarpals is None else nodes[:, metacarpals],
+        orientations=own.get("orientations", orientations),
         name=path.stem,
         meta=meta,
     )
+
+
+def _beside_landmarks(
+    arrays: StoredArrays, count: int, meta: dict[str, Any]
+) -> dict[str, np.ndarray]:
+    """Flags, metacarpals and orientations; what has their name and another form is left alone."""
+    found: dict[str, np.ndarray] = {}
+    for name, shape, kinds in (
+        ("valid", (count, 21), "b"),
+        ("metacarpals", (count, 4, 3), "f"),
+        ("orientations", (count, 21, 4), "f"),
+    ):
+        if name in arrays:
+            if arrays[name].shape == shape and arrays[name].dtype.kind in kinds:
+                found[name] = arrays[name].load()
+            else:
+                meta.setdefault("ignored", []).append(name)
+    return found
 
 
 def _find_landmarks(arrays: StoredArrays) -> StoredArray:

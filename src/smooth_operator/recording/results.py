@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -44,11 +45,15 @@ def write_commands(
         RecordingError: the arrays of the trajectory do not fit each other.
         ConfigError: the configuration holds what JSON can't.
     """
-    path = Path(path)
-    if path.suffix != ".npz":
-        raise OutputError(
-            f"can't write {str(path)!r}: the name must end in .npz, as {path.name}.npz"
-        )
+    write_encoded_commands(path, encode_commands(commands), config)
+
+
+def encode_commands(commands: CommandTrajectory) -> bytes:
+    """The bytes of ``OUT.npz``: equal ones for equal commands, whenever and wherever they are made.
+
+    Raises:
+        RecordingError: the arrays of the trajectory do not fit each other.
+    """
     arrays = {
         "joint_positions": np.asarray(commands.joint_positions, np.float64),
         "joint_names": np.asarray(commands.joint_names, np.str_),
@@ -57,16 +62,36 @@ def write_commands(
         "status": np.asarray(commands.status),
     }
     _check_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
-    arrays["status"] = _statuses(arrays["status"], None, "the commands")
+    arrays["status"] = translate_status(arrays["status"], None, "the commands")
     # Codes index the names, so that the file explains itself.
     names = {int(status): status.name for status in Status}
     arrays["status_names"] = np.array([names.get(code, "") for code in range(max(names) + 1)])
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, **arrays)  # its members bear no date
+    return stream.getvalue()
 
+
+def write_encoded_commands(
+    path: str | os.PathLike[str], encoded: bytes, config: Mapping[str, Any]
+) -> None:
+    """Write what :func:`encode_commands` gave, as :func:`write_commands` does.
+
+    For those who put a digest of the one file into the other.
+
+    Raises:
+        OutputError: the name does not end in ``.npz``, or the files can't be written.
+        ConfigError: the configuration holds what JSON can't.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise OutputError(
+            f"can't write {str(path)!r}: the name must end in .npz, as {path.name}.npz"
+        )
     text = to_json(dict(config), indent=2)
     with atomic_write(config_path(path)) as file:
         file.write(text.encode() + b"\n")
     with atomic_write(path) as file:
-        np.savez(file, allow_pickle=False, **arrays)
+        file.write(encoded)
 
 
 def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
@@ -100,7 +125,7 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
         joint_names=tuple(arrays["joint_names"].texts()),
         stamps=arrays["timestamps"].numbers(),
         latency_ms=arrays["latency_ms"].numbers(),
-        status=_statuses(arrays["status"].load(), _status_names(arrays), str(path)),
+        status=translate_status(arrays["status"].load(), _status_names(arrays), str(path)),
     )
 
 
@@ -129,8 +154,12 @@ def _status_names(arrays: StoredArrays) -> list[str] | None:
     return arrays["status_names"].texts() if "status_names" in arrays else None
 
 
-def _statuses(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
-    """Codes as those of this version's Status, found by name where the file has the names."""
+def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
+    """Codes as those of this version's Status, found by name where the file has the names.
+
+    Raises:
+        RecordingError: the codes are no whole numbers, or one is not known here.
+    """
     if codes.dtype.kind not in "iu":
         raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")
     own = {status.name: int(status) for status in Status}

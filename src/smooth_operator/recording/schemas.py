@@ -12,13 +12,20 @@ from typing import Any, Final
 
 from smooth_operator.types import Status
 
-VERSION: Final = "1"
+VERSION: Final = "2"
 """Version of the messages, in the metadata of every channel; raised when a reader must change."""
+
+READABLE_VERSIONS: Final = ("1", VERSION)
+"""Versions that are read. In version 1 the status was a field of the command."""
 
 HAND: Final = "/hand"
 COMMAND: Final = "/command"
+STATUS: Final = "/status"
 TIMING: Final = "/timing"
 CONFIG: Final = "/config"
+
+ORIGIN: Final = "smooth_operator.origin"
+"""Name of the metadata record that says where the log came from: ``name``, ``task``, ``meta``."""
 
 _NUMBER = {"type": "number"}
 _STAMP = {"type": "number", "description": "time of the hand frame [s], exact"}
@@ -61,12 +68,21 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
         "smooth_operator.Command",
         _object(
             "A command to the robot hand.",
-            ("stamp", "names", "positions", "status"),
+            ("stamp", "names", "positions"),
             stamp=_STAMP,
             names=_array({"type": "string"}, "joint names, in the model's order"),
             positions=_array(_NUMBER, "joint positions [rad]"),
+        ),
+    ),
+    STATUS: (
+        "smooth_operator.Status",
+        _object(
+            "Why the command with the same stamp is what it is.",
+            ("stamp", "status", "reason"),
+            stamp=_STAMP,
             # Foxglove's form of an enumeration.
             status={"oneOf": [{"title": s.name, "const": int(s)} for s in Status]},
+            reason={"type": "string", "description": "the same for a person"},
         ),
     ),
     TIMING: (

@@ -7,28 +7,29 @@ from typing import Literal, TypeAlias
 
 from smooth_operator.errors import RecordingError
 
-FileKind: TypeAlias = Literal["npy", "npz", "log"]
+FileKind: TypeAlias = Literal["npy", "npz", "log", "hdf5"]
 
 NPY_MAGIC = b"\x93NUMPY"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")
 
 # Formats that people bring, and the shortest way from them to one that is read here.
 _OTHERS = {
-    b"\x89HDF\r\n\x1a\n": "an HDF5 file; save its landmarks with numpy.savez",
     b"\x1f\x8b": "gzip-compressed; unpack it first",
     b"BZh": "bzip2-compressed; unpack it first",
     b"\xfd7zXZ\x00": "xz-compressed; unpack it first",
     b"\x28\xb5\x2f\xfd": "zstd-compressed; unpack it first",
-    b"PAR1": "a Parquet file; save its landmarks with numpy.savez",
+    b"PAR1": "a Parquet file; give the whole LeRobot dataset folder to 'smooth-operator convert'",
     b"MATLAB": "a MATLAB file; save its landmarks with numpy.savez",
     b"#ROSBAG": "a ROS bag; save its landmarks with numpy.savez",
     b"version https://git-lfs": "a Git LFS pointer, not the data; run 'git lfs pull'",
 }
 
 READABLE = (
-    "a MANUS .npz, a .npy or .npz of landmarks (T, 21, 3) [m], and this program's own .mcap log"
+    "a MANUS .npz, a .npy or .npz of landmarks (T, 21, 3) [m], and this program's own .mcap log "
+    "and .h5 file"
 )
 """What can be read, for error messages."""
 
@@ -52,10 +53,10 @@ def file_kind(path: Path) -> FileKind:
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; check the name and the folder") from None
     except IsADirectoryError:
-        raise RecordingError(f"{path}: this is a folder; give one of the files in it") from None
+        raise _is_a_folder(path) from None
     except OSError as error:
         if path.is_dir():  # Windows calls that a lack of permission
-            raise RecordingError(f"{path}: this is a folder; give one of the files in it") from None
+            raise _is_a_folder(path) from None
         raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
     if not head:
         raise RecordingError(f"{path}: the file is empty (0 bytes); record or copy it again")
@@ -65,8 +66,10 @@ def file_kind(path: Path) -> FileKind:
         return "npz"
     if head.startswith(MCAP_MAGIC):
         return "log"
+    if head.startswith(HDF5_MAGIC):
+        return "hdf5"
     if len(head) < len(MCAP_MAGIC) and any(
-        magic.startswith(head) for magic in (NPY_MAGIC, MCAP_MAGIC, *_ZIP_MAGICS)
+        magic.startswith(head) for magic in (NPY_MAGIC, MCAP_MAGIC, HDF5_MAGIC, *_ZIP_MAGICS)
     ):
         raise RecordingError(
             f"{path}: the file is cut off after {len(head)} bytes, before its first frame; record "
@@ -83,3 +86,17 @@ def file_kind(path: Path) -> FileKind:
     raise RecordingError(
         f"{path}: not a recording: it starts with {head[:8]!r}. What is read: {READABLE}"
     )
+
+
+def is_dataset(path: Path) -> bool:
+    """Whether a folder is a LeRobot dataset, of whatever version and program."""
+    return (path / "meta" / "info.json").is_file()
+
+
+def _is_a_folder(path: Path) -> RecordingError:
+    if is_dataset(path):
+        return RecordingError(
+            f"{path}: this is a LeRobot dataset; convert an episode of it first: smooth-operator "
+            f"convert {path} --episode 0 --output episode.npz"
+        )
+    return RecordingError(f"{path}: this is a folder; give one of the files in it")

@@ -1,0 +1,198 @@
+"""``smooth-operator convert``: recordings and commands from any format into any other."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.convert_options import Convert
+from smooth_operator.cli.outputs import folder_for, read_configuration
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording.convert import (
+    SUFFIXES,
+    Format,
+    Source,
+    check_target,
+    files_of,
+    find_sources,
+    format_of,
+    losses,
+    read_episode,
+    write_episode,
+)
+from smooth_operator.recording.episode import Episode
+from smooth_operator.recording.frames import frame_slice
+from smooth_operator.recording.lerobot import write_dataset
+
+_SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
+
+
+def convert(options: Convert) -> None:
+    """Finds the episodes, looks whether they may be written, and converts one after the other.
+
+    Raises:
+        SmoothOperatorError: with the reason. A dataset is then not there; of several files those
+            before the failing one are, each whole.
+    """
+    progress = Progressing(options.quiet)
+    to = format_of(options.output, options.to)
+    if options.fps is not None and to != "lerobot":
+        raise ConfigError("--fps is of LeRobot datasets; the other formats keep each true stamp")
+    if not options.inputs:
+        raise ConfigError("give at least one INPUT to convert")
+    apart = [options.output, *([] if options.commands is None else [options.commands])]
+    sources, notes = find_sources(options.inputs, episode=options.episode, leave=apart)
+    for note in notes:
+        progress.note(note)
+    beside = _commands_of(options.commands, sources)
+    said: set[str] = set()
+
+    def load(source: Source, commands: Path | None) -> Episode:
+        episode = _load(source, commands, options)
+        for note in (*episode.notes, *losses(episode, to)):
+            if note not in said:  # a dataset looks at its episodes twice
+                said.add(note)
+                progress.note(note, matters=True)
+        return episode
+
+    loads = [functools.partial(load, s, c) for s, c in zip(sources, beside, strict=True)]
+    if to == "lerobot":
+        _write_dataset(options, loads, progress)
+    else:
+        _write_files(options, to, sources, loads, progress)
+
+
+def _write_dataset(
+    options: Convert, loads: list[functools.partial[Episode]], progress: Progressing
+) -> None:
+    check_target(options.output, "lerobot", options.inputs, options.overwrite)
+    with folder_for(options.output.resolve().parent):
+        written = 0
+
+        def done(episode: Episode) -> None:
+            nonlocal written
+            written += len(episode)
+
+        with progress.waiting(f"converting {len(loads)} episodes"):
+            notes = write_dataset(options.output, loads, fps=options.fps, done=done)
+    for note in notes:
+        progress.note(note, matters=True)
+    progress.note(f"wrote {options.output}: {len(loads)} episodes, {written} frames")
+
+
+def _write_files(
+    options: Convert,
+    to: Format,
+    sources: list[Source],
+    loads: list[functools.partial[Episode]],
+    progress: Progressing,
+) -> None:
+    targets = _targets(options, to, sources)
+    for target in targets:
+        _check(target, to, options)
+    for target, load in zip(targets, loads, strict=True):
+        with folder_for(target.parent):
+            episode = load()
+            write_episode(target, episode, to)
+        progress.note(f"wrote {target}: {_described(episode)}")
+
+
+def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
+    """A file for each episode."""
+    named = SUFFIXES.get(options.output.suffix.lower()) is not None
+    if len(sources) == 1 and not options.output.is_dir() and (named or not _in_folder(options)):
+        return [options.output]
+    if named:
+        raise ConfigError(
+            f"the inputs hold {len(sources)} episodes, which do not go into one file "
+            f"{options.output.name!r}; name a folder with --to {to} for a file each, or one "
+            "without suffix for a LeRobot dataset"
+        )
+    alone = len(options.inputs) == 1 and sources[0].path == options.inputs[0]
+    targets = [
+        options.output / source.relative.parent / f"{_stem(source, alone)}{_SUFFIX_OF[to]}"
+        for source in sources
+    ]
+    twice = [target for target, count in Counter(targets).items() if count > 1]
+    if twice:
+        raise ConfigError(
+            f"{len(twice)} outputs would have the same name, such as {twice[0]}; convert their "
+            "inputs into folders of their own"
+        )
+    return targets
+
+
+def _in_folder(options: Convert) -> bool:
+    return any(given.is_dir() for given in options.inputs) and options.episode is None
+
+
+def _stem(source: Source, alone: bool) -> str:
+    """Name of an output without its suffix; that of a dataset only if there are others."""
+    if source.dataset is None:
+        return source.relative.stem
+    number = f"episode_{source.number:06d}"
+    name = re.sub(r"[^\w.-]+", "_", source.dataset.name_of(source.number))
+    stem = number if name == number else f"{number}_{name}"
+    return stem if alone else f"{source.relative.name}/{stem}"
+
+
+def _check(target: Path, to: Format, options: Convert) -> None:
+    main, *others = files_of(target, to)
+    check_target(main, to, options.inputs, options.overwrite)
+    for path in others:
+        if path.exists() and (not path.is_file() or read_configuration(path) is None):
+            raise OutputError(
+                f"can't write {str(path)!r}, the configuration beside {main.name}: it holds "
+                "something else; choose another name, or remove it first"
+            )
+
+
+def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | None]:
+    """The file of commands for each episode."""
+    if commands is None:
+        return [None] * len(sources)
+    if not commands.exists():
+        raise RecordingError(f"{commands}: no such file; check the name and the folder")
+    if not commands.is_dir():
+        if len(sources) > 1:
+            raise ConfigError(
+                f"the inputs hold {len(sources)} episodes and {commands} the commands of one; "
+                "give the folder of their results, each with the name of its recording"
+            )
+        return [commands]
+    found = [commands / source.relative.with_suffix(".npz") for source in sources]
+    missing = [str(path) for path in found if not path.is_file()]
+    if missing:
+        raise RecordingError(
+            f"{commands}: {len(missing)} of {len(found)} recordings have no commands there, such "
+            f"as {missing[0]}; retarget them first: smooth-operator retarget"
+        )
+    return list(found)
+
+
+def _load(source: Source, commands: Path | None, options: Convert) -> Episode:
+    episode = source.read(rate=options.rate, side=options.side)
+    if commands is not None:
+        episode = episode.joined(read_episode(commands), str(commands))
+        answered = len(set(episode.answered().tolist()))
+        if options.frames is None and answered < len(episode):
+            note = f"{commands} answers {answered} of the {len(episode)} frames of {source.path}"
+            episode = replace(episode, notes=(*episode.notes, note))
+    if options.frames is not None:
+        episode = episode.sliced(frame_slice(options.frames, len(episode)))
+    if options.task is not None:
+        episode = replace(episode, task=options.task)
+    return episode
+
+
+def _described(episode: Episode) -> str:
+    parts = []
+    if episode.recording is not None:
+        parts.append(f"{len(episode.recording)} frames of a {episode.recording.side} hand")
+    if episode.commands is not None:
+        parts.append(f"{len(episode.commands)} commands")
+    return ", ".join(parts)

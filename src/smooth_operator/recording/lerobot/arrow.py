@@ -1,0 +1,94 @@
+"""NumPy arrays to columns of Arrow tables and back."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.errors import MissingExtraError, RecordingError
+from smooth_operator.recording.arrays import damaged
+
+
+def arrow() -> Any:
+    """The module ``pyarrow``.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    return _module("pyarrow")
+
+
+def parquet() -> Any:
+    """The module ``pyarrow.parquet``.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    return _module("pyarrow.parquet")
+
+
+def column(values: np.ndarray) -> Any:
+    """An Arrow array of scalars from (T,) or (T, 1), of lists of k from (T, k).
+
+    LeRobot holds a feature of one number as a scalar, whatever it is. NaN stays NaN and is no null.
+    """
+    pa = arrow()
+    if values.ndim == 1 or values.shape[1] == 1:
+        return pa.array(np.ascontiguousarray(values.reshape(-1)))
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
+    """(T, width) of a column that :func:`column` made, or that other programs wrote again.
+
+    Raises:
+        RecordingError: there is no such column, or it holds something else.
+    """
+    pa = arrow()
+    if name not in table.column_names:
+        raise RecordingError(
+            f"{where}: it lacks the column {name!r}; it has {', '.join(table.column_names)}"
+        )
+    chunks = table.column(name).chunks
+    kind = table.schema.field(name).type
+    flat = pa.concat_arrays(chunks) if chunks else pa.array([], kind)
+    if pa.types.is_fixed_size_list(kind) or pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        kind, flat = kind.value_type, flat.flatten()
+    # NaN became null on its way through pandas.
+    nulls = 0 if pa.types.is_floating(kind) else flat.null_count
+    numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
+    if not numeric or nulls or len(flat) != table.num_rows * width:
+        raise RecordingError(
+            f"{where}: the column {name!r} must hold {width} numbers a row, not "
+            f"{table.schema.field(name).type}" + (f" with {nulls} nulls" if nulls else "")
+        )
+    values: np.ndarray = flat.to_numpy(zero_copy_only=False).reshape(table.num_rows, width)
+    return values
+
+
+def read_table(path: Path, filters: Any = None) -> Any:
+    """A Parquet file as an Arrow table.
+
+    Raises:
+        RecordingError: no such file, or damaged.
+    """
+    pa, pq = arrow(), parquet()
+    try:
+        return pq.read_table(path, filters=filters, partitioning=None)
+    except FileNotFoundError:
+        raise RecordingError(
+            f"{path}: no such file; the dataset is incomplete, copy it again"
+        ) from None
+    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+        raise damaged(path, f"Parquet: {error}") from error
+
+
+def _module(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise MissingExtraError("a LeRobot dataset", "lerobot") from error
