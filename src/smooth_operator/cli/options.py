@@ -7,8 +7,11 @@ from typing import Final, TypeAlias
 
 import tyro
 
+from smooth_operator.cli.bench_options import Bench
+from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.view_options import View
 
 _EXAMPLES = """Examples:
@@ -18,14 +21,27 @@ _EXAMPLES = """Examples:
       a recording into joint commands, with a table of what was measured
   smooth-operator view out.npz glove.npz
       the two side by side in the browser
+  smooth-operator convert glove.npz --commands out.npz --output demo.mcap
+      both into one file of another format: MCAP, HDF5, npz or LeRobot
+  smooth-operator bench glove.npz --methods all --output out
+      which method, and how good? a table, results.json and a report
+  smooth-operator train geort glove.npz --output my-geort
+      a model of the learning-based method for a hand and its operator
 
 Each command has its own help: smooth-operator retarget --help
 """
 
 
-Command: TypeAlias = Demo | Retarget | View
+Command: TypeAlias = Bench | Convert | Demo | Retarget | Train | View
 
-_COMMANDS: Final[dict[str, type[Command]]] = {"demo": Demo, "retarget": Retarget, "view": View}
+_COMMANDS: Final[dict[str, type[Command]]] = {
+    "demo": Demo,
+    "retarget": Retarget,
+    "view": View,
+    "convert": Convert,
+    "bench": Bench,
+    "train": Train,
+}
 
 
 def parse(arguments: Sequence[str]) -> Command:

@@ -1,0 +1,74 @@
+"""The work of a cell: what a worker process is sent, what it does, what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.benchmark.built import built_for
+from smooth_operator.benchmark.per_finger import finger_metrics
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.metrics import Definition
+from smooth_operator.offline import Plan, configuration, execute, measure
+from smooth_operator.retargeters.method import MethodConfig
+from smooth_operator.types import CommandTrajectory, HandRecording
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A cell as a worker needs it; whole, so that a worker need not see the recording's file.
+
+    Attributes:
+        recording: the human hand.
+        hand: name of the robot hand.
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration.
+        seed: of its random numbers.
+        definition: of the metrics.
+    """
+
+    recording: HandRecording
+    hand: str
+    method: str
+    preset: str
+    config: MethodConfig
+    seed: int
+    definition: Definition
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a worker returns.
+
+    Attributes:
+        commands: the joint commands. Their latency is NaN: taken beside other workers it would
+            not be to believe, and without it the same cell has the same bytes.
+        metrics: of :func:`smooth_operator.metrics.evaluate`.
+        fingers: of :func:`smooth_operator.benchmark.per_finger.finger_metrics`.
+        configuration: what it depended on, versions and machine included.
+    """
+
+    commands: CommandTrajectory
+    metrics: dict[str, Any]
+    fingers: dict[str, dict[str, float | None]]
+    configuration: dict[str, Any]
+
+
+def measure_cell(task: Task) -> Measured:
+    """Retargets a recording and measures it.
+
+    Raises:
+        SmoothOperatorError: the method can't serve the hand, or the recording can't be used.
+    """
+    hand = load_hand(task.hand, task.recording.side)
+    todo = Plan(task.recording, hand, task.method, task.preset, task.config, task.seed)
+    outcome = execute(todo, built_for(todo))
+    untimed = np.full(len(outcome.commands), np.nan)
+    outcome = replace(outcome, commands=replace(outcome.commands, latency_ms=untimed))
+    trace, metrics = measure(todo, outcome, task.definition)
+    return Measured(
+        outcome.commands, metrics, finger_metrics(trace, metrics), configuration("bench", todo)
+    )

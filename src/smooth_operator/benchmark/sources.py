@@ -1,0 +1,255 @@
+"""The recordings of a benchmark: files, folders, the synthetic operator; the broken ones, too.
+
+A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
+and may bring settings of its own after an ``@``, separated by commas: a range of frames, a rate, a
+side. ``glove.npz@:500``, ``video.npz@30hz``, ``synthetic:3@left,100:300``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.offline.discovery import SUFFIXES, find_recordings
+from smooth_operator.recording import frame_slice, read_recording
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.types import HandRecording, Side, as_side
+
+SYNTHETIC: Final = "synthetic"
+SYNTHETIC_SECONDS: Final = 20.0
+"""How long the built-in operator moves [s]."""
+
+_RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Request:
+    """A recording as asked for.
+
+    Attributes:
+        path: the file; None for the built-in operator.
+        seed: of the built-in operator.
+        frames: ``A:B``, or None for all.
+        rate: frames a second [Hz]; None as the file says.
+        side: None as the file says.
+    """
+
+    path: Path | None
+    seed: int = 0
+    frames: str | None = None
+    rate: float | None = None
+    side: Side | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A recording that was looked for; either ``recording`` or ``error`` is None.
+
+    Attributes:
+        request: what was asked for.
+        name: what it is called in results, unique among the sources of a benchmark.
+        recording: the frames.
+        error: why there are none.
+        frames: which frames of the file these are.
+        digest: SHA-256 of the frames; empty where there are none.
+    """
+
+    request: Request
+    name: str
+    recording: HandRecording | None = None
+    error: str | None = None
+    frames: tuple[int, int] | None = None
+    digest: str = ""
+
+    @property
+    def side(self) -> Side:
+        """Side of the recording; what was asked for, or right, where it can't be read."""
+        return self.recording.side if self.recording else self.request.side or "right"
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What a reader of the results wants to know of it."""
+        recording = self.recording
+        return {
+            "path": None if self.request.path is None else str(self.request.path),
+            "frames": self.frames,
+            "sha256": self.digest or None,
+            "side_assumed": bool(recording and recording.meta.get("side_assumed")),
+            "rate_hz": None if recording is None or len(recording) < 2 else recording.rate_hz,
+            "duration_s": None if recording is None else recording.duration,
+        }
+
+
+def parse_request(
+    text: str, *, frames: str | None = None, rate: float | None = None, side: Side | None = None
+) -> Request:
+    """A recording and its settings from one word.
+
+    Args:
+        text: see the module.
+        frames: where the text has no range.
+        rate: where the text has no rate.
+        side: where the text has no side.
+
+    Raises:
+        ConfigError: the part after the ``@`` is no setting, or the seed no number.
+    """
+    name, at, options = text.rpartition("@")
+    if not at or Path(text).exists():  # a file's name may hold an @
+        name, options = text, ""
+    for option in filter(None, (part.strip() for part in options.split(","))):
+        rated = _RATE.fullmatch(option)
+        if rated:
+            rate = float(rated[1])
+        elif ":" in option:
+            frames = option
+        elif option.lower() in ("left", "right", "l", "r"):
+            side = as_side(option)
+        else:
+            raise ConfigError(
+                f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
+                "frames (:500), a rate (60hz) or a side (left), with commas between them"
+            )
+    if frames is not None:
+        frame_slice(frames, 10**12)  # a text that is no range is refused before anything is read
+    if name == SYNTHETIC or name.startswith(f"{SYNTHETIC}:"):
+        seed = name.partition(":")[2] or "0"
+        if not (seed.isascii() and seed.isdigit()):
+            raise ConfigError(f"{name!r}: the seed must be a whole number, as in {SYNTHETIC}:3")
+        return Request(None, int(seed), frames, rate if "hz" in options.lower() else None, side)
+    return Request(Path(name), 0, frames, rate, side)
+
+
+def load_sources(requests: Iterable[Request]) -> list[Source]:
+    """Reads what was asked for; folders are replaced by the recordings in them, however
+    deep.
+
+    Returns:
+        The sources in the order asked for, repeats left out; those that can't be read with the
+        reason.
+
+    Raises:
+        RecordingError: not one of them can be read; with the reason of the first.
+    """
+    asked = dict.fromkeys(one for request in requests for one in _expanded(request))
+    sources = [_load(request) for request in asked]
+    if all(source.recording is None for source in sources):
+        first = sources[0].error if sources else "no recording is named"
+        more = f" (nor can the {len(sources) - 1} others be read)" if len(sources) > 1 else ""
+        raise RecordingError(f"{first}{more}")
+    names = unique_names([(source.name, source.request.path) for source in sources])
+    labelled: dict[str, Source] = {}
+    for source, name in zip(sources, names, strict=True):
+        label, count = _ranged(name, source), 1
+        while label in labelled and labelled[label].digest != source.digest:
+            count += 1  # one file read in two ways, such as at two rates
+            label = f"{_ranged(name, source)}#{count}"
+        labelled.setdefault(label, replace(source, name=label))
+    return list(labelled.values())
+
+
+def unique_names(named: Sequence[tuple[str, Path | None]]) -> list[str]:
+    """Names that tell files apart: those that clash get as many folders in front as it takes."""
+    paths = [None if path is None else path.absolute() for _, path in named]
+
+    def at(depth: int, i: int) -> str:
+        path = paths[i]
+        return (
+            named[i][0] if path is None else "/".join((*path.parts[-1 - depth : -1], named[i][0]))
+        )
+
+    names = []
+    for i, path in enumerate(paths):
+        others = [k for k, other in enumerate(paths) if other != path]
+        deepest = len(path.parts) - 1 if path is not None else 0
+        depths = (d for d in range(deepest) if all(at(d, k) != at(d, i) for k in others))
+        depth = next(depths, None)
+        # Files of one folder that differ by their endings only keep them.
+        ending = path.suffix if depth is None and path is not None else ""
+        names.append(at(depth or 0, i) + ending)
+    return names
+
+
+def _ranged(name: str, source: Source) -> str:
+    """With the range of frames, where one was asked for: a part is not the whole."""
+    if source.request.frames is None:
+        return name
+    if source.frames is None:
+        return f"{name}[{source.request.frames}]"
+    return f"{name}[{source.frames[0]}:{source.frames[1]}]"
+
+
+def _expanded(request: Request) -> list[Request]:
+    if request.path is None or not request.path.is_dir():
+        return [request]
+    found, _ = find_recordings(request.path)
+    paths = sorted((item.path for item in found), key=lambda path: path.as_posix())
+    return [replace(request, path=path) for path in paths] or [request]
+
+
+def _load(request: Request) -> Source:
+    name = f"{SYNTHETIC}-{request.seed}" if request.path is None else request.path.stem
+    try:
+        recording = _read(request)
+        total = len(recording)
+        cut = slice(0, total) if request.frames is None else frame_slice(request.frames, total)
+        chosen = recording[cut]
+        valid = chosen.valid
+        if valid is None or not valid.any():
+            raise RecordingError(f"{request.path}: no landmark in these frames is valid")
+    except SmoothOperatorError as error:
+        return Source(request, name, error=f"{type(error).__name__}: {error}")
+    return Source(
+        request,
+        recording.name if request.path is None else name,
+        replace(chosen, meta={"side_assumed": recording.meta.get("side_assumed", False)}),
+        frames=(cut.start, cut.stop),
+        digest=_digest(chosen),
+    )
+
+
+def _read(request: Request) -> HandRecording:
+    if request.path is None:
+        operator = SyntheticOperator(seed=request.seed, side=request.side or "right")
+        if request.rate is not None:
+            operator = replace(operator, rate_hz=request.rate)
+        return operator.record(SYNTHETIC_SECONDS)
+    if request.path.is_dir():
+        raise RecordingError(
+            f"{request.path}: no recordings in it or in its folders; expected names that end in "
+            f"{', '.join(SUFFIXES)}"
+        )
+    try:
+        return read_recording(request.path, rate=request.rate, side=request.side)
+    except RecordingError:
+        if request.rate is None:
+            raise
+        # The rate is meant for those files among many that hold no stamps.
+        with_its_own = _or_none(request)
+        if with_its_own is None:
+            raise
+        return with_its_own
+
+
+def _or_none(request: Request) -> HandRecording | None:
+    assert request.path is not None  # a file was read just now
+    try:
+        return read_recording(request.path, side=request.side)
+    except RecordingError:
+        return None
+
+
+def _digest(recording: HandRecording) -> str:
+    assert recording.valid is not None  # filled in on construction
+    known = np.where(recording.valid[..., None], recording.landmarks, np.nan)
+    total = hashlib.sha256(recording.side.encode())
+    for array in (known, recording.stamps):
+        total.update(np.ascontiguousarray(array, "<f8").tobytes())
+    return total.hexdigest()

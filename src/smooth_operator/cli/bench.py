@@ -1,0 +1,165 @@
+"""``smooth-operator bench``: which method, and how good?"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from smooth_operator.benchmark import (
+    Settings,
+    compare,
+    make_rows,
+    plan_cells,
+    read_results,
+    run_suite,
+)
+from smooth_operator.benchmark.cells import Cell
+from smooth_operator.benchmark.store import REPORT, RESULTS, write_json
+from smooth_operator.benchmark.suite import Advance
+from smooth_operator.cli.bench_options import Bench
+from smooth_operator.cli.bench_tables import print_comparison, print_results
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.offline.finished import claimed
+
+SOME_FAILED = 1
+"""Exit status where everything was done, but some cells have a reason in place of figures."""
+
+
+def bench(options: Bench) -> None:
+    """Looks everything up, measures, writes, prints.
+
+    Raises:
+        SmoothOperatorError: what was asked for can't be; nothing was measured then.
+        SystemExit: with :data:`SOME_FAILED`.
+        KeyboardInterrupt: stopped; what is finished is kept.
+    """
+    console = Console(stderr=True, highlight=False)
+    # What a user can get wrong comes before what takes long.
+    settings = Settings(
+        output=options.output,
+        recordings=options.recordings or ("synthetic",),
+        hands=_words(options.hands),
+        methods=_words(options.methods),
+        frames=options.frames,
+        rate=options.rate,
+        side=options.side,
+        seed=options.seed,
+        definition=options.definition,
+        latency_frames=options.latency_frames,
+        workers=options.workers,
+        cluster=options.cluster,
+    )
+    others = None if options.compare is None else read_results(options.compare)
+    cells = plan_cells(settings)
+    _say_what_is_odd(cells, console)
+    with folder_for(options.output), claimed(options.output):
+        try:
+            finished = run_suite(settings, cells, _track(console, options.quiet))
+        except KeyboardInterrupt:
+            _note(console, f"stopped; the same command goes on with what is in {options.output}")
+            raise
+        rows = make_rows(finished, settings)
+        comparison = None
+        if others is not None:
+            comparison = compare(rows, others, str(options.compare))
+        write_json(options.output / RESULTS, rows, indent=1)
+        if not options.no_report:
+            from smooth_operator.benchmark.page import write_report
+
+            with _waiting(console, options.quiet, "drawing the report"):
+                write_report(finished, rows, settings, comparison)
+    if not options.quiet:
+        print_results(rows)
+        if comparison is not None:
+            print_comparison(comparison)
+        written = RESULTS if options.no_report else f"{RESULTS} and {REPORT}"
+        _note(console, f"wrote {options.output}: {written}")
+    failed = [row for row in rows if row["status"] != "ok"]
+    if failed:
+        where = "" if options.quiet else ", see above"
+        _note(console, f"{len(failed)} of {len(rows)} cells failed{where}")
+        raise SystemExit(SOME_FAILED)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word for word in (part.strip() for part in text.split(",")) if word)
+
+
+def _say_what_is_odd(cells: Sequence[Cell], console: Console) -> None:
+    for source in dict.fromkeys(cell.source for cell in cells):
+        if source.error is not None:
+            _note(console, f"left out: {source.error}")
+        elif source.facts["side_assumed"]:
+            _note(
+                console,
+                f"{source.name} does not say which hand it is: taken for a right one; give it "
+                "@left if it is not",
+            )
+
+
+def _note(console: Console, text: str) -> None:
+    console.print(text, markup=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _waiting(console: Console, quiet: bool, text: str) -> Iterator[None]:
+    if quiet or not console.is_terminal:
+        yield
+    else:
+        with console.status(text):
+            yield
+
+
+def _track(
+    console: Console, quiet: bool
+) -> Callable[[str, int, int], contextlib.AbstractContextManager[Advance]]:
+    """Progress on a terminal as a bar with the time left, elsewhere as a line for each cell."""
+
+    @contextlib.contextmanager
+    def phase(name: str, total: int, done: int) -> Iterator[Advance]:
+        if done and not quiet:
+            _note(console, f"{name}: {done} of {total} cells need no measuring again")
+        if done == total:
+            yield lambda label, reason: None
+            return
+        with _bar(console, quiet) as bar:
+            task = bar.add_task(name, total=total - done)
+            left = total - done
+
+            def advance(label: str, reason: str | None) -> None:
+                nonlocal left
+                left -= 1
+                bar.advance(task)
+                if reason is not None:
+                    _note(bar.console, f"failed: {label}: {reason}")
+                elif not (quiet or console.is_terminal):
+                    _note(console, f"{name}: {label} ({left} to go)")
+
+            yield advance
+
+    return phase
+
+
+def _bar(console: Console, quiet: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("cells"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=quiet or not console.is_terminal,
+        # Drawing takes a core now and then; the latency of frames must not feel it.
+        refresh_per_second=2,
+    )

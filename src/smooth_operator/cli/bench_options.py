@@ -1,0 +1,95 @@
+"""Options of ``smooth-operator bench``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common, HandSide
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(Common):
+    """Measure methods on recordings and hands, side by side, and report which is how good."""
+
+    details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and
+method), report.html (everything in one file: tables, plots, clips), plots/, and cells/
+(the commands of each). Run the same command again to go on where it was stopped; what is
+unchanged is not measured again. Latency is measured at the end, with nothing beside it.
+
+A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in
+operator, which is used if there is none. It may bring settings of its own after an @:
+glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,100:900.
+
+Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
+each method with its default preset.
+
+Exit status: 0 all measured, 1 some cells failed (the report says which and why), 2 what was
+asked for can't be, 130 stopped.
+
+Examples:
+  smooth-operator bench --output out
+      all methods on the built-in operator and the built-in hand
+  smooth-operator bench glove.npz video.npz@30hz --methods sbr,sbr:paper,dexpilot --output out
+      three candidates on your own recordings
+  smooth-operator bench glove.npz@:500 --methods all --output new --compare old/results.json
+      what changed since an earlier benchmark
+  smooth-operator bench recordings/ --hands all --workers 8 --output out
+      a folder, on every hand, in eight processes
+"""
+
+    recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="[RECORDING ...]")] = ()
+    """Files, folders or `synthetic`, each with settings after an @ if need be."""
+
+    output: Annotated[Path, arg(metavar="FOLDER")]
+    """Folder to write, new, empty or of an earlier benchmark."""
+
+    hands: Annotated[str, arg(metavar="A,B|all")] = "mimic_p050"
+    """Robot hands by their catalogue names, with commas between them."""
+
+    methods: Annotated[str, arg(metavar="M1,M2|all")] = "all"
+    """Methods, with commas between them; METHOD:PRESET for a preset."""
+
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only these frames of each recording, as a Python slice: :500, 2600:3100, -500:"""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames a second of recordings that hold no time stamps [Hz]."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; as each recording says if left out."""
+
+    seed: int = 0
+    """Of the methods' random numbers."""
+
+    definition: Literal["sound", "paper"] = "sound"
+    """How the metrics are defined; paper is as published."""
+
+    workers: Annotated[int | None, arg(metavar="N")] = None
+    """Processes that measure quality at once: one for each core if left out, 0 for none beside this
+    one. Latency is measured alone in any case."""
+
+    cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
+    """Measure quality on a running Ray cluster (auto finds it), or start Ray here (local). Latency
+    is measured in this process."""
+
+    latency_frames: Annotated[int, arg(metavar="N")] = 500
+    """Frames of each recording to measure latency over, after a warm-up; 0 to leave it out."""
+
+    compare: Annotated[Path | None, arg(metavar="OTHER/results.json")] = None
+    """Results of another benchmark to lay beside this one."""
+
+    no_report: bool = False
+    """Write results.json, but no report and no plots."""
+
+    quiet: bool = False
+    """No progress on standard error, no table on standard output."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.bench import bench
+
+        bench(self)

@@ -1,0 +1,128 @@
+"""What ``smooth-operator bench`` prints: tables of methods, the best marked; differences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.benchmark.comparison import Comparison
+from smooth_operator.benchmark.ranking import (
+    HEADLINES,
+    SHORT,
+    Line,
+    best,
+    by_hand,
+    by_panel,
+    failures,
+    lines_of,
+    overall,
+    shown_value,
+)
+from smooth_operator.benchmark.results import Row
+from smooth_operator.metrics import Metric
+
+_MOST_PANELS: Final = 8
+_MOST_NAMED: Final = 4
+_WIDTH_OF_A_FILE: Final = 140
+_GOALS: Final = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
+_STYLES: Final = {"better": "green", "worse": "red", "same": ""}
+_SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
+
+
+def print_results(rows: Sequence[Row]) -> None:
+    """The six headline metrics of each method, per recording and overall."""
+    console = _console()
+    panels = by_panel(rows)
+    if len(panels) <= _MOST_PANELS:
+        for (recording, hand, side), own in panels.items():
+            if all(row["status"] != "ok" for row in own):
+                continue  # said below, once
+            console.print(_table(f"{recording} on {hand} {side}", lines_of(own)))
+    for hand, own in by_hand(rows).items():
+        count = len({row["recording"] for row in own if row["status"] == "ok"})
+        if count > 1:
+            console.print(_table(f"{hand}, mean over {count} recordings", overall(own)))
+    if any(row["status"] == "ok" for row in rows):
+        console.print("* best", style="dim")
+    for where, methods, reason in failures(rows):
+        console.print(Text(f"failed: {where}, {methods}: {reason}"), soft_wrap=True)
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Differences of the headline metrics, cell by cell."""
+    console = _console()
+    table = _empty(f"this minus {comparison.name}", "cell")
+    for cell in comparison.cells:
+        recording, hand, side, method, preset = cell.key
+        known = {change.metric.name: change for change in cell.changes}
+        values = []
+        for metric in HEADLINES:
+            change = known.get(metric.name)
+            if change is None:
+                values.append(Text("–"))
+            elif change.difference == 0:
+                values.append(Text("="))
+            else:
+                text = f"{change.difference:+.2g}{_SIGNS[change.verdict]}"
+                values.append(Text(text, _STYLES[change.verdict]))
+        table.add_row(Text(f"{recording}\n{hand} {side} {method} {preset}"), *values)
+    if comparison.cells:
+        console.print(table)
+    total = {verdict: comparison.count(verdict) for verdict in ("better", "worse", "same")}
+    console.print(
+        f"of all metrics: {total['better']} better ▲, {total['worse']} worse ▼, {total['same']} "
+        "the same (within 0.5 %, latencies 10 %)"
+    )
+    notes = sorted({note for cell in comparison.cells for note in cell.notes})
+    if notes:
+        console.print(Text(f"mind: {'; '.join(notes)}"), soft_wrap=True)
+    for title, keys in (
+        ("only here", comparison.only_here),
+        ("only there", comparison.only_there),
+    ):
+        named = "; ".join(" ".join(key) for key in keys[:_MOST_NAMED])
+        more = f" and {len(keys) - _MOST_NAMED} more" if len(keys) > _MOST_NAMED else ""
+        if keys:
+            console.print(Text(f"{title}: {named}{more}"), soft_wrap=True)
+
+
+def _table(title: str, lines: Sequence[Line]) -> Table:
+    table = _empty(title, "method")
+    tops = [best(lines, metric) for metric in HEADLINES]
+    for i, line in enumerate(lines):
+        name = (
+            line.method if line.count in (0, line.of) else f"{line.method} ({line.count}/{line.of})"
+        )
+        if line.failed is not None:
+            table.add_row(Text(name), *(Text("failed" if k == 0 else "", "red") for k in range(6)))
+            continue
+        cells = []
+        for metric, top in zip(HEADLINES, tops, strict=True):
+            value = shown_value(metric, line.values[metric.name])
+            cells.append(Text(f"{value}*", "bold green") if i in top else Text(f"{value} "))
+        table.add_row(Text(name), *cells)
+    return table
+
+
+def _empty(title: str, first: str) -> Table:
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column(first, no_wrap=first == "method", overflow="fold")
+    for metric in HEADLINES:
+        table.add_column(_header(metric), justify="right", no_wrap=True)
+    return table
+
+
+def _header(metric: Metric) -> str:
+    return f"{SHORT[metric.name]}\n{' '.join(filter(None, (metric.unit, _GOALS[metric.goal])))}"
+
+
+def _console() -> Console:
+    console = Console(highlight=False)
+    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
+        console.width = _WIDTH_OF_A_FILE
+    return console

@@ -1,0 +1,756 @@
+"""The benchmark, end to end on a short recording; what it keeps, resumes, refuses and reports."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from metrics_cases import human_motion, make_trace
+
+from smooth_operator import Hand, Retargeter, SbrConfig, SyntheticOperator, load_hand
+from smooth_operator.benchmark import compare, latency, read_results, suite
+from smooth_operator.benchmark.cells import cells_of, file_name, fingerprint
+from smooth_operator.benchmark.clips import make_clip
+from smooth_operator.benchmark.comparison import verdict
+from smooth_operator.benchmark.machine import Watch
+from smooth_operator.benchmark.panels import Panel, Run, view_basis
+from smooth_operator.benchmark.per_finger import finger_metrics
+from smooth_operator.benchmark.quality import Task, measure_cell
+from smooth_operator.benchmark.ranking import HEADLINES, Line, best, failures, overall
+from smooth_operator.benchmark.results import Row
+from smooth_operator.benchmark.settings import Settings, select_methods
+from smooth_operator.benchmark.sources import load_sources, parse_request, unique_names
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.metrics import METRICS, Metric, evaluate
+from smooth_operator.parallel import run_tasks
+from smooth_operator.recording import read_commands
+from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.solvers.sampling import SamplingConfig
+
+# The smallest SBR there is: it compiles in a second.
+TINY = SbrConfig(sampling=SamplingConfig(samples=32, elites=8, cycles=2))
+NAMED = {metric.name: metric for metric in METRICS}
+
+
+@dataclass(frozen=True)
+class PickyConfig:
+    """A method that can't serve any hand there is."""
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+
+    def build(self, hand: Hand) -> Any:
+        raise HandModelError(f"picky needs six fingers; {hand.name} has {len(hand.fingers)} <b>")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A finished benchmark of a good and a broken recording, with a method that refuses."""
+
+    folder: Path
+    arguments: tuple[str, ...]
+    status: int
+    out: str
+    err: str
+    odd: str  # name of the good recording
+
+    @property
+    def rows(self) -> list[Row]:
+        return read_results(self.folder)
+
+    @property
+    def page(self) -> str:
+        return (self.folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS["sbr"], "tiny", TINY)
+        patch.setitem(PRESETS, "picky", {"default": PickyConfig()})
+        patch.setenv("SMOOTH_OPERATOR_CACHE", "off")
+        patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+        # Other work in this checkout must not look like a change of a method between two runs.
+        patch.setattr("smooth_operator.benchmark.cells.code_digest", lambda: "fixed")
+        yield
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recordings")
+    save(folder / "a<i>&'$x^.npz", frames=60)
+    (folder / "broken.npz").write_bytes(b"garbage")
+    return folder
+
+
+def save(path: Path, frames: int = 24, seed: int = 2, side: str = "right") -> Path:
+    hand = SyntheticOperator(seed=seed, side=side).record(frames / 100)  # type: ignore[arg-type]
+    np.savez(path, landmarks=hand.landmarks, timestamps=hand.stamps, side=hand.side)
+    return path
+
+
+@pytest.fixture(scope="module")
+def done(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    folder = tmp_path_factory.mktemp("bench") / "new" / "out"
+    arguments = (
+        "bench", str(recordings), "--methods", "sbr:tiny,picky", "--output", str(folder),
+        "--workers", "0", "--latency-frames", "20",
+    )  # fmt: skip
+    status, out, err = captured(arguments)
+    return Bench(folder, arguments, status, out, err, "a<i>&'$x^")
+
+
+def captured(arguments: Sequence[object]) -> tuple[int, str, str]:
+    import contextlib
+    import io
+
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main([str(argument) for argument in arguments])
+    return status, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture
+def copied(done: Bench, tmp_path: Path) -> tuple[Path, tuple[str, ...]]:
+    """A copy of the finished folder, and the command that made it."""
+    folder = tmp_path / "copy"
+    shutil.copytree(done.folder, folder)
+    return folder, tuple(str(folder) if a == str(done.folder) else a for a in done.arguments)
+
+
+@pytest.fixture
+def count(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is measured from now on."""
+    begun: list[str] = []
+
+    def counted(task: Task) -> Any:
+        begun.append(task.method)
+        return measure_cell(task)
+
+    def timed(cells: Any, *rest: Any) -> Any:
+        begun.append("latency")
+        return latency.measure_latency(cells, *rest)
+
+    monkeypatch.setattr(suite, "measure_cell", counted)
+    monkeypatch.setattr(suite, "measure_latency", timed)
+    return begun
+
+
+# -- what it writes -----------------------------------------------------------------------------
+
+
+def test_every_cell_has_a_row_with_figures_or_a_reason(done: Bench) -> None:
+    assert done.status == 1, done.err  # some failed, and the rest was done
+    rows = {(row["recording"], row["method"]): row for row in done.rows}
+    assert set(rows) == {(name, m) for name in (done.odd, "broken") for m in ("sbr", "picky")}
+    good = rows[done.odd, "sbr"]
+    assert (good["status"], good["reason"], good["preset"]) == ("ok", None, "tiny")
+    assert set(good["metrics"]) >= {metric.name.split(".")[0] for metric in METRICS}
+    assert good["metrics"]["frames"] == 60
+    assert good["hardware"]["cpu_cores"] >= 1
+    assert good["versions"]["jax"]
+    assert good["date"].startswith("20")
+    assert good["source"]["frames"] == [0, 60]
+    assert set(good["fingers"]) == set(load_hand().fingers)
+
+    taken = good["latency"]
+    assert (taken["frames"], taken["warm_up"]) == (20, 15)
+    assert 0 < taken["p50"] <= taken["p95"] <= taken["p99"]
+    assert taken["first"] > 0
+    assert good["metrics"]["latency_ms"]["p95"] == taken["p95"]
+
+    refused, broken = rows[done.odd, "picky"], rows["broken", "sbr"]
+    assert "six fingers" in refused["reason"]
+    assert "not a recording" in broken["reason"]
+    for row in (refused, broken, rows["broken", "picky"]):
+        assert row["status"] == "error"
+        assert row["metrics"] is row["latency"] is None
+
+
+def test_the_commands_of_a_cell_are_the_librarys(done: Bench, recordings: Path) -> None:
+    (row,) = [row for row in done.rows if row["status"] == "ok"]
+    commands = read_commands(done.folder / row["cell"])
+    recording = SyntheticOperator(seed=2).record(0.6)
+    direct, _ = Retargeter(config=TINY).run(recording)
+    np.testing.assert_array_equal(commands.joint_positions, direct.joint_positions)
+    np.testing.assert_array_equal(commands.stamps, recording.stamps)
+
+
+def test_the_terminal_shows_the_table_and_the_failures_once(done: Bench) -> None:
+    assert done.odd in done.out
+    assert "sbr:tiny" in done.out
+    assert done.out.count("not a recording") == 1
+    assert "broken on mimic_p050 right, all 2 methods" in done.out
+    assert "left out" in done.err  # said before the long work
+    assert "2 to go" not in done.err  # the broken cells are no work
+    assert "3 of 4 cells failed" in done.err
+
+
+def test_plots_are_there_as_png_and_svg(done: Bench) -> None:
+    plots = {path.name for path in (done.folder / "plots").iterdir()}
+    kinds = ("accuracy-smoothness-", "latency-", "fingertips-", "joints-", "stills-")
+    for kind in kinds:
+        files = sorted(name for name in plots if name.startswith(kind))
+        assert [Path(name).suffix for name in files] == [".png", ".svg"], kind
+        png, svg = ((done.folder / "plots" / name).read_bytes() for name in files)
+        assert png.startswith(b"\x89PNG")
+        assert b"</svg>" in svg
+
+
+# -- the report -----------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """What a browser would look at: links, identifiers, text, tags."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.tags: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "xlink:href", "action", "data", "poster", "srcset"):
+                self.links.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def test_the_report_needs_nothing_from_outside(done: Bench) -> None:
+    page = Page(done.page)
+    assert all(link.startswith(("#", "data:")) for link in page.links)
+    assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
+    assert not re.search(r"https?://|@import|//[a-z0-9.]+\.[a-z]{2,}/", done.page)
+    anchors = {link[1:] for link in page.links if link.startswith("#")}
+    assert anchors <= set(page.ids)
+    assert len(page.ids) == len(set(page.ids))  # plots of one page must not share names
+    used = set(re.findall(r"url\(#([^)]+)\)", done.page))
+    assert used <= set(page.ids)
+
+
+def test_names_from_files_are_escaped(done: Bench) -> None:
+    page = Page(done.page)
+    assert not {"i>&'$x^", "b"} & set(page.tags)
+    assert "<i>&" not in done.page
+    assert any(done.odd in text for text in page.text)
+    assert any("six fingers" in text and "<b>" in text for text in page.text)
+
+
+def test_the_report_holds_all_that_was_asked_for(done: Bench) -> None:
+    text = " ".join(Page(done.page).text)
+    expected = ("Failures", "DexPilot, paper", "other data", "Finger by finger", "All metrics",
+                "cpu_cores", "Measured alone", "thumb-to-tip")  # fmt: skip
+    for words in expected:
+        assert words in text, words
+    clips = re.findall(r'<script type="application/json">(.*?)</script>', done.page, re.DOTALL)
+    (clip,) = [json.loads(clip) for clip in clips]
+    assert [pane["method"] for pane in clip["panes"]] == ["sbr:tiny"]
+    points = np.frombuffer(base64.b64decode(clip["panes"][0]["robot"]), "<i2")
+    assert points.size == len(clip["times"]) * 63
+    assert 0 < np.abs(points[points > -32768]).max() <= 1.8 * clip["reach"]
+
+
+def test_no_report_and_quiet(recordings: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    status, stdout, stderr = captured(
+        ("bench", recordings / "a<i>&'$x^.npz", "--methods", "picky", "--output", out, "--quiet",
+         "--no-report", "--workers", 0)
+    )  # fmt: skip
+    assert status == 1
+    assert stdout == ""
+    assert "six fingers" in stderr
+    assert {path.name for path in out.iterdir()} == {"config.json", "results.json", "cells"}
+
+
+# -- going on -------------------------------------------------------------------------------------
+
+
+def test_a_second_run_measures_nothing(
+    copied: tuple[Path, tuple[str, ...]], count: list[str], done: Bench
+) -> None:
+    folder, arguments = copied
+    status, _, err = captured((*arguments, "--no-report"))
+    assert status == 1
+    assert count == ["picky"]  # what failed is tried again
+    assert "quality: 1 of 2 cells need no measuring again" in err
+    assert read_results(folder) == done.rows
+
+
+def test_a_missing_or_damaged_cell_is_done_again(
+    copied: tuple[Path, tuple[str, ...]], count: list[str], done: Bench
+) -> None:
+    folder, arguments = copied
+    (row,) = [row for row in done.rows if row["status"] == "ok"]
+    commands = folder / row["cell"]
+    latency_file = commands.with_suffix(".latency.json")
+
+    def again() -> list[str]:
+        count.clear()
+        captured((*arguments, "--no-report"))
+        return sorted(set(count) - {"picky"})
+
+    whole = commands.read_bytes()
+    commands.unlink()
+    assert again() == ["sbr"]
+    assert commands.read_bytes() == whole
+    commands.write_bytes(whole[:-100])
+    assert again() == ["sbr"]
+    config = commands.with_suffix(".json")
+    config.write_text(config.read_text(encoding="utf-8")[:-20], encoding="utf-8")
+    assert again() == ["sbr"]
+    # The commands of another run beside this configuration, as a crash between the two leaves.
+    read = read_commands(commands)
+    with np.load(commands, allow_pickle=False) as file:
+        arrays = dict(file)
+    np.savez(commands, **arrays | {"joint_positions": read.joint_positions + 1e-9})
+    assert again() == ["sbr"]
+    latency_file.unlink()
+    assert again() == ["latency"]
+    latency_file.write_text("[]", encoding="utf-8")
+    assert again() == ["latency"]
+    assert again() == []
+
+
+def test_what_is_asked_for_in_another_way_is_done_again(recordings: Path) -> None:
+    path = str(recordings / "a<i>&'$x^.npz")
+
+    def of(text: str, method: str = "sbr:tiny", **changes: Any) -> str:
+        settings = Settings(output=Path("out"), **changes)
+        (source,) = load_sources([parse_request(text)])
+        (cell,) = cells_of([source], settings, select_methods((method,)))
+        return fingerprint(cell, settings)
+
+    same = of(path)
+    assert of(path) == same
+    assert of(path, workers=3, latency_frames=7) == same
+    changed = [of(path, seed=1), of(path, definition="paper"), of(f"{path}@:30"), of("synthetic:2"),
+               of(path, "sbr:paper")]  # fmt: skip
+    assert len({same, *changed}) == 6
+
+
+def test_ctrl_c_keeps_what_is_finished(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, out = recordings / "a<i>&'$x^.npz", tmp_path / "out"
+    arguments = ("bench", f"{good}@:12", f"{good}@12:24", "--methods", "sbr:tiny", "--output", out,
+                 "--workers", 0, "--latency-frames", 0, "--no-report")  # fmt: skip
+    begun = []
+
+    def stopped(task: Task) -> Any:
+        begun.append(task)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return measure_cell(task)
+
+    monkeypatch.setattr(suite, "measure_cell", stopped)
+    status, stdout, stderr = captured(arguments)
+    assert (status, stdout) == (130, "")
+    assert "the same command goes on" in stderr
+    assert not (out / "results.json").exists()
+    assert len(list((out / "cells").glob("*.npz"))) == 1
+    status, stdout, stderr = captured(arguments)
+    assert status == 0, stderr
+    assert len(begun) == 3  # the one it was at
+    assert [row["source"]["frames"] for row in read_results(out)] == [[0, 12], [12, 24]]
+    assert "mean over 2 recordings" in stdout
+    assert all(row["latency"] is None for row in read_results(out))
+
+
+def test_a_pool_gives_the_same_commands(recordings: Path, done: Bench) -> None:
+    recording = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])[0].recording
+    assert recording is not None
+    task = Task(recording, "mimic_p050", "sbr", "tiny", TINY, 0, "sound")
+    (result,) = run_tasks(measure_cell, [task], workers=1)
+    assert result.value is not None, result.error
+    (row,) = [row for row in done.rows if row["status"] == "ok"]
+    commands = read_commands(done.folder / row["cell"])
+    np.testing.assert_array_equal(result.value.commands.joint_positions, commands.joint_positions)
+    ours = {
+        k: v for k, v in result.value.metrics.items() if k not in ("latency_ms", "first_command_s")
+    }
+    assert ours == {k: row["metrics"][k] for k in ours}
+
+
+# -- what it refuses ------------------------------------------------------------------------------
+
+
+def test_user_errors_come_before_the_long_work(
+    done: Bench, recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(suite, "measure_cell", lambda _: pytest.fail("the long work began"))
+    foreign, empty = tmp_path / "foreign", tmp_path / "empty"
+    foreign.mkdir()
+    empty.mkdir()
+    (foreign / "config.json").write_text('{"program": "smooth-operator", "command": "demo"}')
+    results = {
+        "cut": "[{",
+        "object": "{}",
+        "rows": '[{"recording": "a"}]',
+        "metrics": json.dumps([done.rows[0] | {"metrics": 3}]),
+    }
+    for name, content in results.items():
+        (tmp_path / f"{name}.json").write_text(content, encoding="utf-8")
+    good, out = recordings / "a<i>&'$x^.npz", tmp_path / "out"
+    cases: dict[tuple[object, ...], str] = {
+        (good, "--methods", "srb"): "Did you mean 'sbr'?",
+        (good, "--methods", "sbr:papr"): "Did you mean 'paper'?",
+        (good, "--methods", ","): "at least one method",
+        (good, "--hands", "mimic_p5"): "Did you mean 'mimic_p050'?",
+        (good, "--hands", ""): "at least one hand",
+        (good, "--frames", "half"): "range A:B",
+        (good, "--workers", "-1"): "workers must be 0 or more",
+        (good, "--latency-frames", "-1"): "latency_frames must be 0 or more",
+        (f"{good}@fast",): "no setting of a recording",
+        ("synthetic:x",): "whole number",
+        (tmp_path / "gone.npz",): "no such file",
+        (recordings / "broken.npz",): "not a recording",
+        (empty,): "no recordings in it",
+        (good, "--frames", "900:"): "selects nothing",
+        (good, "--output", foreign): "something other than an earlier benchmark",
+        (good, "--output", good): "a file stands there",
+        (good, "--compare", tmp_path / "gone.json"): "no such file",
+        (good, "--compare", tmp_path / "cut.json"): "damaged",
+        (good, "--compare", tmp_path / "object.json"): "not a list",
+        (good, "--compare", tmp_path / "rows.json"): "row 0 lacks hand",
+        (good, "--compare", tmp_path / "metrics.json"): "metrics of row 0",
+    }
+    for arguments, message in cases.items():
+        to = () if "--output" in arguments else ("--output", out)
+        status, stdout, stderr = captured(("bench", *arguments, *to))
+        assert (status, stdout) == (2, ""), arguments
+        assert message in stderr, (arguments, stderr)
+        assert "Traceback" not in stderr
+    assert not out.exists()
+    assert [path.name for path in foreign.iterdir()] == ["config.json"]
+
+
+def test_help_teaches(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--help"]) == 0
+    out = capfd.readouterr().out
+    assert "Examples:" in out
+    assert "Exit status" in out
+
+
+# -- comparing ------------------------------------------------------------------------------------
+
+
+def test_comparison_on_terminal_and_page(
+    copied: tuple[Path, tuple[str, ...]], done: Bench, tmp_path: Path
+) -> None:
+    folder, arguments = copied
+    rows = done.rows
+    (good,) = [row for row in rows if row["status"] == "ok"]
+    good["metrics"]["cosine_similarity"] -= 0.1  # it was worse
+    good["metrics"]["flatness"] /= 2  # it was better
+    good["source"]["sha256"] = "other"
+    good["hardware"]["cpu"] = "<slow>"
+    gone = good | {"method": "gone"}
+    former = tmp_path / "former"
+    former.mkdir()
+    (former / "results.json").write_text(json.dumps([*rows, gone]), encoding="utf-8")
+    _, out, _ = captured((*arguments, "--compare", former))
+    assert "+0.1 ▲" in out
+    assert "▼" in out
+    assert "other frames" in out
+    assert "another machine" in out
+    assert "only there" in out
+    page = " ".join(Page((folder / "report.html").read_text(encoding="utf-8")).text)
+    assert "Comparison" in page
+    assert "+0.1 ▲" in page
+    assert "gone:tiny" in page
+
+
+def test_a_benchmark_is_the_same_as_itself(done: Bench) -> None:
+    same = compare(done.rows, done.rows, "itself")
+    assert len(same.cells) == 1
+    assert same.count("better") == same.count("worse") == 0
+    assert same.cells[0].notes == ()
+    assert {change.difference for change in same.cells[0].changes} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "now", "before", "expected"),
+    [
+        ("cosine_similarity", 0.999, 0.998, "better"),
+        ("cosine_similarity", 0.998, 0.999, "worse"),
+        ("scale_ratio", 1.02, 0.97, "better"),
+        ("scale_ratio", 1.03, 0.97, "same"),
+        ("flatness", 2e-6, 3e-6, "better"),
+        ("flatness", 3.001e-6, 3e-6, "same"),
+        ("workspace_utilisation", 0.2, 0.3, "worse"),
+        ("latency_ms.p50", 1.08, 1.0, "same"),
+        ("latency_ms.p50", 1.2, 1.0, "worse"),
+        ("frames", 10, 20, "same"),
+    ],
+)
+def test_verdicts_follow_the_goal(name: str, now: float, before: float, expected: str) -> None:
+    assert verdict(NAMED[name], now, before) == expected
+
+
+# -- the parts ------------------------------------------------------------------------------------
+
+
+def test_best_knows_goals_ties_and_who_is_incomplete() -> None:
+    def top(name: str, *values: float | None, short: int | None = None) -> set[int]:
+        lines = [
+            Line(str(i), {name: v}, count=1 if i == short else 2, of=2)
+            for i, v in enumerate(values)
+        ]
+        return best(lines, NAMED[name])
+
+    assert top("scale_ratio", 0.9, 1.05, 0.97) == {2}
+    assert top("scale_ratio", 1.03, 0.97, 0.9) == {0, 1}  # as far from one
+    assert top("flatness", 3e-6, 1e-6, None) == {1}
+    assert top("flatness", 3e-6, 1e-6, 2e-6, short=1) == {2}
+    assert top("workspace_utilisation", 0.1, 0.3) == {1}
+    assert top("cosine_similarity", 0.99991, 0.99992, 0.5) == {0, 1}  # look the same
+    assert top("cosine_similarity", 0.9, 0.9) == set()
+    assert top("cosine_similarity", 0.9) == set()
+    assert top("frames", 3, 4) == set()
+
+
+def test_overall_is_a_mean_over_the_recordings_that_can_be_read() -> None:
+    def row(recording: str, method: str, value: float | None) -> Row:
+        names = {"recording": recording, "hand": "h", "side": "right", "method": method}
+        if value is None:
+            what = {"status": "error", "reason": "no", "metrics": None}
+        else:
+            what = {"status": "ok", "reason": None, "metrics": {"flatness": value}}
+        return names | {"preset": "p"} | what
+
+    rows = [row("a", "m", 1.0), row("a", "n", 2.0), row("b", "m", 3.0), row("b", "n", None),
+            row("c", "m", None), row("c", "n", None)]  # fmt: skip
+    first, second = overall(rows, [NAMED["flatness"]])
+    assert (first.values["flatness"], first.count, first.of) == (2.0, 2, 2)
+    assert (second.values["flatness"], second.count, second.of) == (2.0, 1, 2)
+    assert failures(rows) == [
+        ("b on h right", "n:p", "no"),
+        ("c on h right", "all 2 methods", "no"),
+    ]
+
+
+def test_a_perfect_copy_has_perfect_fingers() -> None:
+    trace = make_trace(human_motion(50))
+    table = finger_metrics(trace, evaluate(trace))
+    assert list(table) == list(trace.fingers)
+    for finger, values in table.items():
+        assert values["tip_error_mm"] == pytest.approx(0, abs=1e-9)
+        assert values["reach_cosine"] == pytest.approx(1)
+        assert values["motion_preservation"] == pytest.approx(1)
+        assert (values["thumb_cosine"] is None) == (finger == "thumb")
+    worse = trace.robot_tips.copy()
+    worse[:, 2] += [0.003, 0.004, 0]  # the middle finger, 5 mm off
+    moved = replace(trace, robot_tips=worse)
+    errors = {f: v["tip_error_mm"] for f, v in finger_metrics(moved, evaluate(moved)).items()}
+    assert errors == pytest.approx(dict.fromkeys(errors, 0.0) | {"middle": 5.0}, abs=1e-9)
+
+
+def test_requests_and_their_settings(tmp_path: Path) -> None:
+    request = parse_request("x.npz@30hz,left,1:9", frames=":5", rate=60, side="right")
+    assert (request.path, request.rate, request.side, request.frames) == (
+        Path("x.npz"), 30.0, "left", "1:9",
+    )  # fmt: skip
+    assert parse_request("x.npz", frames=":5", rate=60).frames == ":5"
+    operator = parse_request("synthetic:7@50hz", rate=60)
+    assert (operator.path, operator.seed, operator.rate) == (None, 7, 50.0)
+    assert parse_request("synthetic", rate=60).rate is None  # it needs no rate of its own
+    odd = save(tmp_path / "me@home.npz")
+    assert parse_request(str(odd)).path == odd
+
+
+def test_sources_have_names_that_tell_them_apart(tmp_path: Path) -> None:
+    for i, folder in enumerate(("a", "b")):
+        (tmp_path / folder).mkdir()
+        save(tmp_path / folder / "run.npz", frames=12, seed=i)
+    operator = SyntheticOperator(seed=5).record(0.12)
+    np.save(tmp_path / "b" / "plain.npy", operator.landmarks)
+    path = str(tmp_path / "b" / "plain.npy")
+    asked = [str(tmp_path), f"{path}@50hz,:6", f"{path}@50hz,0:6", str(tmp_path / "a" / "run.npz")]
+    sources = load_sources([parse_request(text, rate=100) for text in asked])
+    names = [source.name for source in sources]
+    assert names == ["a/run", "plain", "b/run", "plain[0:6]"]
+    assert all(source.recording is not None for source in sources)
+    # A rate is for those without stamps: the others keep their own.
+    rates = [source.recording.rate_hz for source in sources if source.recording]
+    np.testing.assert_allclose(rates, [100, 100, 100, 50])
+    assert sources[1].facts["side_assumed"]
+    assert not sources[0].facts["side_assumed"]
+    assert unique_names([("x", Path("x.npz")), ("x", Path("x.npy"))]) == ["x.npz", "x.npy"]
+
+
+def test_methods_by_name(tmp_path: Path) -> None:
+    assert [c.method for c in select_methods(("all",))] == list(PRESETS)
+    chosen = select_methods(("sbr:tiny", "sbr:all", "sbr"))
+    assert [c.preset for c in chosen] == ["tiny", "realtime", "paper"]
+    assert chosen[0].config is TINY
+    with pytest.raises(UnknownNameError, match="tiny"):
+        select_methods((f"sbr:{save(tmp_path / 'x.npz')}",))  # it has no model to be read
+    with pytest.raises(ConfigError, match="at least one"):
+        select_methods(())
+
+
+def test_names_of_files_are_harmless_and_unique() -> None:
+    name = file_name("../a b/ü<>:" + 200 * "x", ("one",))
+    assert re.fullmatch(r"[A-Za-z0-9.-]{1,110}", name)
+    assert not name.startswith((".", "-"))
+    assert file_name("a", ("one",)) != file_name("a", ("two",))
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_view_has_fingers_up_and_the_thumb_on_its_side(side: str) -> None:
+    hand = load_hand("mimic_p050", side)
+    basis = view_basis(hand)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(basis) == pytest.approx(1)
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral) @ basis.T, strict=True))
+    assert at["middle_mcp"][1] > at["wrist"][1]
+    left_to_right = at["pinky_mcp"][0] - at["index_mcp"][0]
+    assert left_to_right * (1 if side == "right" else -1) > 0.02
+
+
+def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre() -> None:
+    hand = load_hand()
+    rng = np.random.default_rng(4)
+    stamps = np.arange(400) / 100
+    robot = 0.1 * rng.standard_normal((400, 21, 3))
+    human = robot.copy()
+    human[:, 7] = np.nan
+    joints = np.zeros((400, len(hand.joint_names)))
+    panel = Panel(("r", "h", "right"), hand, stamps, (Run("m", human, robot, joints),) * 2)
+    clip = make_clip(panel, {"m": "#000000"}, hands=3)
+    assert len(clip["humans"]) == 1  # shared by the two
+    frames = [round(100 * t) for t in clip["times"]]
+    assert 100 < len(frames) < 130  # 30 Hz
+    packed = [np.frombuffer(base64.b64decode(text), "<i2").reshape(-1, 21, 3) / 1e4
+              for text in (clip["panes"][0]["robot"], clip["humans"][0])]  # fmt: skip
+    assert (packed[1][:, 7] == -3.2768).all()
+    turned = robot[frames] @ view_basis(hand).T
+    shift = turned[0, 0] - packed[0][0, 0]
+    np.testing.assert_allclose(packed[0] + shift, turned, atol=1.1e-4)
+    np.testing.assert_allclose(packed[1][:, TIPS[0]], packed[0][:, TIPS[0]], atol=1e-9)
+    tight = make_clip(panel, {"m": "#000000"}, hands=10**6)
+    assert len(tight["times"]) == 40  # many clips share the page
+
+
+def test_the_window_is_where_the_human_moves_most() -> None:
+    hand = load_hand()
+    human = np.zeros((500, 21, 3))
+    human[300:400, TIPS[1], 0] = 0.05 * np.sin(np.arange(100))
+    run = Run("m", human, human, np.zeros((500, len(hand.joint_names))))
+    panel = Panel(("r", "h", "right"), hand, np.arange(500) / 100, (run,))
+    cut = panel.window(2.0)
+    assert cut.start <= 300
+    assert cut.stop >= 400
+    assert panel.window(60.0) == slice(0, 500)
+    assert BASES[0] == 1
+
+
+def test_latency_goes_on_without_a_method_that_fails(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = Settings(output=Path("out"))
+    sources = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
+    cells = cells_of(sources, settings, select_methods(("sbr:tiny", "picky")))
+    told: list[str] = []
+    good, bad = latency.measure_latency(cells, 10, 0, lambda cell: told.append(cell.method))
+    assert told == ["sbr", "picky"]
+    assert good.reason is None
+    assert len(good.samples_ms) == 10
+    assert bad.reason is not None
+    assert "six fingers" in bad.reason
+    assert bad.facts["p50"] is None
+
+
+def test_methods_take_turns(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+
+    class Stub:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def init(self) -> int:
+            return 0
+
+        def step(self, state: int, _: object) -> tuple[int, Any]:
+            order.append(self.name)
+            return state + 1, type("Result", (), {"latency_ms": float(state)})
+
+    monkeypatch.setattr(latency, "_built", lambda cell, seed: Stub(cell.preset))
+    settings = Settings(output=Path("out"))
+    sources = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
+    cells = cells_of(sources, settings, select_methods(("sbr:tiny", "sbr:paper")))
+    taken = latency.measure_latency(cells, 500, 0, lambda _: None)
+    turns = [order[i] for i in range(0, len(order), latency.BLOCK)]
+    assert turns == ["tiny", "paper", "paper", "tiny", "tiny", "paper"]
+    for one in taken:  # first, warm-up, then what counts, in a state that goes on
+        assert one.first_ms == 0.0
+        np.testing.assert_array_equal(one.samples_ms, np.arange(16, 60))
+
+
+def test_the_watch_tells_shares() -> None:
+    watch = Watch()
+    assert watch.others() is None or 0 <= watch.others() <= 1  # type: ignore[operator]
+    watch._started -= 10.0
+    share = watch.others()
+    assert share is None or 0 <= share <= 1
+
+
+def test_headlines_are_the_papers() -> None:
+    assert [type(metric) for metric in HEADLINES] == [Metric] * 6
+
+
+# -- in a browser ---------------------------------------------------------------------------------
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_plays_without_complaints(done: Bench, scheme: str) -> None:
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next((found for name in names if (found := shutil.which(name))), None)
+    if path is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
+    with sync_api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page(color_scheme=scheme, viewport={"width": 700, "height": 900})
+        problems: list[str] = []
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+        page.on("request", lambda r: problems.append(r.url) if "file:" not in r.url[:5] and
+                not r.url.startswith("data:") else None)  # fmt: skip
+        page.goto((done.folder / "report.html").as_uri())
+        read: Callable[[], str] = page.locator(".player output").inner_text
+        pixels = "c => new Set(c.getContext('2d').getImageData(0, 0, c.width, c.height).data).size"
+        assert page.locator(".player canvas").evaluate(pixels) > 20  # something is drawn
+        before = read()
+        page.get_by_role("button", name="Play").click()
+        page.wait_for_function(
+            "was => document.querySelector('.player output').textContent !== was", arg=before
+        )
+        page.get_by_role("button", name="Pause").click()
+        page.locator(".player input").fill("0")
+        assert read() == "0.00 s"
+        assert page.evaluate("document.documentElement.scrollWidth") <= 700  # nothing sticks out
+        page.emulate_media(media="print")
+        assert page.locator(".stills svg").is_visible()
+        assert not page.locator(".player").is_visible()
+        browser.close()
+    assert problems == []
