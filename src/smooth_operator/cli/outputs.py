@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from smooth_operator.errors import OutputError, RecordingError
-from smooth_operator.offline.plan import PROGRAM
+from smooth_operator.offline.finished import read_configuration as read_configuration
 from smooth_operator.recording import config_path, output_error, read_commands
-
-
-def read_configuration(path: Path) -> dict[str, Any] | None:
-    """A configuration that this program wrote; None if there is none, or the file is another's."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    ours = isinstance(content, dict) and content.get("program") == PROGRAM
-    return content if ours else None
 
 
 def check_commands_path(path: Path, recording: Path) -> None:

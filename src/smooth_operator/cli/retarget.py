@@ -1,4 +1,4 @@
-"""``smooth-operator retarget``: a recording into joint commands."""
+"""``smooth-operator retarget``: a recording, or a folder of them, into joint commands."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from smooth_operator.cli.console import Progressing, print_metrics
 from smooth_operator.cli.outputs import check_commands_path, folder_for
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import execute_shown, measure_shown
+from smooth_operator.errors import ConfigError
 from smooth_operator.offline import configuration, plan
 from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
 from smooth_operator.types import Status
@@ -16,7 +17,18 @@ def retarget(options: Retarget) -> None:
 
     Raises:
         SmoothOperatorError: with the reason; nothing is then left half done.
+        SystemExit: 1, if some recordings of a folder failed.
     """
+    if options.recording.is_dir():
+        from smooth_operator.cli.dataset import retarget_folder
+
+        retarget_folder(options)
+        return
+    for name in ("workers", "cluster"):
+        if getattr(options, name) is not None:
+            raise ConfigError(
+                f"--{name} is for a folder of recordings, and {options.recording} is none"
+            )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording)
     recording = read_recording(options.recording, rate=options.rate, side=options.side)

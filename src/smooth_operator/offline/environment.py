@@ -25,6 +25,11 @@ def environment() -> dict[str, Any]:
     }
 
 
+def package_version() -> str:
+    """Version of this package."""
+    return _version("smooth-operator")
+
+
 def _version(package: str) -> str:
     try:
         return version(package)

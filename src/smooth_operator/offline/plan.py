@@ -50,8 +50,18 @@ def plan(
     preset: str | None,
     seed: int,
     scale: Scale | None,
+    config: MethodConfig | None = None,
 ) -> Plan:
     """Looks up all names.
+
+    Args:
+        recording: the human hand.
+        hand: name of a built-in hand.
+        method: name of a method.
+        preset: name of its preset; None for the default one.
+        seed: of the random numbers.
+        scale: robot size over human size; None for the configuration's own.
+        config: the method's configuration, where it is no preset's as it stands.
 
     Raises:
         UnknownNameError: there is no such hand, method or preset.
@@ -59,7 +69,7 @@ def plan(
         RecordingError: the scale is to be calibrated on a recording without a usable palm.
     """
     robot = load_hand(hand, recording.side)
-    config = method_config(method, preset)
+    config = method_config(method, preset) if config is None else config
     if scale is not None:
         fixed: float | None
         if scale == "calibrate":

@@ -10,6 +10,7 @@ from smooth_operator.objective.key_objectives import AkoTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, TipTargets
 from smooth_operator.retargeters.descent import DescentConfig
+from smooth_operator.retargeters.geort import GeortConfig
 from smooth_operator.retargeters.joint_angle import JointAngleConfig
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.sbr import SbrConfig
@@ -90,6 +91,7 @@ PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
     "hybrid": {"default": HYBRID},
     "dexpilot": {"default": DEXPILOT},
     "ako": {"default": AKO},
+    "geort": {"default": GeortConfig()},
 }
 """Method name -> preset name -> configuration; the first preset of a method is its default."""
 

@@ -1,0 +1,211 @@
+"""``smooth-operator retarget FOLDER``: every recording of a folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
+from smooth_operator.offline.environment import environment
+from smooth_operator.offline.finished import claimed, read_configuration
+from smooth_operator.offline.jobs import Entry, request
+from smooth_operator.offline.plan import PROGRAM
+from smooth_operator.recording import atomic_write, to_json
+
+_SHOWN_FAILURES = 40
+
+
+def retarget_folder(options: Retarget) -> None:
+    """Retargets what is not done yet, and tells what became of everything.
+
+    Raises:
+        SmoothOperatorError: with the reason; what is finished stays.
+        SystemExit: 1, if a recording failed.
+    """
+    progress = Progressing(options.quiet)
+    folder, output = options.recording, options.output
+    if output.suffix == ".npz" and not output.is_dir():
+        raise OutputError(
+            f"can't write {str(output)!r}: {folder} is a folder of recordings, and so are its "
+            "results; name a folder"
+        )
+    check_folders(folder, output)
+    account = output / SUMMARY
+    if account.exists() and read_configuration(account) is None:
+        raise OutputError(
+            f"can't write {str(account)!r}, the account of the run: it holds something else; give "
+            "another folder, or remove it first"
+        )
+    asked = request(
+        hand=options.hand,
+        method=options.method,
+        preset=options.preset,
+        seed=options.seed,
+        scale=options.scale,
+        side=options.side,
+        rate=options.rate,
+        frames=options.frames,
+    )
+    with folder_for(output), claimed(output):
+        with progress.waiting(f"looking through {folder}"):
+            todo = survey(folder, output, asked, overwrite=options.overwrite)
+        if not todo.jobs and not todo.settled:
+            raise RecordingError(
+                f"{folder}: no recordings in it or in its folders; expected files whose names end "
+                "in .npz, .npy, .mcap or .h5"
+                + (f" ({todo.commands} hold commands and no hand)" if todo.commands else "")
+            )
+        _tell(todo, progress)
+        started = time.perf_counter()
+        entries = [*todo.settled]
+        try:
+            results = retarget_all(todo.jobs, workers=options.workers, cluster=options.cluster)
+            entries += _watched(results, todo, options.quiet)
+        except KeyboardInterrupt:
+            progress.note("stopped; run the same command again to go on", matters=True)
+            raise
+        summary = {
+            "program": PROGRAM,
+            "command": "retarget",
+            "folder": folder,
+            "request": asked,
+            "workers": options.workers,
+            "cluster": options.cluster,
+            **summarise(entries, time.perf_counter() - started),
+            **environment(),
+        }
+        text = to_json(summary, indent=2)
+        with atomic_write(account) as file:
+            file.write(text.encode() + b"\n")
+    if options.json:
+        print(text)
+    else:
+        _print_summary(summary, output)
+    if summary["failed"]:
+        raise SystemExit(1)
+
+
+def summarise(entries: Iterable[Entry], seconds: float) -> dict[str, Any]:
+    """Counts, speed, and each recording by name.
+
+    Args:
+        entries: what became of each.
+        seconds: how long those of this run took together, the start of workers included [s].
+    """
+    by_name = sorted(entries, key=lambda entry: entry.name)
+    states = {state: [e for e in by_name if e.state == state] for state in ("done", "kept")}
+    frames = sum(entry.frames for entry in states["done"])
+    whole = [*states["done"], *states["kept"]]
+    return {
+        "done": len(states["done"]),
+        "kept": len(states["kept"]),
+        "failed": len(by_name) - len(whole),
+        "frames": frames,
+        "held": sum(entry.held for entry in whole),
+        "seconds": seconds,
+        "frames_per_s": frames / seconds if frames else None,
+        "recordings": [dataclasses.asdict(entry) for entry in by_name],
+    }
+
+
+def _tell(todo: Survey, progress: Progressing) -> None:
+    kept = sum(entry.state == "kept" for entry in todo.settled)
+    line = f"{_count(len(todo.jobs), 'recording')} to retarget"
+    if kept:
+        line += f", {kept} done already"
+    if todo.commands:
+        line += f"; passed over {_count(todo.commands, 'file')} with commands and no hand"
+    progress.note(line)
+    if todo.leftovers:
+        progress.note(f"deleted {_count(todo.leftovers, 'unfinished file')} of a run that died")
+    if todo.remade:
+        progress.note(
+            f"making {_count(todo.remade, 'result')} again: damaged, or of another configuration, "
+            "version or recording",
+            matters=True,
+        )
+
+
+def _watched(results: Iterator[Entry], todo: Survey, quiet: bool) -> list[Entry]:
+    """All results, with a bar that counts recordings and frames."""
+    expected = {job.found.name: job.found.frames for job in todo.jobs}
+    bar = Progress(
+        BarColumn(bar_width=16),
+        TextColumn("{task.fields[done]}/{task.fields[count]} recordings"),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} frames"),
+        TextColumn("{task.fields[failed]} failed"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True, highlight=False),
+        disable=quiet or not todo.jobs,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+    entries: list[Entry] = []
+    frames = failed = 0
+    total = sum(expected.values())
+    with bar:
+        task = bar.add_task("", total=total, done=0, count=len(todo.jobs), failed=0)
+        for entry in results:
+            entries.append(entry)
+            if entry.state == "failed":
+                failed += 1
+                total -= expected[entry.name]
+            else:
+                frames += entry.frames
+                total += entry.frames - expected[entry.name]  # an estimate, or --frames
+            bar.update(task, completed=frames, total=total, done=len(entries), failed=failed)
+    return entries
+
+
+def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
+    console = Console(highlight=False)
+    if not console.is_terminal:  # a pipe or file has no width, and reasons are long
+        console.width = 250
+    speed = summary["frames_per_s"]
+    line = f"{_count(summary['done'], 'recording')} done"
+    if speed is not None:
+        line += f" ({summary['frames']} frames in {summary['seconds']:.1f} s, {speed:.0f} a second)"
+    line += f", {summary['kept']} kept, {summary['failed']} failed"
+    recordings = summary["recordings"]
+    failures = [entry for entry in recordings if entry["state"] == "failed"]
+    if failures:
+        table = Table(title="failed", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        table.add_column("recording", overflow="fold")
+        table.add_column("reason", overflow="fold")
+        for entry in failures[:_SHOWN_FAILURES]:
+            table.add_row(escape(entry["name"]), escape(entry["reason"] or ""))
+        console.print(table)
+        if len(failures) > _SHOWN_FAILURES:
+            left = len(failures) - _SHOWN_FAILURES
+            console.print(f"and {left} more in {SUMMARY}", soft_wrap=True)
+    assumed = sum(entry["side_assumed"] for entry in recordings)
+    if assumed:
+        console.print(
+            f"not said which hand: {_count(assumed, 'recording')}, taken for right ones; say "
+            "--side left if they are not",
+            soft_wrap=True,
+        )
+    if summary["held"]:
+        console.print(
+            f"repeating the last good command: {_count(summary['held'], 'frame')}", soft_wrap=True
+        )
+    console.print(line, markup=False, soft_wrap=True)
+    console.print(f"what became of each: {output / SUMMARY}", markup=False, soft_wrap=True)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")

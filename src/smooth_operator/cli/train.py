@@ -1,0 +1,163 @@
+"""``smooth-operator train``: a recording into a model for a learning-based method."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.train_options import Train
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.offline.cache import enable_cache, healing
+from smooth_operator.recording import frame_slice, read_recording
+from smooth_operator.training import (
+    LOSSES,
+    GeortTrainer,
+    GeortTraining,
+    TrainingSession,
+    TrainingState,
+    synthetic_recordings,
+    training_data,
+)
+from smooth_operator.types import HandRecording
+
+SYNTHETIC: Final = "synthetic"
+
+
+def train(options: Train) -> None:
+    """Reads, trains, writes.
+
+    Raises:
+        SmoothOperatorError: with the reason.
+        KeyboardInterrupt: stopped, after saying how to go on.
+    """
+    if options.checkpoint_every < 1:
+        raise ConfigError(f"--checkpoint-every must be 1 or more, not {options.checkpoint_every}")
+    progress = Progressing(options.quiet)
+    settings = GeortTraining(epochs=options.epochs, seed=options.seed)
+    if options.coverage == "reach":
+        settings = replace(settings, margin=None)
+    recordings, held_out = _recordings(options, progress)
+    hand = load_hand(options.hand, recordings[0].side)
+    with folder_for(options.output), healing(enable_cache()):
+        with progress.waiting("preparing the data"):
+            trainer = GeortTrainer(
+                hand, training_data(recordings, hand, settings, held_out), settings
+            )
+            session = TrainingSession(trainer, options.output, options.checkpoint_every)
+        frames, points = trainer.data.frames, trainer.data.train
+        progress.note(
+            f"training on {frames['train']} frames, validating on {frames['validation']}; "
+            f"{points.counts.min()} to {points.counts.max()} points a finger, "
+            f"{points.pinched.shape[-1]} frames with a pinch"
+        )
+        if not points.pinched.any():
+            progress.note(
+                "no pinch was recorded (thumb tip and a fingertip within "
+                f"{settings.pinch_distance * 1e3:g} mm): the model will not have learnt to close "
+                "one",
+                matters=True,
+            )
+        try:
+            with _bar(options, settings.epochs) as watch:
+                model = session.run(resume=options.resume, watch=watch)
+        except KeyboardInterrupt:
+            if (options.output / "checkpoint.npz").exists():
+                progress.note(
+                    f"what was learnt is kept in {options.output}; go on with: "
+                    f"{_resuming(options)}",
+                    matters=True,
+                )
+            raise
+    losses = model.training["losses"]
+    for kind in ("train", "validation"):
+        shown = ", ".join(f"{name} {losses[kind][name]:.3g}" for name in LOSSES)
+        progress.note(f"{kind}: {shown}")
+    progress.note(f"wrote {options.output / 'model.npz'}")
+
+
+def _recordings(
+    options: Train, progress: Progressing
+) -> tuple[list[HandRecording], list[HandRecording]]:
+    """What to train on, and what is for validation alone."""
+    if not options.recordings:
+        raise ConfigError("name a recording to train on, or the word 'synthetic'")
+    if SYNTHETIC in options.recordings:
+        if len(options.recordings) > 1 or options.frames or options.rate:
+            raise ConfigError(
+                "'synthetic' stands alone, without other recordings, --frames and --rate (a file "
+                "of that name is ./synthetic)"
+            )
+        with progress.waiting("recording the synthetic operators"):
+            return synthetic_recordings(options.side or "right", options.seed)
+    found = []
+    for path in options.recordings:
+        recording = read_recording(path, rate=options.rate, side=options.side)
+        if recording.meta.get("side_assumed"):
+            progress.note(
+                f"{path} does not say which hand it is: taken for a right one; say --side left if "
+                "it is not",
+                matters=True,
+            )
+        if options.frames is not None:
+            recording = recording[frame_slice(options.frames, len(recording))]
+        found.append(recording)
+    return found, []
+
+
+@contextlib.contextmanager
+def _bar(options: Train, epochs: int) -> Iterator[Callable[[TrainingState], None]]:
+    if options.quiet:
+        yield lambda state: None
+        return
+    bar = Progress(
+        TextColumn("training"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("epochs  {task.fields[losses]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True, highlight=False),
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+    with bar:
+        task = bar.add_task("", total=epochs, losses="")
+
+        def watch(state: TrainingState) -> None:
+            done = int(state.epoch)
+            if done:
+                direction = float(np.asarray(state.train)[done - 1, 1 + LOSSES.index("direction")])
+                bar.update(task, completed=done, losses=f"direction {direction:.4f}")
+
+        yield watch
+
+
+def _resuming(options: Train) -> str:
+    """The command that goes on."""
+    words = ["smooth-operator", "train", options.method, *options.recordings]
+    words += ["--hand", options.hand, "--output", str(options.output)]
+    words += ["--epochs", str(options.epochs), "--seed", str(options.seed)]
+    for name, value in (
+        ("--side", options.side),
+        ("--frames", options.frames),
+        ("--rate", options.rate),
+    ):
+        words += [] if value is None else [name, str(value)]
+    return shlex.join([*words, "--coverage", options.coverage, "--resume"])

@@ -1,0 +1,8 @@
+"""Many tasks at once, on this machine or on a cluster; what dies is tried again.
+
+Knows nothing of hands: a task is a value, what is done with it a function.
+"""
+
+from smooth_operator.parallel.results import TaskResult as TaskResult
+from smooth_operator.parallel.run import run_tasks as run_tasks
+from smooth_operator.parallel.run import usable_cores as usable_cores

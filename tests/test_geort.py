@@ -1,0 +1,685 @@
+"""GeoRT: its networks, its training, its files, its command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from trees import pincer
+
+from smooth_operator import Retargeter, load_hand
+from smooth_operator.cli import main
+from smooth_operator.errors import (
+    ConfigError,
+    HandModelError,
+    MissingExtraError,
+    OutputError,
+    RecordingError,
+)
+from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.landmarks import TIPS
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.recording import read_recording
+from smooth_operator.retargeters.geort import GeortConfig, built_in_model
+from smooth_operator.retargeters.geort_model import (
+    GeortModel,
+    Weights,
+    finger_joints,
+    forward,
+    read_geort_model,
+    write_geort_model,
+)
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.training import (
+    LOSSES,
+    GeortTrainer,
+    GeortTraining,
+    TrainingData,
+    TrainingSession,
+    TrainingState,
+    synthetic_recordings,
+    training_data,
+)
+from smooth_operator.training import data as data_module
+from smooth_operator.training import operators as operators_module
+from smooth_operator.training.losses import Batch, GeortLoss
+from smooth_operator.training.operators import FIRST_SEED, TRAINING_OPERATORS
+from smooth_operator.training.session import CHECKPOINT, MODEL
+from smooth_operator.types import HandRecording, Status
+
+TINY = GeortTraining(epochs=4, batch=64, reach=64, seed=3)
+CHAIN = '<joint joint1="{}" joint2="{}" polycoef="0 1 0 0 0"/>'
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_poses() -> Iterator[None]:
+    """A sixteenth of the robot's random poses, which is enough to look at."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(data_module, "REACH_POSES", 4096)
+        yield
+
+
+@pytest.fixture(scope="module")
+def operator() -> HandRecording:
+    return SyntheticOperator(seed=5, rate_hz=40).record(20.0)
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    """Two fingers of two joints each: quick to compile."""
+    return load_hand_spec(pincer(tmp_path_factory.mktemp("pincer")))
+
+
+def trainer(hand: Hand, recording: HandRecording, settings: GeortTraining = TINY) -> GeortTrainer:
+    return GeortTrainer(hand, training_data([recording], hand, settings), settings)
+
+
+@pytest.fixture(scope="module")
+def coach(hand: Hand, operator: HandRecording) -> GeortTrainer:
+    """Compiles once; what it remembers is in its states."""
+    return trainer(hand, operator)
+
+
+@pytest.fixture(scope="module")
+def trained(
+    coach: GeortTrainer, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, GeortModel]:
+    """A training that was never stopped."""
+    folder = tmp_path_factory.mktemp("trained")
+    return folder, TrainingSession(coach, folder, every=2).run()
+
+
+# The networks
+
+
+def test_each_finger_has_the_joints_that_move_it_alone() -> None:
+    mimic = load_hand()
+    names = [[mimic.actuated_names[j] for j in joints] for joints in finger_joints(mimic)]
+    assert [len(joints) for joints in names] == [4, 3, 3, 3, 3]
+    for finger, joints in zip(mimic.fingers, names, strict=True):
+        assert all(joint.startswith(finger) for joint in joints)
+
+
+def test_a_joint_of_two_fingers_is_of_neither(tmp_path: Path) -> None:
+    shared = load_hand_spec(
+        pincer(tmp_path, actuated=("t1", "t2", "i1"), equality=CHAIN.format("i2", "t2"))
+    )
+    assert finger_joints(shared) == ((0,), (2,))  # t2 also drives i2
+    lame = load_hand_spec(
+        pincer(
+            tmp_path,
+            actuated=("t1", "t2"),
+            equality=CHAIN.format("i1", "t2") + CHAIN.format("i2", "t2"),
+        )
+    )
+    with pytest.raises(HandModelError, match=r"no joint moves its index tip alone.*sbr"):
+        finger_joints(lame)
+
+
+def test_the_networks_are_what_they_say() -> None:
+    rng = np.random.default_rng(1)
+    f, h, j, n = 2, 5, 3, 7
+    shapes = ((f, 3, h), (f, h), (f, h, h), (f, h), (f, h, j), (f, j))
+    arrays = [rng.normal(size=shape) for shape in shapes]
+    x = rng.normal(size=(f, 3, n))
+    answer = np.asarray(forward(Weights(*map(jnp.asarray, arrays)), jnp.asarray(x)))
+    w1, b1, w2, b2, w3, b3 = arrays
+    for k in range(f):
+        for i in range(n):
+            hidden = w1[k].T @ x[k, :, i] + b1[k]
+            hidden = w2[k].T @ (hidden / (1 + np.exp(-hidden))) + b2[k]
+            expected = np.tanh(w3[k].T @ (hidden / (1 + np.exp(-hidden))) + b3[k])
+            np.testing.assert_allclose(answer[k, :, i], expected, atol=1e-5)
+    assert np.abs(answer).max() <= 1
+
+
+# The losses, where their values are known on paper
+
+
+class Mapped(GeortLoss):
+    """A robot whose fingertips are a given function of the human's."""
+
+    def tips(self, weights: Weights, points: jnp.ndarray) -> jnp.ndarray:
+        return self.settings.how(points)  # type: ignore[attr-defined]
+
+
+def judged(
+    how: Callable[[jnp.ndarray], jnp.ndarray], reach_shift: float = 0.0, ramp: float = 1.0
+) -> tuple[float, dict[str, float]]:
+    rng = np.random.default_rng(0)
+    # a lattice, so that the nearest of a shifted copy is the point itself
+    points = np.stack(np.meshgrid(*[np.arange(4) * 0.05] * 3), axis=-1).reshape(-1, 3).T[None]
+    points = jnp.asarray(np.repeat(points, 2, axis=0), jnp.float32)
+    steps = jnp.asarray(rng.normal(0, 0.003, points.shape), jnp.float32)
+    pinches = points.at[1].set(points[0] + jnp.array([[0.0], [0.003], [0.004]]))
+    pinched = jnp.arange(points.shape[-1])[None] < 5
+    batch = Batch(points, points, steps, points + reach_shift, pinches, pinched)
+    settings = GeortTraining(direction=2.0, coverage=3.0, curvature=5.0, pinch=7.0)
+    object.__setattr__(settings, "how", how)
+    loss = Mapped(load_hand(), settings, np.zeros((2, 3)), np.ones(2))
+    total, each = loss(None, batch, ramp)  # type: ignore[arg-type]
+    return float(total), dict(zip(LOSSES, map(float, each), strict=True))
+
+
+def test_a_perfect_copy_costs_nothing() -> None:
+    total, each = judged(lambda p: p)
+    assert each["direction"] == pytest.approx(0, abs=1e-5)
+    assert each["coverage"] == pytest.approx(0, abs=1e-10)
+    assert each["curvature"] == pytest.approx(0, abs=1e-7)
+    assert each["pinch"] == pytest.approx(0.005**2, rel=1e-3)  # 3 and 4 mm are 5 mm
+    assert total == pytest.approx(2 * each["direction"] + 7 * each["pinch"], rel=1e-2)
+
+
+def test_each_loss_sees_its_own_fault() -> None:
+    _, mirrored = judged(lambda p: -p)
+    assert mirrored["direction"] == pytest.approx(2, abs=1e-4)
+    _, frozen = judged(lambda p: 0 * p)
+    assert frozen["direction"] == pytest.approx(1, abs=1e-4)
+    _, shifted = judged(lambda p: p, reach_shift=0.01)
+    # both ways, two fingers, three axes
+    assert shifted["coverage"] == pytest.approx(2 * 2 * 3 * 0.01**2, rel=1e-3)
+    assert shifted["direction"] == pytest.approx(0, abs=1e-5)
+    # x^2 along a unit step e bends by 2 e^2 h^2, over h
+    _, bent = judged(lambda p: p.at[:, 0].set(100 * p[:, 0] ** 2))
+    assert bent["curvature"] > 1e-3
+    _, huge = judged(lambda p: 2 * p)
+    assert huge["direction"] == pytest.approx(0, abs=1e-5)
+    assert huge["pinch"] == pytest.approx(0.01**2, rel=1e-3)
+
+
+def test_the_ramp_holds_coverage_back_and_nothing_else() -> None:
+    full, each = judged(lambda p: p, reach_shift=0.01)
+    none, _ = judged(lambda p: p, reach_shift=0.01, ramp=0.0)
+    assert full - none == pytest.approx(3 * each["coverage"], rel=1e-3)
+
+
+# The data
+
+
+def test_points_are_thinned_and_pinches_are_of_one_moment(operator: HandRecording) -> None:
+    mimic = load_hand()
+    data = training_data([operator, operator], mimic, replace(TINY, validation=0.0))
+    once = training_data([operator], mimic, replace(TINY, validation=0.0))
+    # seen twice is no more, and a cell of a millimetre holds one point
+    np.testing.assert_array_equal(data.train.counts, once.train.counts)
+    for row, count in zip(data.train.points, data.train.counts, strict=True):
+        cells = np.floor(row[:, :count].T.astype(np.float64) / 1e-3 + 1e-4)
+        assert len(np.unique(cells, axis=0)) > 0.98 * count
+
+    tips = align_recording(operator, mimic)[:, list(TIPS)]
+    gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+    at = np.flatnonzero((gaps < 0.015).any(axis=1))
+    assert len(at) > 20
+    np.testing.assert_allclose(once.train.pinches, np.moveaxis(tips[at], 0, -1), atol=1e-7)
+    np.testing.assert_array_equal(once.train.pinched, (gaps[at] < 0.015).T)
+    assert data.digest != once.digest
+    assert training_data([operator], mimic, replace(TINY, validation=0.0)).digest == once.digest
+
+
+def test_the_margin_keeps_the_reach_near_the_operator(operator: HandRecording) -> None:
+    mimic = load_hand()
+    near = training_data([operator], mimic, replace(TINY, margin=0.01))
+    whole = training_data([operator], mimic, replace(TINY, margin=None))
+    assert near.reach.shape == whole.reach.shape
+    for finger in range(5):
+        own = near.train.points[finger, :, : near.train.counts[finger]].T
+        for reach, least, most in ((near.reach, 0.0, 0.0101), (whole.reach, 0.02, 1.0)):
+            some = reach[finger, :, :300].T
+            away = np.linalg.norm(some[:, None] - own[None], axis=-1).min(axis=1).max()
+            assert least < away < most
+
+
+def test_the_end_is_kept_apart(hand: Hand, operator: HandRecording) -> None:
+    data = training_data([operator], hand, replace(TINY, validation=0.25))
+    assert data.frames == {"train": 600, "validation": 200}
+    assert data.validation is not None
+    first = training_data([operator[:600]], hand, replace(TINY, validation=0.0))
+    np.testing.assert_array_equal(data.train.points, first.train.points)
+    assert first.validation is None
+    other = SyntheticOperator(seed=6, rate_hz=40).record(5.0)
+    apart = training_data([operator], hand, replace(TINY, validation=0.25), [other])
+    assert apart.frames == {"train": 800, "validation": 200}
+    assert apart.sources["validation"] == [other.name]
+
+
+def test_frames_that_a_tracker_lost_are_left_out(hand: Hand, operator: HandRecording) -> None:
+    landmarks = operator.landmarks.copy()
+    landmarks[100:200, 8] = np.nan  # the index fingertip
+    landmarks[300:400] = np.nan
+    data = training_data(
+        [replace(operator, landmarks=landmarks, valid=None)], hand, replace(TINY, validation=0.0)
+    )
+    whole = training_data([operator], hand, replace(TINY, validation=0.0))
+    assert np.isfinite(data.train.points).all()
+    assert np.isfinite(data.train.pinches).all()
+    assert data.frames["train"] == 700  # one fingertip is enough
+    assert (data.train.counts < whole.train.counts).all()
+
+
+def test_what_can_not_be_trained_on_is_refused(hand: Hand, operator: HandRecording) -> None:
+    with pytest.raises(RecordingError, match="one recording at least"):
+        training_data([], hand, TINY)
+    left = SyntheticOperator(seed=5, side="left").record(1.0)
+    with pytest.raises(RecordingError, match="left hand, but 'pincer' is a right"):
+        training_data([left], hand, TINY)
+    still = replace(operator, landmarks=np.repeat(operator.landmarks[:1], len(operator), axis=0))
+    with pytest.raises(RecordingError, match=r"thumb, index hardly move.*half a minute"):
+        training_data([still], hand, TINY)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"epochs": 0},
+        {"batch": 2.5},
+        {"seed": -1},
+        {"learning_rate": 0.0},
+        {"coverage": float("nan")},
+        {"margin": 0.0},
+        {"ramp": 1.0},
+        {"validation": -0.1},
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        GeortTraining(**wrong)  # type: ignore[arg-type]
+
+
+def test_synthetic_operators_are_many_and_none_is_judged_on_what_it_trained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(operators_module, "DURATION_S", 0.2)
+    train, held_out = synthetic_recordings("left")
+    names = [recording.name for recording in (*train, *held_out)]
+    assert len(train) == TRAINING_OPERATORS
+    assert len(set(names)) == len(names)
+    assert {recording.side for recording in (*train, *held_out)} == {"left"}
+    assert len({recording.meta["hand_length"] for recording in train}) == TRAINING_OPERATORS
+
+
+# Training
+
+
+def test_training_learns_and_says_so(
+    hand: Hand, operator: HandRecording, trained: tuple[Path, GeortModel]
+) -> None:
+    folder, model = trained
+    with (folder / "losses.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["epoch"]) for row in rows] == [1, 2, 3, 4]
+    first, last = (float(rows[i]["train_direction"]) for i in (0, -1))
+    assert last < 0.8 * first
+    assert all(float(row["validation_loss"]) > 0 for row in rows)
+    about = json.loads((folder / "model.json").read_text(encoding="utf-8"))["training"]
+    assert about["epochs_done"] == 4
+    assert about["recordings"]["train"] == [operator.name]
+    assert about["settings"]["seed"] == 3
+    assert about["losses"]["train"]["direction"] == pytest.approx(last)
+    assert about["environment"]["versions"]["jax"]
+    assert (folder / "losses.png").read_bytes().startswith(b"\x89PNG")
+    assert model.fingers == hand.fingers
+    assert model.joints == (("t1", "t2"), ("i1", "i2"))
+
+
+def test_another_seed_is_another_training(hand: Hand, operator: HandRecording) -> None:
+    once, again, other = (trainer(hand, operator, replace(TINY, seed=seed)) for seed in (3, 3, 4))
+    assert np.array_equal(once.init().weights.w2, again.init().weights.w2)
+    assert not np.array_equal(once.init().weights.w2, other.init().weights.w2)
+    assert once.data.digest == again.data.digest
+    assert once.data.digest != other.data.digest  # other poses of the robot
+
+
+def stopping_after(epochs: int) -> Callable[[TrainingState], None]:
+    def watch(state: TrainingState) -> None:
+        if int(state.epoch) == epochs:
+            raise KeyboardInterrupt
+
+    return watch
+
+
+@pytest.mark.parametrize("stop", [1, 2])
+def test_stopped_and_resumed_is_never_stopped_to_the_bit(
+    coach: GeortTrainer,
+    trained: tuple[Path, GeortModel],
+    tmp_path: Path,
+    stop: int,
+) -> None:
+    folder, _ = trained
+    with pytest.raises(KeyboardInterrupt):
+        TrainingSession(coach, tmp_path, every=2).run(watch=stopping_after(stop))
+    halfway = read_geort_model(tmp_path / MODEL)  # usable as it is
+    assert halfway.training["epochs_done"] == stop
+    TrainingSession(coach, tmp_path, every=2).run(resume=True)
+    for name in (MODEL, CHECKPOINT, "losses.csv", "model.json"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_stopped_before_anything_was_learnt_leaves_nothing(
+    coach: GeortTrainer, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        TrainingSession(coach, tmp_path).run(watch=stopping_after(0))
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_training_is_not_resumed(
+    hand: Hand,
+    operator: HandRecording,
+    coach: GeortTrainer,
+    trained: tuple[Path, GeortModel],
+    tmp_path: Path,
+) -> None:
+    folder, _ = trained
+
+    def resume(settings: GeortTraining = TINY, recording: HandRecording = operator) -> None:
+        TrainingSession(trainer(hand, recording, settings), folder).run(resume=True)
+
+    with pytest.raises(ConfigError, match=r"settings\.epochs is 4, not 9"):
+        resume(replace(TINY, epochs=9))
+    with pytest.raises(ConfigError, match="its data is"):
+        resume(recording=operator[:700])
+    with pytest.raises(OutputError, match=r"a training already.*--resume"):
+        TrainingSession(coach, folder).run()
+    with pytest.raises(ConfigError, match="no checkpoint to resume from"):
+        TrainingSession(coach, tmp_path).run(resume=True)
+    whole = (folder / CHECKPOINT).read_bytes()
+    for damage in (whole[:3000], b"", whole[:-200] + bytes(200)):
+        (tmp_path / CHECKPOINT).write_bytes(damage)
+        with pytest.raises(ConfigError, match="not a checkpoint of GeoRT"):
+            TrainingSession(coach, tmp_path).run(resume=True)
+    (tmp_path / CHECKPOINT).unlink()
+    (tmp_path / MODEL).write_bytes(b"mine")
+    with pytest.raises(OutputError, match=r"model\.npz would be overwritten"):
+        TrainingSession(coach, tmp_path).run()
+
+
+def test_training_without_optax_says_what_to_install(
+    hand: Hand, operator: HandRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "optax", None)
+    with pytest.raises(MissingExtraError, match=r"smooth-operator\[train\]"):
+        trainer(hand, operator)
+
+
+# Files, and the hands that they are for
+
+
+def test_a_model_reads_back_as_it_was(trained: tuple[Path, GeortModel], tmp_path: Path) -> None:
+    _, model = trained
+    path = tmp_path / "copy.npz"
+    write_geort_model(path, model)
+    back = read_geort_model(path)
+    for ours, theirs in zip(model.weights, back.weights, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    for name in ("centre", "scale", "poses", "tips"):
+        np.testing.assert_array_equal(getattr(model, name), getattr(back, name))
+    for name in ("hand", "side", "fingers", "joints"):
+        assert getattr(model, name) == getattr(back, name)
+
+
+def test_what_is_no_model_is_refused(trained: tuple[Path, GeortModel], tmp_path: Path) -> None:
+    folder, _ = trained
+    path = tmp_path / "wrong.npz"
+    with pytest.raises(ConfigError, match="there is no such GeoRT model"):
+        read_geort_model(path)
+
+    def refused(reason: str) -> None:
+        with pytest.raises(ConfigError, match=rf"not a GeoRT model.*{reason}.*train geort"):
+            read_geort_model(path)
+
+    whole = (folder / MODEL).read_bytes()
+    for content in (whole[: len(whole) // 2], b"", b"hello"):
+        path.write_bytes(content)
+        refused("")
+    with np.load(folder / MODEL, allow_pickle=False) as file:
+        arrays = dict(file)
+    np.savez(path, **{k: v for k, v in arrays.items() if k != "w2"})
+    refused("w2")
+    np.savez(path, **arrays | {"b1": arrays["b1"][:, :-1]})
+    refused("b1 must be finite and of shape")
+    np.savez(path, **arrays | {"w1": arrays["w1"] * np.nan})
+    refused("w1 must be finite")
+    np.savez(path, **arrays | {"about": np.array(str(arrays["about"]).replace(" geort", " x"))})
+    refused("format")
+    np.savez(path, **arrays | {"w1": np.array([print], object)})
+    refused("pickle")
+
+
+def test_another_hand_is_refused_with_what_differs(
+    trained: tuple[Path, GeortModel], tmp_path: Path
+) -> None:
+    _, model = trained
+
+    def refused(other: Hand, reason: str) -> None:
+        with pytest.raises(ConfigError, match=f"(?s){reason}.*smooth-operator train geort"):
+            model.mirrored_for(other)
+
+    refused(load_hand(), r"'pincer'.*fingers \('thumb', 'index'\), but 'mimic_p050' has")
+    refused(load_hand_spec(pincer(tmp_path, actuated=("t1", "t2", "i1"))), "index has the joints")
+    refused(load_hand_spec(pincer(tmp_path, t2='range="-1 1"')), "thumb joints have the limits")
+    extra = pincer(tmp_path, actuated=("t1", "t2", "i1", "i2", "i3"))
+    refused(load_hand_spec(extra), "index has the joints")
+    spec = pincer(tmp_path)
+    text = spec.model.read_text(encoding="utf-8")
+    spec.model.write_text(text.replace('pos="0 0 0.02"', 'pos="0 0 0.025"'), encoding="utf-8")
+    refused(load_hand_spec(spec), "fingertips are up to .* mm off")
+    spec = replace(pincer(tmp_path), side="left")  # called left, and still the same
+    refused(load_hand_spec(spec), "not the mirror image of it")
+    assert model.mirrored_for(load_hand_spec(replace(spec, mirror=True)))
+    assert not model.mirrored_for(load_hand_spec(pincer(tmp_path)))
+
+
+def test_a_hand_without_a_model_says_how_to_get_one(hand: Hand) -> None:
+    with pytest.raises(ConfigError, match=r"no built-in.*'pincer'.*mimic_p050.*train geort"):
+        Retargeter(hand, method="geort")
+
+
+def test_a_trained_model_retargets(hand: Hand, trained: tuple[Path, GeortModel]) -> None:
+    folder, model = trained
+    retargeter = Retargeter(hand, config=GeortConfig(model=folder / MODEL))
+    recording = SyntheticOperator(seed=8, rate_hz=40).record(1.0)
+    commands, loss = retargeter.run(recording)
+    assert (commands.status == Status.OK).all()
+    assert np.isfinite(loss).all()
+    # the same by hand
+    tips = align_recording(recording, hand)[:, [4, 8]]
+    unit = np.asarray(
+        forward(
+            model.weights,
+            jnp.moveaxis(jnp.asarray((tips - model.centre) / model.scale[:, None]), 0, -1),
+        )
+    )
+    q = commands.joint_positions[:, list(hand.actuated)]
+    for k, (finger, output) in enumerate([(0, 0), (0, 1), (1, 0), (1, 1)]):
+        expected = 0.5 + 1.5 * unit[finger, output]  # limits -1 to 2
+        np.testing.assert_allclose(q[:, k], expected, atol=1e-5)
+
+
+# The built-in model
+
+
+@pytest.fixture(scope="module")
+def right() -> Retargeter:
+    return Retargeter(method="geort")
+
+
+def measured(retargeter: Retargeter, recording: HandRecording) -> dict[str, object]:
+    commands, _ = retargeter.run(recording)
+    trace = assemble_trace(recording, commands, retargeter.hand, reach_samples=0)
+    return dict(evaluate(trace))
+
+
+def test_the_built_in_model_says_how_it_was_made() -> None:
+    path = built_in_model("mimic_p050")
+    assert path is not None
+    assert path.stat().st_size < 500_000
+    about = read_geort_model(path).training
+    trained_on = about["recordings"]["train"]
+    assert len(trained_on) == TRAINING_OPERATORS
+    assert all(int(name.rsplit("-", 1)[1]) >= FIRST_SEED for name in trained_on)
+    assert about["settings"] == json.loads(json.dumps(about["settings"]))
+    assert about["epochs_done"] == about["settings"]["epochs"]
+    assert built_in_model("pincer") is None
+
+
+def test_the_built_in_model_serves_an_operator_it_never_saw(right: Retargeter) -> None:
+    metrics = measured(right, SyntheticOperator(seed=77, rate_hz=50).record(20.0))
+    assert metrics["cosine_similarity"] > 0.9
+    assert metrics["cosine_similarity_all"] > 0.93
+    assert metrics["motion_preservation"] > 0.95
+    assert metrics["pinch_error_mm"] < 6
+    assert metrics["limit_violation_share"] == 0
+    assert metrics["frozen_share"] == 0
+    assert metrics["lag_ms"] < 2
+
+
+def test_a_left_hand_is_a_right_one_in_the_mirror(right: Retargeter) -> None:
+    left = Retargeter(method="geort", side="left")
+    commands = {}
+    for retargeter in (right, left):
+        side = retargeter.hand.spec.side
+        recording = SyntheticOperator(seed=4, side=side, rate_hz=30).record(3.0)
+        commands[side], _ = retargeter.run(recording)
+        assert (commands[side].status == Status.OK).all()
+    assert np.ptp(commands["right"].joint_positions, axis=0).max() > 0.5
+    np.testing.assert_allclose(
+        commands["left"].joint_positions, commands["right"].joint_positions, atol=1e-4
+    )
+
+
+def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right: Retargeter) -> None:
+    recording = SyntheticOperator(seed=4, rate_hz=30).record(1.0)
+    state = right.init()
+    state, before = right.step(state, recording[10])
+    lost = recording[20].landmarks.copy()
+    lost[12] = np.nan
+    state, held = right.step(state, lost)
+    assert held.status == Status.INVALID_LANDMARKS
+    np.testing.assert_array_equal(held.command.positions, before.command.positions)
+    _, after = right.step(state, recording[20])
+    _, fresh = right.step(right.init(seed=9), recording[20])
+    assert after.status == Status.OK
+    np.testing.assert_array_equal(after.command.positions, fresh.command.positions)
+    no_joint_but_the_tips = recording[20].landmarks.copy()
+    no_joint_but_the_tips[[2, 3, 6, 7, 10, 11, 14, 15, 18, 19]] = np.nan
+    _, same = right.step(right.init(), no_joint_but_the_tips)
+    np.testing.assert_array_equal(same.command.positions, fresh.command.positions)
+
+
+@pytest.mark.shared
+def test_the_built_in_model_is_as_good_as_the_authors_on_a_real_hand(
+    right: Retargeter, shared: Path
+) -> None:
+    (path,) = (shared / "recordings").glob("manus*.npz")
+    recording = read_recording(path)
+    metrics = measured(right, recording[:500])
+    assert metrics["cosine_similarity"] >= 0.93
+    assert metrics["flatness"] <= 3.7e-6
+    assert metrics["motion_preservation"] >= 0.95
+    assert measured(right, recording[2600:3100])["pinch_error_mm"] < 15
+
+
+# The command
+
+
+@pytest.fixture
+def run(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., tuple[int, str]]]:
+    """Runs a command for the quick hand: exit status and standard error."""
+    import smooth_operator.cli.train as command
+
+    def quick(**chosen: int) -> GeortTraining:
+        return replace(TINY, **chosen)  # type: ignore[arg-type]
+
+    made: dict[tuple[str, int, int], GeortTrainer] = {}
+
+    def compiled_once(hand: Hand, data: TrainingData, settings: GeortTraining) -> GeortTrainer:
+        key = (data.digest, settings.epochs, settings.seed)
+        return made.setdefault(key, GeortTrainer(hand, data, settings))
+
+    monkeypatch.setattr(command, "GeortTrainer", compiled_once)
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
+    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+    monkeypatch.setattr(command, "load_hand", lambda name, side: hand)
+    monkeypatch.setattr(command, "GeortTraining", quick)
+
+    def call(*arguments: object) -> tuple[int, str]:
+        capfd.readouterr()
+        status = main(["train", "geort", *map(str, arguments)])
+        out, err = capfd.readouterr()
+        assert out == ""
+        return status, err
+
+    return call  # type: ignore[return-value]
+
+
+def test_the_command_stops_resumes_and_ends_the_same(
+    run: Callable[..., tuple[int, str]],
+    operator: HandRecording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # a recording that says neither its side nor its rate, and holds no pinch
+    glove = tmp_path / "open hand.npy"
+    spreading = [name in ("spread", "open_close") for name in operator.meta["gesture"]]
+    far = np.linalg.norm(operator.landmarks[:, 8] - operator.landmarks[:, 4], axis=-1) > 0.06
+    np.save(glove, operator.landmarks[np.array(spreading) & far])
+    start = (glove, "--rate", 40, "--epochs", 3, "--seed", 1, "--output")
+    whole, halted = tmp_path / "new" / "whole", tmp_path / "halted"
+    status, err = run(*start, whole)
+    assert status == 0, err
+    assert "taken for a right one" in err
+    assert "no pinch was recorded" in err
+    assert "3/3 epochs" in err
+    assert "validation: direction" in err
+
+    epochs = GeortTrainer.epochs
+
+    def impatient(self: GeortTrainer, state: TrainingState) -> Iterator[TrainingState]:
+        yield next(iter(epochs(self, state)))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(GeortTrainer, "epochs", impatient)
+        status, err = run(*start, halted, "--quiet")
+    assert status == 130
+    (told,) = [line for line in err.splitlines() if "go on with: " in line]
+    words = shlex.split(told.partition("go on with: ")[2])
+    assert words[:3] == ["smooth-operator", "train", "geort"]
+    assert run(*words[3:])[0] == 0
+    assert (halted / MODEL).read_bytes() == (whole / MODEL).read_bytes()
+
+    status, err = run(*start, whole)
+    assert (status, "--resume" in err) == (2, True)
+    status, err = run(*start, halted, "--epochs", 5, "--resume")
+    assert (status, "epochs is 3, not 5" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("no-such-file.npz",), "no-such-file"),
+        (("synthetic", "--rate", "30"), "stands alone"),
+        (("synthetic", "other.npz"), "stands alone"),
+        (("synthetic", "--checkpoint-every", "0"), "checkpoint-every"),
+    ],
+)
+def test_the_command_says_what_is_wrong(
+    run: Callable[..., tuple[int, str]], tmp_path: Path, arguments: tuple[str, ...], reason: str
+) -> None:
+    folder = tmp_path / "out"
+    status, err = run(*arguments, "--output", folder)
+    assert status == 2
+    assert reason in err
+    assert not folder.exists()
