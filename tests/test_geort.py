@@ -8,6 +8,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from trees import pincer
 
-from smooth_operator import Retargeter, load_hand
+from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
@@ -23,6 +24,7 @@ from smooth_operator.errors import (
     MissingExtraError,
     OutputError,
     RecordingError,
+    UnknownNameError,
 )
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.human.alignment import align_recording
@@ -683,3 +685,14 @@ def test_the_command_says_what_is_wrong(
     assert status == 2
     assert reason in err
     assert not folder.exists()
+
+
+def test_the_file_of_a_model_stands_for_a_preset(tmp_path: Path) -> None:
+    built_in = files("smooth_operator.retargeters") / "models" / "geort_mimic_p050.npz"
+    (tmp_path / "mine.npz").write_bytes(built_in.read_bytes())
+    path = tmp_path / "mine.npz"
+    assert method_config("geort", str(path)) == GeortConfig(model=path)
+    with pytest.raises(UnknownNameError, match="preset"):
+        method_config("geort", str(tmp_path / "none.npz"))
+    with pytest.raises(UnknownNameError, match="preset"):
+        method_config("sbr", str(path))

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.hands.catalogue import hand_names, load_hand
 from smooth_operator.metrics import Definition
 from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.retargeters.presets import PRESETS, method_config
 from smooth_operator.types import Side
 
 ALL: Final = "all"
@@ -134,13 +133,8 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
             chosen |= {(method, each): config for each, config in presets.items()}
         elif not colon:
             chosen[method, default] = presets[default]
-        elif preset in presets:
-            chosen[method, preset] = presets[preset]
-        elif Path(preset).is_file() and hasattr(presets[default], "model"):
-            config = dataclasses.replace(cast(Any, presets[default]), model=Path(preset))
-            chosen[method, preset] = cast(MethodConfig, config)
         else:
-            raise UnknownNameError(f"preset of method {method!r}:", preset, presets)
+            chosen[method, preset] = method_config(method, preset)
     if not chosen:
         raise ConfigError(f"name at least one method: {', '.join(PRESETS)}, or all")
     return [Choice(method, preset, config) for (method, preset), config in chosen.items()]

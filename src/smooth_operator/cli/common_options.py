@@ -28,10 +28,11 @@ class Retargeting:
     """Robot hand, by its catalogue name."""
 
     method: Annotated[str, arg(metavar="NAME")] = "sbr"
-    """Retargeting method."""
+    """Retargeting method: sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method: for sbr realtime (used if left out) or paper."""
+    """Preset of the method: for sbr realtime (used if left out) or paper, for keyvector default,
+    vector or position, for geort the file of a model that you trained."""
 
     seed: int = 0
     """Of all random numbers: the same seed and frames give the same commands."""

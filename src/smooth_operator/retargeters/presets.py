@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import UnknownNameError
@@ -104,6 +105,8 @@ def method_names() -> tuple[str, ...]:
 def method_config(method: str = "sbr", preset: str | None = None) -> MethodConfig:
     """Configuration of a method by preset name; None gives the method's default preset.
 
+    For a method with a trained model (geort), the file of one may stand for the preset.
+
     Raises:
         UnknownNameError: if there is no such method or preset.
     """
@@ -113,5 +116,8 @@ def method_config(method: str = "sbr", preset: str | None = None) -> MethodConfi
     if preset is None:
         return next(iter(presets.values()))
     if preset not in presets:
+        default = next(iter(presets.values()))
+        if isinstance(default, GeortConfig) and Path(preset).is_file():
+            return replace(default, model=Path(preset))
         raise UnknownNameError(f"preset of method {method!r}:", preset, presets)
     return presets[preset]
