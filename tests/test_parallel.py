@@ -322,7 +322,9 @@ def test_ray_is_the_pool(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="needs ray: pip install 'smooth-operator[cluster]'")
     marker = tmp_path / "marker"
     tasks: list[Any] = ["a", "raise", marker, "own error", "b"]
+    before = print, sys.excepthook, signal.getsignal(signal.SIGTERM)
     results = by_index(run_tasks(on_ray, tasks, workers=2, cluster="local"))
+    assert before == (print, sys.excepthook, signal.getsignal(signal.SIGTERM))
     assert [r.value for r in results] == ["a", None, "alive", None, "b"]
     assert [r.attempts for r in results] == [1, 1, 2, 1, 1]
     assert results[1].error == "ValueError: the first line and the second"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +73,10 @@ def retarget_folder(options: Retarget) -> None:
         started = time.perf_counter()
         entries = [*todo.settled]
         try:
-            results = retarget_all(todo.jobs, workers=options.workers, cluster=options.cluster)
-            entries += _watched(results, todo, options.quiet)
+            with contextlib.closing(
+                retarget_all(todo.jobs, workers=options.workers, cluster=options.cluster)
+            ) as results:  # whatever happens here, the workers end
+                entries += _watched(results, todo, options.quiet)
         except KeyboardInterrupt:
             progress.note("stopped; run the same command again to go on", matters=True)
             raise
@@ -139,7 +142,7 @@ def _tell(todo: Survey, progress: Progressing) -> None:
         )
 
 
-def _watched(results: Iterator[Entry], todo: Survey, quiet: bool) -> list[Entry]:
+def _watched(results: Iterable[Entry], todo: Survey, quiet: bool) -> list[Entry]:
     """All results, with a bar that counts recordings and frames."""
     expected = {job.found.name: job.found.frames for job in todo.jobs}
     bar = Progress(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,7 +92,7 @@ def survey(folder: Path, output: Path, asked: Request, *, overwrite: bool = Fals
 
 def retarget_all(
     jobs: list[Job], *, workers: int | None = None, cluster: str | None = None
-) -> Iterator[Entry]:
+) -> Generator[Entry, None, None]:
     """Retargets recordings at once; nothing that goes wrong with one touches another.
 
     Each result is written whole or not at all. It depends on its recording and the request alone,

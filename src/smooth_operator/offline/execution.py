@@ -13,6 +13,7 @@ from jaxtyping import Float
 from smooth_operator.metrics import Definition, Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.offline.cache import enable_cache, healing
+from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.plan import Plan
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory
@@ -37,13 +38,15 @@ class Outcome:
 def build(todo: Plan) -> tuple[Retargeter, float]:
     """A retargeter for the plan, compiled.
 
-    JAX's compilation cache is switched on for the process: see
-    :func:`smooth_operator.offline.cache.enable_cache`.
+    Two settings of the process change: JAX's compilation cache is switched on (see
+    :func:`smooth_operator.offline.cache.enable_cache`), and programs run on the calling thread (see
+    :func:`smooth_operator.offline.dispatch.dispatch_here`).
 
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
     started = time.perf_counter()
+    dispatch_here()
     with healing(enable_cache()):
         retargeter = Retargeter(todo.hand, config=todo.config, seed=todo.seed)
         retargeter.warm_up()

@@ -12,6 +12,7 @@ import numpy as np
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.offline.discovery import Found
+from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.execution import build
 from smooth_operator.offline.finished import digest, identity
 from smooth_operator.offline.plan import Plan, Scale, configuration, plan
@@ -68,11 +69,14 @@ def request(
 ) -> Request:
     """A request whose every part is possible, so that it does not fail once per recording.
 
+    As :func:`smooth_operator.offline.execution.build`, it lets JAX run on the calling thread.
+
     Raises:
         UnknownNameError: there is no such hand, method or preset.
         SmoothOperatorError: the method can't serve the hand.
         ConfigError: scale, rate or frames can't be.
     """
+    dispatch_here()
     config = method_config(method, preset)
     config.build(load_hand(hand, side or "right"))
     if isinstance(scale, float | int):

@@ -13,7 +13,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.retargeters.method import HostMethod, Method
 from smooth_operator.retargeters.program import RetargetState, compiled, frame_step
@@ -31,9 +30,6 @@ class Scan:
 
     Args:
         retargeter: whose method is one compiled program.
-
-    Raises:
-        ConfigError: it is not.
     """
 
     def __init__(self, retargeter: Retargeter) -> None:

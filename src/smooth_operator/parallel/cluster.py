@@ -6,6 +6,7 @@ Ray's own count does not hold where memory runs out: it then tries for ever.
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import logging
 import os
@@ -30,6 +31,7 @@ LOCAL: Final = "local"
 
 _GRACE_S: Final = 5.0
 _KNOCK_S: Final = 10.0
+_AUTH_MODE: Final = "RAY_AUTH_MODE"
 
 
 def run_on_cluster(
@@ -116,26 +118,43 @@ def _connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
         options["runtime_env"] = {
             "env_vars": {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         }
-    # Ray takes SIGTERM for itself, and would keep it.
-    main_thread = threading.current_thread() is threading.main_thread()
-    former = signal.getsignal(signal.SIGTERM)
-    try:
+    with _as_it_was():
         try:
-            _knock(cluster)
-            with warnings.catch_warnings():
-                # JAX's, of its threads; what Ray forks becomes another program at once.
-                warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
-                ray.init(address=cluster, **options)
-        except Exception as error:  # ConnectionError, RuntimeError, ValueError, ...: as Ray likes
-            raise WorkerError(
-                f"can't reach the Ray cluster {cluster!r} ({describe(error)}); expected 'auto', "
-                "the address of a running one ('ray start --head' prints it), or 'local'"
-            ) from error
+            try:
+                _knock(cluster)
+                with warnings.catch_warnings():
+                    # JAX's, of its threads; what Ray forks becomes another program at once.
+                    warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
+                    ray.init(address=cluster, **options)
+            except Exception as error:  # ConnectionError, RuntimeError, ...: as Ray likes
+                raise WorkerError(
+                    f"can't reach the Ray cluster {cluster!r} ({describe(error)}); expected "
+                    "'auto', the address of a running one ('ray start --head' prints it), or "
+                    "'local'. To an address Ray sends the cluster's token (by default it asks for "
+                    "one) only with RAY_AUTH_MODE=token in the environment"
+                ) from error
+            yield
+        finally:
+            ray.shutdown()
+
+
+@contextlib.contextmanager
+def _as_it_was() -> Iterator[None]:
+    """Gives back what Ray takes for itself and keeps.
+
+    That is SIGTERM, ``print``, the last word on errors, and the mode of authentication.
+    """
+    shown, hook, handler = builtins.print, sys.excepthook, signal.getsignal(signal.SIGTERM)
+    mode = os.environ.get(_AUTH_MODE)
+    try:
         yield
     finally:
-        ray.shutdown()
-        if main_thread and former is not None:
-            signal.signal(signal.SIGTERM, former)
+        builtins.print, sys.excepthook = shown, hook
+        os.environ.pop(_AUTH_MODE, None)
+        if mode is not None:
+            os.environ[_AUTH_MODE] = mode
+        if handler is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
 
 
 def _knock(cluster: str) -> None:

@@ -51,4 +51,7 @@ def _start_threads() -> None:
     # Not imported: who does not compute with JAX must not wait for it.
     jax: Any = sys.modules.get("jax")
     if jax is not None:
+        with suppress(AttributeError):  # a JAX that has no such option
+            # On the thread that calls: the other one would wait for it, and be woken for nothing.
+            jax.config.update("jax_cpu_enable_async_dispatch", False)
         jax.devices()

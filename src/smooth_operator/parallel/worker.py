@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from multiprocessing import connection, parent_process
@@ -22,6 +23,9 @@ BROKEN: Final = "broken"
 """First message of a worker that can't import the function, with the reason."""
 
 
+_AGAIN_S: Final = 1.0
+
+
 class _Stopped(BaseException):
     """The parent wants this worker to end; not an Exception, so that no function swallows it."""
 
@@ -38,6 +42,9 @@ def serve(link: Connection[Any, Any], slot: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the parent decides
     signal.signal(signal.SIGTERM, _stop)
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, _stop)
+    sys.unraisablehook = _unraisable
     threading.Thread(target=_die_with_parent, daemon=True).start()
     try:
         with one_thread(slot) as start_threads:
@@ -53,7 +60,8 @@ def serve(link: Connection[Any, Any], slot: int) -> None:
         while True:
             _answer(link, function)
     except (EOFError, OSError, _Stopped):  # the parent is done, or gone
-        return
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def _answer(link: Connection[Any, Any], function: Callable[[object], object]) -> None:
@@ -68,7 +76,15 @@ def _answer(link: Connection[Any, Any], function: Callable[[object], object]) ->
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
+    if hasattr(signal, "setitimer"):
+        # Once more in a while: raised in a callback of the garbage collector, it would be lost.
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
     raise _Stopped
+
+
+def _unraisable(lost: sys.UnraisableHookArgs) -> None:
+    if lost.exc_type is not _Stopped:
+        sys.__unraisablehook__(lost)
 
 
 def _die_with_parent() -> None:
