@@ -29,6 +29,7 @@ from smooth_operator.benchmark.suite import Advance
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.outputs import folder_for
+from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
 
 SOME_FAILED = 1
@@ -44,6 +45,7 @@ def bench(options: Bench) -> None:
         KeyboardInterrupt: stopped; what is finished is kept.
     """
     console = Console(stderr=True, highlight=False)
+    dispatch_here()  # before planning, which may start JAX
     # What a user can get wrong comes before what takes long.
     settings = Settings(
         output=options.output,
