@@ -69,7 +69,7 @@ def test_every_landmark_is_where_the_published_model_has_it(published: Hand) -> 
 
 def test_landmarks_are_named_as_the_humans_and_in_their_order() -> None:
     assert load_hand("mimic_p050").tree.names == LANDMARKS
-    assert hand_names() == ("mimic_p050",)
+    assert "mimic_p050" in hand_names()
 
 
 def test_the_left_hand_mirrors_the_right() -> None:

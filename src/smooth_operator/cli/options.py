@@ -10,6 +10,7 @@ import tyro
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.demo_options import Demo
+from smooth_operator.cli.hands_options import Hands
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.view_options import View
@@ -27,12 +28,14 @@ _EXAMPLES = """Examples:
       which method, and how good? a table, results.json and a report
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
+  smooth-operator hands list
+      the robot hands; hands show NAME has joints and limits, and a page
 
 Each command has its own help: smooth-operator retarget --help
 """
 
 
-Command: TypeAlias = Bench | Convert | Demo | Retarget | Train | View
+Command: TypeAlias = Bench | Convert | Demo | Hands | Retarget | Train | View
 
 _COMMANDS: Final[dict[str, type[Command]]] = {
     "demo": Demo,
@@ -41,6 +44,7 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "convert": Convert,
     "bench": Bench,
     "train": Train,
+    "hands": Hands,
 }
 
 

@@ -1,90 +1,175 @@
-"""The built-in hands."""
+"""The hands that can be named: the built-in ones, and the user's own.
+
+A built-in hand is data: a spec file and a compact kinematic model beside it in ``models``. Where
+only one side is published, the other is its mirror image.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.errors import UnknownNameError
+from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.selection import FingerChoice, select_fingers
+from smooth_operator.hands.spec import HandSpec
+from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
+from smooth_operator.hands.spec_writer import write_hand_spec
+from smooth_operator.hands.user_folder import find_specs, spec_name, user_hands_folder
+from smooth_operator.recording.atomic import output_error
 from smooth_operator.types import Side, as_side
 
-_MODELS: Final = Path(__file__).parent / "models"
+MODELS: Final = Path(__file__).parent / "models"
+"""Folder of the built-in spec files and models."""
 
 
-def _mimic_p050(side: Side) -> HandSpec:
-    """mimic P0.50: 16 actuated and 4 coupled joints; a right hand is published."""
-    thumb = FingerSpec(
-        "thumb",
-        (
-            Point("thumb_cmc"),
-            Point("thumb_pp"),
-            Point("thumb_dp"),
-            Point("thumb_dp", (-0.00179, 0.000188, 0.027)),
-        ),
-    )
-    # Neutral pose of the authors' released configuration; the paper's text says zero angles.
-    neutral = {
-        "thumb_base2cmc": 0.524,
-        "thumb_cmc2mcp": -0.349,
-        "thumb_mcp2pp": 0.873,
-        "thumb_pp2dp_actuated": 0.873,
-    }
-    fingers = [thumb]
-    for name, spread in (("index", 0.148), ("middle", 0.218), ("ring", 0.305), ("pinky", 0.393)):
-        fingers.append(
-            FingerSpec(
-                name,
-                (
-                    Point(f"{name}_mcp"),
-                    Point(f"{name}_mp"),
-                    Point(f"{name}_dp"),
-                    Point(f"{name}_dp", (0.019, 0.0, -0.005)),
-                ),
+@dataclass(frozen=True)
+class Entry:
+    """A hand of the catalogue.
+
+    Attributes:
+        name: by which it is loaded.
+        files: the spec files, by side; a side without one is mirrored.
+        builtin: whether it comes with the program.
+    """
+
+    name: str
+    files: dict[Side, Path]
+    builtin: bool
+
+    @property
+    def mirrored(self) -> tuple[Side, ...]:
+        """The sides that have no description of their own."""
+        sides: tuple[Side, ...] = ("right", "left")
+        return tuple(side for side in sides if side not in self.files)
+
+    def spec(self, side: Side) -> HandSpec:
+        """The description of one side.
+
+        Raises:
+            HandModelError: its file can't be used.
+        """
+        mirrored = side in self.mirrored
+        own = next(iter(self.files)) if mirrored else side
+        spec = read_hand_spec(self.files[own])
+        if (spec.name, spec.side) != (self.name, own):
+            raise HandModelError(
+                f"{self.files[own]} describes the {spec.side} hand {spec.name!r}; expected the "
+                f"{own} hand {self.name!r}, as the file is called"
             )
-        )
-        neutral |= {f"{name}_base2mcp": spread, f"{name}_mcp2pp": 0.262, f"{name}_pp2mp": 0.262}
-    return HandSpec(
-        name="mimic_p050",
-        side=side,
-        model=_MODELS / "mimic_p050.xml",
-        palm="base_link",
-        wrist=Point("base_link", (-0.00051, -0.00885, 0.12186)),
-        fingers=tuple(fingers),
-        neutral=neutral,
-        mirror=side == "left",
-    )
+        return spec.mirrored if mirrored else spec
 
 
-_CATALOGUE: Final[dict[str, Callable[[Side], HandSpec]]] = {"mimic_p050": _mimic_p050}
+def catalogue() -> dict[str, Entry]:
+    """All hands by name, the built-in ones first.
+
+    The user's are looked for anew each time. One that has a built-in hand's name is left out here;
+    :func:`load_hand` refuses the name while it is there.
+    """
+    entries = dict(_builtin())
+    for name, files in find_specs(user_hands_folder()).items():
+        entries.setdefault(name, Entry(name, files, builtin=False))
+    return entries
 
 
 def hand_names() -> tuple[str, ...]:
-    """Names of the built-in hands."""
-    return tuple(sorted(_CATALOGUE))
+    """Names of the hands that can be loaded: the built-in ones, then the user's own."""
+    return tuple(catalogue())
+
+
+def find_hand(name: str) -> Entry:
+    """A hand of the catalogue.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+        HandModelError: a file of the user's claims the name of a built-in hand.
+    """
+    builtin = _builtin().get(name)
+    own = find_specs(user_hands_folder()).get(name)
+    if builtin is not None:
+        if own is not None:
+            raise _shadowing(name, next(iter(own.values())))
+        return builtin
+    if own is None:
+        raise UnknownNameError("hand", name, catalogue())
+    return Entry(name, own, builtin=False)
+
+
+def save_hand(spec: HandSpec, *, comment: str = "") -> Path:
+    """Puts a description into the user's folder, where :func:`load_hand` finds it by name.
+
+    Args:
+        spec: the hand; a description of the same name and side is replaced.
+        comment: lines to put first in the file.
+
+    Returns:
+        The file.
+
+    Raises:
+        HandModelError: the name can't be one, or is that of a built-in hand.
+        OutputError: the file can't be written.
+    """
+    folder = user_hands_folder()
+    file = folder / spec_name(check_hand_name(spec.name), spec.side)
+    if spec.name in _builtin():
+        raise _shadowing(spec.name, file)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    # A relative path would count from the new file.
+    write_hand_spec(replace(spec, model=spec.model.absolute()), file, comment=comment)
+    return file
+
+
+def load_hand(
+    hand: str | Path | HandSpec = "mimic_p050",
+    side: str | None = None,
+    *,
+    fingers: FingerChoice | None = None,
+) -> Hand:
+    """Load a robot hand.
+
+    Args:
+        hand: name of a built-in hand or of one in the user's folder; the path of a spec file (a
+            text that ends in ``.toml`` is one); or a description of your own.
+        side: ``right`` or ``left``. Of a name it is ``right`` if left out. A spec file brings its
+            own side, and is mirrored if the other is asked for; a description keeps its own.
+        fingers: to drive fewer fingers, or by other human fingers; see
+            :func:`smooth_operator.hands.selection.select_fingers`.
+
+    Raises:
+        UnknownNameError: if there is no hand of that name, or it has no such finger.
+        HandModelError: if the description or the model can't be used.
+    """
+    if isinstance(hand, HandSpec):
+        spec = hand
+    elif isinstance(hand, Path) or hand.endswith(".toml"):
+        spec = read_hand_spec(hand)
+        spec = spec if side is None or as_side(side) == spec.side else spec.mirrored
+    else:
+        wanted, entry = as_side(side or "right"), find_hand(hand)
+        if entry.builtin and fingers is None:
+            return _load_builtin(hand, wanted)
+        spec = entry.spec(wanted)
+    return load_hand_spec(spec if fingers is None else select_fingers(spec, fingers))
+
+
+@cache
+def _builtin() -> dict[str, Entry]:
+    return {n: Entry(n, files, builtin=True) for n, files in sorted(find_specs(MODELS).items())}
 
 
 @cache
 def _load_builtin(name: str, side: Side) -> Hand:
-    return load_hand_spec(_CATALOGUE[name](side))
+    return load_hand_spec(_builtin()[name].spec(side))
 
 
-def load_hand(hand: str | HandSpec = "mimic_p050", side: str = "right") -> Hand:
-    """Load a robot hand.
-
-    Args:
-        hand: name of a built-in hand, or a description of your own.
-        side: ``right`` or ``left``; a description brings its own side.
-
-    Raises:
-        UnknownNameError: if there is no built-in hand of that name.
-        HandModelError: if the model can't be used.
-    """
-    if isinstance(hand, HandSpec):
-        return load_hand_spec(hand)
-    if hand not in _CATALOGUE:
-        raise UnknownNameError("hand", hand, _CATALOGUE)
-    return _load_builtin(hand, as_side(side))
+def _shadowing(name: str, file: Path) -> HandModelError:
+    return HandModelError(
+        f"{name!r} is a built-in hand, so {os.fspath(file)} can't describe another of that name; "
+        "give your hand a name of its own, in the file and as the file's name"
+    )

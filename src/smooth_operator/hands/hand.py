@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
-from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.loading import Coupling, driven_joints, load_model
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 
@@ -183,12 +183,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
 
 def _driven(model: mujoco.MjModel) -> set[int]:
     """Joints with an actuator; all joints of a model without actuators, as URDFs are."""
-    driven = {
-        int(model.actuator_trnid[i, 0])
-        for i in range(model.nu)
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-    }
-    return driven or set(range(model.njnt))
+    return driven_joints(model) or set(range(model.njnt))
 
 
 def _expansion(

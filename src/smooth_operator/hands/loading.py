@@ -56,8 +56,15 @@ def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tup
         if not _is_missing_asset(error):
             raise HandModelError(f"MuJoCo can't compile {path}: {error}") from error
         model = _without_meshes(path, mirror)
-    declared = _urdf_mimics(root, path) if root.tag == "robot" else _equalities(model)
-    return model, declared
+    if root.tag == "robot":
+        return model, _urdf_mimics(root, path)
+    equalities = _equalities(model)
+    return model, (*equalities, *_tendons(model, {coupling.joint for coupling in equalities}))
+
+
+def driven_joints(model: mujoco.MjModel) -> set[int]:
+    """Joints that an actuator moves: by itself, or as the first joint of a fixed tendon."""
+    return _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
 
 
 def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
@@ -115,11 +122,7 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
 
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
     """Joint equalities: q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...; the unactuated joint follows."""
-    actuated = {
-        int(model.actuator_trnid[i, 0])
-        for i in range(model.nu)
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-    }
+    actuated = _actuated(model)
     couplings = []
     for i in range(model.neq):
         if model.eq_type[i] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[i]:
@@ -139,6 +142,56 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
         else:
             couplings.append(Coupling(names[0], names[1], c1, offset))
     return tuple(couplings)
+
+
+def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]:
+    """One actuator on a fixed tendon of length sum c_i q_i moves several joints: the first leads.
+
+    How the joints share the tendon's travel is up to springs and friction. Where these are alike
+    the tendon's pull c_i f bends each joint by its share, q_i ~ c_i: so joints of equal c turn by
+    equal angles, and the whole range of the actuator is used within the limits of each.
+    """
+    couplings = []
+    for joints, shares in _driven_tendons(model):
+        lead = model.joint(joints[0]).name
+        for joint, share in zip(joints[1:], shares[1:], strict=True):
+            if (name := model.joint(joint).name) not in followers:
+                couplings.append(Coupling(name, lead, share / shares[0], 0.0))
+    return tuple(couplings)
+
+
+def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]]:
+    """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first.
+
+    Joints with an actuator of their own, or on an earlier tendon, are left out: this one does not
+    lead them.
+    """
+    taken, tendons = _actuated(model), []
+    for i in range(model.nu):
+        if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_TENDON:
+            continue
+        tendon = int(model.actuator_trnid[i, 0])
+        wraps = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+        if any(model.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
+            continue  # a tendon through space is no linear coupling
+        moved = sorted(
+            (int(model.wrap_objid[w]), float(model.wrap_prm[w]))
+            for w in wraps
+            if model.wrap_prm[w] and int(model.wrap_objid[w]) not in taken
+        )
+        taken |= {joint for joint, _ in moved}
+        if moved:
+            tendons.append(([joint for joint, _ in moved], [share for _, share in moved]))
+    return tendons
+
+
+def _actuated(model: mujoco.MjModel) -> set[int]:
+    """Joints with an actuator of their own."""
+    return {
+        int(model.actuator_trnid[i, 0])
+        for i in range(model.nu)
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    }
 
 
 def mirror_spec(spec: mujoco.MjSpec) -> None:

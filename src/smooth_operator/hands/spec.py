@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from smooth_operator.errors import HandModelError
@@ -106,6 +106,7 @@ class HandSpec:
         mirror: whether the file holds the other side and is to be mirrored on loading.
         joint_map: how joints follow human joint angles, for methods that go by them. Joints without
             a row are measured on the hand, which needs all four points of their finger.
+        source: where the figures come from, in words.
     """
 
     name: str
@@ -118,6 +119,14 @@ class HandSpec:
     neutral: Mapping[str, float] = field(default_factory=dict)
     mirror: bool = False
     joint_map: tuple[JointMap, ...] = ()
+    source: str = ""
+
+    @property
+    def mirrored(self) -> HandSpec:
+        """The other hand, as this one's mirror image: equal joint positions, mirrored poses."""
+        return replace(
+            self, side="left" if self.side == "right" else "right", mirror=not self.mirror
+        )
 
     def __post_init__(self) -> None:
         names = [finger.name for finger in self.fingers]

@@ -81,19 +81,23 @@ def slsqp_minimise(
     """
     low, high = limits[:, 0], limits[:, 1]
     best = np.clip(np.asarray(start, np.float64), low, high)
-    lowest, evaluations = np.inf, 0
+    lowest, evaluations = math.inf, 0
+    last_x, last = b"", np.empty(0)
 
     def evaluate(x: np.ndarray, gradient: np.ndarray) -> float:
-        nonlocal best, lowest, evaluations
-        evaluations += 1
-        both = objective(x)
-        value = float(both[0])
-        if not math.isfinite(both.sum()):  # one number tells of them all
-            raise nlopt.ForcedStop("the objective is not finite")
+        nonlocal best, lowest, evaluations, last_x, last
+        # A line search asks for the value, and then for the gradient at the same point.
+        here = x.tobytes()
+        if here != last_x:
+            evaluations += 1
+            last_x, last = here, objective(x)
+            if not math.isfinite(last.sum()):  # one number tells of them all
+                raise nlopt.ForcedStop("the objective is not finite")
+        value = float(last[0])
         if value < lowest:
             best, lowest = x.copy(), value
         if gradient.size:
-            gradient[:] = both[1:]
+            gradient[:] = last[1:]
         return value
 
     solver = nlopt.opt(nlopt.LD_SLSQP, len(best))
@@ -117,4 +121,4 @@ def slsqp_minimise(
         elif code == nlopt.MAXTIME_REACHED:
             stopped_by = "time"
     best = np.clip(best, low, high)  # NLopt may round over a bound
-    return SlsqpResult(best, lowest if np.isfinite(lowest) else np.nan, evaluations, stopped_by)
+    return SlsqpResult(best, lowest if math.isfinite(lowest) else math.nan, evaluations, stopped_by)

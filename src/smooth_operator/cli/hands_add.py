@@ -1,0 +1,192 @@
+"""``smooth-operator hands add``: from any model to a spec file, with a checklist."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Final
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.cli.hands_add_options import Add
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.hands.catalogue import catalogue, save_hand
+from smooth_operator.hands.discovery import Discovery, Overrules, discover
+from smooth_operator.hands.discovery.findings import SURE, UNSURE
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.spec import HandSpec, Point
+from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
+from smooth_operator.hands.user_folder import spec_name, user_hands_folder
+
+_WIDTH_OF_A_FILE: Final = 160
+
+
+def add_hand(options: Add) -> None:
+    """Analyses a model, prints what was found, writes the spec file, opens the page.
+
+    Raises:
+        HandModelError: the file can't be used, or holds no hand.
+        UnknownNameError: an option names a body that is not there.
+        ConfigError: an option can't be understood, or a hand of that name exists.
+        OutputError: the spec file can't be written.
+    """
+    if options.name is not None:
+        check_hand_name(options.name)
+    found = discover(
+        options.model, side=options.side, name=options.name, overrules=_overrules(options)
+    )
+    found = replace(found, spec=_named(found.spec, options), notes=(*found.notes, *_trial(found)))
+    file = user_hands_folder() / spec_name(found.spec.name, found.spec.side)
+    if not options.overwrite and file.exists() and not _same(file, found.spec):
+        raise ConfigError(
+            f"there is a {found.spec.side} hand {found.spec.name!r} already, in {file}: "
+            "--overwrite replaces it, --name gives another name"
+        )
+    save_hand(found.spec, comment=_comment(found))
+    if options.json:
+        print(json.dumps(found.to_json() | {"file": str(file)}, indent=2))
+        return
+    _print(found, file)
+    if not options.no_view:
+        from smooth_operator.cli.hands_options import Show
+        from smooth_operator.cli.hands_show import show_hand
+
+        show_hand(
+            Show(
+                hand=str(file),
+                debug=options.debug,
+                host=options.host,
+                port=options.port,
+                no_browser=options.no_browser,
+            )
+        )
+
+
+def _overrules(options: Add) -> Overrules:
+    fingers = tuple(_pair(text, "--finger", "FINGER=BODY") for text in options.finger)
+    tips = []
+    for text in options.tip:
+        finger, place = _pair(text, "--tip", "FINGER=BODY:x,y,z")
+        tips.append((finger, _point(place, f"--tip {text}")))
+    wrist = None if options.wrist is None else _point(options.wrist, f"--wrist {options.wrist}")
+    return Overrules(
+        palm=options.palm, thumb=options.thumb, fingers=fingers, tips=tuple(tips), wrist=wrist
+    )
+
+
+def _pair(text: str, option: str, form: str) -> tuple[str, str]:
+    name, sign, rest = text.partition("=")
+    if not (name and sign and rest):
+        raise ConfigError(f"{option} {text}: expected {form}, such as index=link_3")
+    return name, rest
+
+
+def _point(text: str, option: str) -> Point:
+    # a body's name may hold a colon, numbers never do
+    body, sign, numbers = text.rpartition(":")
+    if not sign:
+        return Point(text)
+    try:
+        x, y, z = (float(number) for number in numbers.split(","))
+    except ValueError:
+        raise ConfigError(
+            f"{option}: expected BODY:x,y,z with three numbers in metres, not {numbers!r}"
+        ) from None
+    if not body or max(abs(x), abs(y), abs(z)) > 1:
+        raise ConfigError(f"{option}: expected BODY:x,y,z in metres, less than one from the body")
+    return Point(body, (x, y, z))
+
+
+def _named(spec: HandSpec, options: Add) -> HandSpec:
+    """A free name, unless one was given: what is there already is never replaced unasked."""
+    if options.name is not None:
+        return spec
+    builtin = {entry.name for entry in catalogue().values() if entry.builtin}
+    base = f"my_{spec.name}" if spec.name in builtin else spec.name
+
+    def candidates() -> Iterator[str]:
+        yield base
+        yield from (f"{base}_{k}" for k in count(2))
+
+    for name in candidates():
+        file = user_hands_folder() / spec_name(name, spec.side)
+        named = replace(spec, name=name)
+        if options.overwrite or not file.exists() or _same(file, named):
+            return named
+    raise AssertionError  # there are names without end
+
+
+def _same(file: Path, spec: HandSpec) -> bool:
+    """Whether a spec file says the same, so that nothing is lost by writing it again."""
+    try:
+        return read_hand_spec(file) == spec
+    except SmoothOperatorError:
+        return False
+
+
+def _trial(found: Discovery) -> tuple[str, ...]:
+    """Loads the hand once, to say early what would stop it later."""
+    try:
+        load_hand_spec(found.spec)
+    except SmoothOperatorError as error:
+        return (f"the spec file is written, but can't be loaded yet: {error}",)
+    return ()
+
+
+def _comment(found: Discovery) -> str:
+    lines = ["Written by smooth-operator hands add. What was found, and how sure (0 to 1):"]
+    for finding in found.findings:
+        lines.append(f"{finding.confidence:.2f}  {finding.subject}: {finding.value}")
+        lines += [f"        {reason}" for reason in finding.evidence]
+    return "\n".join([*lines, *(f"Note: {note}" for note in found.notes), ""])
+
+
+def _print(found: Discovery, file: Path) -> None:
+    console = Console(highlight=False)
+    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
+        console.width = _WIDTH_OF_A_FILE
+    table = Table(
+        title=f"{found.spec.name}, from {found.spec.model}",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for header in ("", "what", "found", "sure", "because"):
+        table.add_column(header, no_wrap=header in ("", "what", "sure"))
+    for finding in found.findings:
+        mark, style = _mark(finding.confidence)
+        table.add_row(
+            Text(mark, style),
+            finding.subject,
+            Text(finding.value),
+            f"{finding.confidence:.2f}",
+            Text("; ".join(finding.evidence)),
+        )
+    console.print(table)
+
+    def say(text: str) -> None:
+        console.print(text, markup=False, soft_wrap=True)
+
+    for note in found.notes:
+        say(f"Note: {note}")
+    if found.unsure:
+        say("Please look at what is marked ? or !, least sure first. To overrule it, add:")
+        for finding in found.unsure:
+            say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
+    else:
+        say("All of it is sure. To overrule any of it: --side, --palm, --thumb, --finger, --tip")
+    say(f"Written to {file}: edit it, or use it with --hand {found.spec.name}")
+    sys.stdout.flush()
+
+
+def _mark(confidence: float) -> tuple[str, str]:
+    if confidence >= SURE:
+        return "✓", "green"
+    return ("?", "yellow") if confidence >= UNSURE else ("!", "red")

@@ -1,0 +1,125 @@
+"""Options of ``smooth-operator hands`` and of its subcommands.
+
+A further subcommand, say ``check``: write its options as a dataclass like :class:`Show` below (in
+``hands_check_options.py``) and its work in ``hands_check.py``, then add one line to :data:`What`.
+The group itself is one line in ``cli/options.py``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, TypeAlias
+
+from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
+
+from smooth_operator.cli.common_options import Common, HandSide, Page
+from smooth_operator.cli.hands_add_options import Add
+
+
+@dataclass(frozen=True, kw_only=True)
+class List(Common):
+    """The hands that can be named: the built-in ones and your own."""
+
+    details: ClassVar[str] = """Your own are spec files NAME.right.toml and NAME.left.toml in the
+folder that is named below the table (SMOOTH_OPERATOR_HANDS names another)."""
+
+    json: bool = False
+    """One JSON object on standard output instead of the table."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.hands import list_hands
+
+        list_hands(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OneHand(Common):
+    """Options of the subcommands about one hand."""
+
+    hand: Annotated[Positional[str], arg(metavar="NAME")]
+    """Name of a hand, or path of a spec file (.toml)."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Which hand; right, or as the spec file says, if left out."""
+
+    model: Annotated[Path | None, arg(metavar="PATH")] = None
+    """Your copy of the vendor's MJCF or URDF, with its meshes, to be drawn in place of our simple
+    shapes. It must have the hand's joints, by their names."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show(_OneHand, Page):
+    """Joints, limits and couplings of a hand, and the hand in the browser with a slider a joint."""
+
+    details: ClassVar[str] = """Examples:
+  smooth-operator hands show shadow_hand
+  smooth-operator hands show ability_hand --side left --no-view
+  smooth-operator hands show my-hand.right.toml --json"""
+
+    no_view: bool = False
+    """Print the tables, serve no page."""
+
+    json: bool = False
+    """One JSON object on standard output, and no page."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.hands_show import show_hand
+
+        show_hand(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(_OneHand):
+    """A picture of a hand: shape, landmarks, palm frame, joint ranges. Needs no display."""
+
+    details: ClassVar[str] = """Example:
+  smooth-operator hands render leap_hand --output leap.png"""
+
+    output: Annotated[Path | None, arg(metavar="PNG")] = None
+    """The picture; NAME_SIDE.png in the current folder if left out."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.hands_show import render_hand
+
+        render_hand(self)
+
+
+def _described(kind: type[List | Show | Render | Add]) -> str:
+    return f"{kind.__doc__}\n\n{kind.details}"
+
+
+What: TypeAlias = (
+    Annotated[List, subcommand("list", description=_described(List))]
+    | Annotated[Show, subcommand("show", description=_described(Show))]
+    | Annotated[Render, subcommand("render", description=_described(Render))]
+    | Annotated[Add, subcommand("add", description=_described(Add))]
+)
+"""The subcommands of the group."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hands:
+    """The robot hands: list them, show one, draw one."""
+
+    details: ClassVar[str] = """Examples:
+  smooth-operator hands list
+  smooth-operator hands show shadow_hand
+  smooth-operator hands render leap_hand --side left --output leap.png
+
+Each has its own help: smooth-operator hands show --help"""
+
+    what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
+    """What to do."""
+
+    @property
+    def debug(self) -> bool:
+        """Whether an error shows its traceback."""
+        return self.what.debug
+
+    def run(self) -> None:
+        """Runs the subcommand."""
+        self.what.run()

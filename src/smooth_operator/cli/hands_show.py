@@ -1,0 +1,155 @@
+"""``smooth-operator hands show`` and ``render``: one hand, in words, on a page, as a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.cli.hands_options import Render, Show
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.published import on_model
+from smooth_operator.hands.spec import Point
+from smooth_operator.hands.spec_file import POINTS
+
+_WIDTH_OF_A_FILE: Final = 120
+
+
+def show_hand(options: Show) -> None:
+    """Prints a hand's tables and serves its page until Ctrl-C.
+
+    Raises:
+        UnknownNameError: there is no such hand.
+        HandModelError: it can't be used.
+        ConfigError: the page can't be served there.
+    """
+    hand = _hand(options)
+    if options.json:
+        print(json.dumps(describe(hand)))
+        return
+    _print_tables(hand)
+    if not options.no_view:
+        from smooth_operator.ui.hand_page import serve_hand
+
+        serve_hand(hand, host=options.host, port=options.port, open_browser=not options.no_browser)
+
+
+def render_hand(options: Render) -> None:
+    """Writes a picture of a hand.
+
+    Raises:
+        UnknownNameError: there is no such hand.
+        HandModelError: it can't be used.
+        OutputError: the picture can't be written.
+    """
+    from smooth_operator.ui.hand_picture import save_hand_picture
+
+    hand = _hand(options)
+    output = options.output or Path(f"{hand.name}_{hand.spec.side}.png")
+    save_hand_picture(hand, output)
+    print(output)
+
+
+def describe(hand: Hand) -> dict[str, Any]:
+    """A hand as plain values, for ``--json``."""
+    from smooth_operator.ui.hand_view import joint_rows
+
+    spec, followed = hand.spec, {c.joint: c for c in hand.couplings}
+    joints = []
+    for row in joint_rows(hand):
+        joint: dict[str, Any] = {
+            "name": row.name,
+            "limits": [row.low, row.high] if np.isfinite([row.low, row.high]).all() else None,
+            "neutral": row.neutral,
+            "actuated": row.actuated,
+        }
+        if (coupling := followed.get(row.name)) is not None:
+            joint |= {
+                "follows": coupling.follows,
+                "multiplier": coupling.multiplier,
+                "offset": coupling.offset,
+            }
+        joints.append(joint)
+    return {
+        "name": hand.name,
+        "side": spec.side,
+        "mirrored": spec.mirror,
+        "source": spec.source,
+        "model": str(spec.model),
+        "palm": spec.palm,
+        "wrist": _point(spec.wrist),
+        "align": list(spec.align),
+        "fingers": {
+            finger.name: {
+                name: _point(point)
+                for name, point in zip(POINTS[finger.name], finger.points, strict=True)
+                if point is not None
+            }
+            for finger in spec.fingers
+        },
+        "joints": joints,
+        "actuated": list(hand.actuated_names),
+        "landmarks_m": dict(
+            zip(hand.tree.names, hand.landmark_positions(hand.neutral).tolist(), strict=True)
+        ),
+    }
+
+
+def _hand(options: Show | Render) -> Hand:
+    hand = load_hand(options.hand, options.side)
+    return hand if options.model is None else on_model(hand, options.model)
+
+
+def _point(point: Point) -> dict[str, Any]:
+    return {"body": point.body, "offset_m": list(point.offset)}
+
+
+def _print_tables(hand: Hand) -> None:
+    from smooth_operator.ui.hand_view import joint_rows
+
+    spec = hand.spec
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDTH_OF_A_FILE
+
+    def say(text: str) -> None:
+        console.print(text, markup=False, soft_wrap=True)
+
+    mirrored = ", the mirror image of the published hand" if spec.mirror else ""
+    say(f"{hand.name}: {spec.side} hand{mirrored}")
+    if spec.source:
+        say(spec.source)
+    say(
+        f"{len(hand.fingers)} fingers; {len(hand.actuated)} joints actuated of "
+        f"{len(hand.joint_names)}; aligned by {', '.join(spec.align)}"
+    )
+
+    say("\njoints, in the model's own order")
+    joints = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for header in ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "follows"):
+        justify: Literal["left", "right"] = "right" if "[" in header else "left"
+        joints.add_column(Text(header), justify=justify, no_wrap=True)
+    for row in joint_rows(hand):
+        joints.add_row(
+            Text(row.name),
+            f"{row.low:.4f}",
+            f"{row.high:.4f}",
+            f"{row.neutral:.3f}",
+            Text(row.follows),
+        )
+    console.print(joints)
+
+    say("landmarks in the palm frame, neutral pose [mm]")
+    points = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for header in ("landmark", "x", "y", "z"):
+        points.add_column(header, justify="left" if header == "landmark" else "right")
+    for name, at in zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True):
+        points.add_row(name, *(f"{1e3 * value + 0.0:.1f}" for value in at))
+    console.print(points)

@@ -1,0 +1,54 @@
+"""The user's own hands: spec files ``NAME.right.toml`` and ``NAME.left.toml`` in one folder."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.types import Side
+
+SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
+"""Environment variable: another folder for the user's hands."""
+
+
+def user_hands_folder() -> Path:
+    """Where the user's spec files are; it need not exist.
+
+    :data:`SWITCH`, or ``hands`` in this program's folder among the user's settings:
+    ``~/.config/smooth-operator`` (or under ``XDG_CONFIG_HOME``) on Linux, ``~/Library/Application
+    Support/smooth-operator`` on macOS, ``%APPDATA%\\smooth-operator`` on Windows.
+    """
+    wanted = os.environ.get(SWITCH, "").strip()
+    if wanted:
+        return Path(wanted).expanduser()
+    home = Path.home()
+    if sys.platform == "win32":
+        base = Path(os.environ.get("APPDATA") or home / "AppData" / "Roaming")
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Application Support"
+    else:
+        base = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+    return base / "smooth-operator" / "hands"
+
+
+def spec_name(name: str, side: Side) -> str:
+    """File name of a hand's spec: ``NAME.SIDE.toml``."""
+    return f"{name}.{side}.toml"
+
+
+def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
+    """The spec files of a folder, by name and side; empty where there is no such folder."""
+    found: dict[str, dict[Side, Path]] = {}
+    sides: tuple[Side, ...] = ("right", "left")
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError:
+        return found
+    for file in names:
+        for side in sides:
+            name = file.removesuffix(f".{side}.toml")
+            if name and name != file:
+                found.setdefault(name, {})[side] = folder / file
+    return found

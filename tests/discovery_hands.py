@@ -1,0 +1,282 @@
+"""Random robot hands whose names say nothing, with what is true of each, as URDF or MJCF text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+Vector = np.ndarray
+
+
+@dataclass(frozen=True)
+class Part:
+    """One body: where it is in its parent, and the joint between them."""
+
+    name: str
+    parent: str | None
+    position: Vector
+    rotation: Vector = field(default_factory=lambda: np.eye(3))
+    axis: Vector | None = None
+    joint: str = ""
+    limits: tuple[float, float] = (0.0, 1.0)
+    slide: bool = False
+    end: Vector | None = None  # a capsule from the origin to here
+    radius: float = 0.006
+    mimic: tuple[str, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is to be found.
+
+    ``tips`` are last bodies and points in their frames, thumb first, then from the thumb's side.
+    """
+
+    side: str
+    palm: str
+    tips: tuple[tuple[str, Vector], ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    parts: tuple[Part, ...]
+    truth: Truth
+
+
+def make_hand(
+    seed: int,
+    *,
+    fingers: int = 5,
+    side: str = "right",
+    joints: int = 3,
+    spread: bool = True,
+    tip_links: bool = False,
+    shapes: bool = True,
+    arm: int = 0,
+    coupled: bool = False,
+    turned: bool = True,
+    prefix: str = "",
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Model:
+    """A hand of random proportions.
+
+    Drawn up as a right hand with fingers along z, palm to -y, thumb at +x, then mirrored if need
+    be, every frame turned at random, and names shuffled.
+    """
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(0.7, 1.5)
+    count = fingers - 1
+    parts: list[Part] = [Part("palm", None, np.zeros(3), end=np.array([0, 0, 0.07]) * size,
+                              radius=0.02 * size)]  # fmt: skip
+    tips: list[tuple[str, Vector]] = []
+    label = iter(range(1000))
+
+    def chain(base: Vector, steps: list[tuple[Vector, float, Vector, float]], last: Vector) -> None:
+        """Steps: (offset, reserved, axis, range); the last link ends at ``last``."""
+        parent, offset = "palm", base
+        leader = ""
+        for k, (following, low, axis, high) in enumerate(steps):
+            name, joint = f"b{next(label)}", f"j{next(label)}"
+            axis = axis + rng.normal(0, 0.04, 3)
+            axis = axis / np.linalg.norm(axis)
+            final = k == len(steps) - 1
+            mimic = None
+            if coupled and final and leader:
+                mimic = (leader, 0.9, 0.05)
+            end = last if final else following
+            drawn = end if np.linalg.norm(end) > 0.004 else None
+            parts.append(Part(name, parent, offset, axis=axis, joint=joint, limits=(low, high),
+                              end=drawn, mimic=mimic))  # fmt: skip
+            parent, offset, leader = name, following, joint
+        tips.append((parent, last))
+
+    # thumb: turns about the length of the hand, then bends in a plane of its own
+    length = 0.045 * size
+    out = np.array([0.8, 0.0, 0.6])
+    inward = np.array([0.0, -1.0, 0.0])
+    bends = [(out * length * s, -0.1, inward, 1.3) for s in (1.0, 0.8)[: max(joints - 1, 1)]]
+    chain(
+        np.array([0.028, -0.012, 0.02]) * size,
+        [(out * 0.012 * size, -0.2, np.array([0.0, 0.0, -1.0]), 1.7), *bends],
+        out * length * 0.7,
+    )
+    for k in range(count):
+        across = 0.0 if count == 1 else 1 - 2 * k / (count - 1)
+        width = 0.009 * (count - 1)
+        base = np.array([across * width, 0.0, 0.085 - 0.008 * across**2]) * size
+        scale = size * rng.uniform(0.85, 1.1)
+        along = np.array([-0.0 + 0.08 * across, 0.0, 1.0])
+        segments = (0.042, 0.028, 0.022)[:joints]
+        steps = [(along * s * scale, -0.1, np.array([1.0, 0.0, 0.0]), 1.6) for s in segments]
+        if spread:
+            steps.insert(0, (np.zeros(3), -0.3, np.array([0.0, 1.0, 0.0]), 0.3))
+        chain(base, steps, along * segments[-1] * scale * 0.95)
+
+    body = {p.name: p for p in parts}
+    if side == "left":
+        body = {name: _mirrored(p) for name, p in body.items()}
+        tips = [(name, tip * (-1, 1, 1)) for name, tip in tips]
+    body = {name: _flipped(p) if p.axis is not None and rng.random() < 0.5 else p
+            for name, p in body.items()}  # fmt: skip
+    for name, p in list(body.items()):  # a flipped leader turns its followers' gain round
+        if p.mimic is not None:
+            leader = next(q for q in body.values() if q.joint == p.mimic[0])
+            original = next(q for q in parts if q.joint == p.mimic[0])
+            own = next(q for q in parts if q.name == name)
+            sign = 1 if (leader.limits == original.limits) == (p.limits == own.limits) else -1
+            shift = 1 if p.limits == own.limits else -1
+            body[name] = replace(p, mimic=(p.mimic[0], p.mimic[1] * sign, p.mimic[2] * shift))
+    if turned:
+        body, tips = _turned(body, tips, rng)
+    if not shapes:
+        body = {name: replace(p, end=None) for name, p in body.items()}
+    ordered = list(body.values())
+    if tip_links:
+        for name, tip in tips:
+            ordered.append(Part(f"{name}_tip", name, tip))
+    top = None
+    first: list[Part] = []
+    for k in range(arm):
+        first.append(Part(f"a{k}", top, np.array([0.0, 0.02, 0.25]),
+                          axis=np.eye(3)[k % 3], joint=f"aj{k}", limits=(-2.5, 2.5),
+                          end=np.array([0.0, 0.0, 0.2]), radius=0.03))  # fmt: skip
+        top = f"a{k}"
+    place = Rotation.from_rotvec(rng.normal(size=3)).as_matrix() if turned else np.eye(3)
+    ordered[0] = replace(ordered[0], parent=top, position=np.array(at), rotation=place)
+    first += ordered
+    fresh = {p.name: prefix + p.name for p in first}
+    renamed = [
+        replace(
+            p,
+            name=fresh[p.name],
+            parent=fresh.get(p.parent or ""),
+            joint=prefix + p.joint if p.joint else "",
+            mimic=(prefix + p.mimic[0], *p.mimic[1:]) if p.mimic else None,
+        )
+        for p in first
+    ]
+    truth = Truth(side, fresh["palm"], tuple((fresh[name], tip) for name, tip in tips))
+    return Model(tuple(renamed), truth)
+
+
+def _mirrored(part: Part) -> Part:
+    flip = np.array([-1.0, 1.0, 1.0])
+    return replace(
+        part,
+        position=part.position * flip,
+        axis=None if part.axis is None else part.axis * (1, -1, -1),
+        end=None if part.end is None else part.end * flip,
+    )
+
+
+def _flipped(part: Part) -> Part:
+    """The same joint, counted the other way round."""
+    assert part.axis is not None
+    low, high = part.limits
+    return replace(part, axis=-part.axis, limits=(-high, -low))
+
+
+def _turned(
+    body: dict[str, Part], tips: list[tuple[str, Vector]], rng: np.random.Generator
+) -> tuple[dict[str, Part], list[tuple[str, Vector]]]:
+    """Every body's own frame turned at random: nothing can be read off an axis of a frame."""
+    turn = {name: Rotation.random(random_state=rng).as_matrix() for name in body}
+    out = {}
+    for name, part in body.items():
+        above = turn[part.parent] if part.parent else np.eye(3)
+        own = turn[name]
+        out[name] = replace(
+            part,
+            position=above.T @ part.position,
+            rotation=above.T @ part.rotation @ own,
+            axis=None if part.axis is None else own.T @ part.axis,
+            end=None if part.end is None else own.T @ part.end,
+        )
+    return out, [(name, turn[name].T @ tip) for name, tip in tips]
+
+
+def urdf(parts: tuple[Part, ...], *, mesh: str = "", inertia: str = "") -> str:
+    """As URDF; ``mesh`` is the file name of a mesh that every link also has."""
+    lines = ['<robot name="r">']
+    roots = [p for p in parts if p.parent is None]
+    if len(roots) > 1 or roots[0].axis is not None:
+        lines.append('<link name="root"/>')
+    for p in parts:
+        lines.append(f'<link name="{p.name}">{inertia}')
+        if p.end is not None:
+            rpy = _along(p.end).as_euler("xyz")
+            half, length = p.end / 2, np.linalg.norm(p.end)
+            lines.append(
+                f'<collision><origin xyz="{_text(half)}" rpy="{_text(rpy)}"/><geometry>'
+                f'<cylinder radius="{p.radius}" length="{length}"/></geometry></collision>'
+            )
+        if mesh:
+            lines.append(f'<collision><geometry><mesh filename="{mesh}"/></geometry></collision>')
+        lines.append("</link>")
+        parent = p.parent or ("root" if len(roots) > 1 or roots[0].axis is not None else None)
+        if parent is None:
+            continue
+        kind = "fixed" if p.axis is None else "prismatic" if p.slide else "revolute"
+        rpy = Rotation.from_matrix(p.rotation).as_euler("xyz")
+        lines.append(
+            f'<joint name="{p.joint or p.name + "_fix"}" type="{kind}"><parent link="{parent}"/>'
+            f'<child link="{p.name}"/><origin xyz="{_text(p.position)}" rpy="{_text(rpy)}"/>'
+        )
+        if p.axis is not None:
+            lines.append(
+                f'<axis xyz="{_text(p.axis)}"/><limit lower="{p.limits[0]}" upper="{p.limits[1]}" '
+                'effort="1" velocity="1"/>'
+            )
+        if p.mimic:
+            leader, gain, offset = p.mimic
+            lines.append(f'<mimic joint="{leader}" multiplier="{gain}" offset="{offset}"/>')
+        lines.append("</joint>")
+    return "\n".join([*lines, "</robot>"])
+
+
+def mjcf(parts: tuple[Part, ...], *, sites: bool = False, tips: Truth | None = None) -> str:
+    """As MJCF, with capsules for shapes."""
+    children: dict[str | None, list[Part]] = {}
+    for p in parts:
+        children.setdefault(p.parent, []).append(p)
+    marks = dict(tips.tips) if sites and tips else {}
+
+    def body(p: Part) -> str:
+        quat = Rotation.from_matrix(p.rotation).as_quat(scalar_first=True)
+        text = f'<body name="{p.name}" pos="{_text(p.position)}" quat="{_text(quat)}">'
+        if p.axis is not None:
+            kind = "slide" if p.slide else "hinge"
+            text += (
+                f'<joint name="{p.joint}" type="{kind}" axis="{_text(p.axis)}" '
+                f'range="{p.limits[0]} {p.limits[1]}"/>'
+            )
+        if p.end is not None:
+            text += f'<geom type="capsule" size="{p.radius}" fromto="0 0 0 {_text(p.end)}"/>'
+        else:
+            text += '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+        if p.name in marks:
+            text += f'<site name="s_{p.name}" pos="{_text(marks[p.name])}"/>'
+        return text + "".join(body(c) for c in children.get(p.name, [])) + "</body>"
+
+    equalities = "".join(
+        f'<joint joint1="{p.joint}" joint2="{p.mimic[0]}" '
+        f'polycoef="{p.mimic[2]} {p.mimic[1]} 0 0 0"/>'
+        for p in parts
+        if p.mimic
+    )
+    return (
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody>'
+        + "".join(body(p) for p in children[None])
+        + f"</worldbody><equality>{equalities}</equality></mujoco>"
+    )
+
+
+def _along(end: Vector) -> Rotation:
+    """A rotation that takes z to a direction."""
+    return Rotation.align_vectors([end / np.linalg.norm(end)], [[0.0, 0.0, 1.0]])[0]
+
+
+def _text(values: Vector) -> str:
+    return " ".join(repr(float(v)) for v in values)

@@ -1,0 +1,401 @@
+"""The hands of the catalogue: right, left, and as published."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from real_hands import REAL, positions
+from trees import limited_poses
+
+from smooth_operator import HandFrame, Retargeter, Status
+from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hands.catalogue import MODELS, catalogue, find_hand, hand_names, load_hand
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.published import on_model
+from smooth_operator.hands.selection import parse_fingers, select_fingers
+from smooth_operator.hands.spec import JointMap
+from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.human.joint_map import joint_map
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.sources.anatomy import couple, draw_anatomy
+from smooth_operator.sources.kinematics import mirror, pose_hand
+from smooth_operator.sources.poses import RELAXED
+
+NAMES = (
+    "ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050", "orca_v2",
+    "schunk_svh", "shadow_dexee", "shadow_hand", "wuji_hand",
+)  # fmt: skip
+HANDS = [(name, side) for name in NAMES for side in ("right", "left")]
+FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
+    "ability_hand": (5, 6, 10), "allegro_hand": (4, 16, 16), "inspire_hand": (5, 6, 12),
+    "leap_hand": (4, 16, 16), "mimic_p050": (5, 16, 20), "orca_v2": (5, 16, 16),
+    "schunk_svh": (5, 9, 20), "shadow_dexee": (3, 12, 12), "shadow_hand": (5, 18, 22),
+    "wuji_hand": (5, 20, 20),
+}  # fmt: skip
+MIRRORED = ("mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
+
+
+@pytest.fixture(autouse=True)
+def no_hands_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
+
+
+def human(side: str) -> np.ndarray:
+    """(21, 3) an average operator's relaxed hand [m]."""
+    poses = pose_hand(draw_anatomy(0.19, 0), couple(RELAXED)[None])
+    return (poses if side == "right" else mirror(poses)).landmarks[0]
+
+
+def test_the_names() -> None:
+    assert hand_names() == NAMES
+    assert all(entry.builtin for entry in catalogue().values())
+    assert tuple(n for n, entry in catalogue().items() if entry.mirrored == ("left",)) == MIRRORED
+
+
+@pytest.mark.parametrize(("name", "side"), HANDS)
+def test_every_hand(name: str, side: str) -> None:
+    hand = load_hand(name, side)
+    assert (hand.name, hand.spec.side) == (name, side)
+    assert hand.spec.mirror == (name in MIRRORED and side == "left")
+    assert hand.spec.source
+    assert hand.fingers == FINGERS[: len(hand.fingers)]
+    assert (len(hand.fingers), len(hand.actuated), len(hand.joint_names)) == FOUND[name]
+    assert hand.actuated_names == tuple(hand.joint_names[i] for i in sorted(hand.actuated))
+
+    low, high = hand.limits.T
+    assert (high - low > 0.2).all()
+    assert (np.abs(hand.limits) < math.pi).all()
+    if name != "mimic_p050":  # the neutral pose of which is as released
+        margin = np.minimum(hand.neutral - low, high - hand.neutral) / (high - low)
+        assert margin.min() > 0.1, dict(zip(hand.actuated_names, margin.round(2), strict=True))
+    every = hand.expand(limited_poses(np.random.default_rng(0), hand.limits, 100))
+    assert (every >= hand.joint_limits[:, 0] - 1e-9).all()
+    assert (every <= hand.joint_limits[:, 1] + 1e-9).all()
+
+
+@pytest.mark.parametrize(("name", "side"), HANDS)
+def test_every_hand_is_shaped_as_a_hand(name: str, side: str) -> None:
+    hand = load_hand(name, side)
+    fit = palm_alignment(human(side)[None], hand)
+    assert fit.condition[0] > 5 * MIN_CONDITION
+    assert 0.6 < fit.scale[0] < 1.6
+    tips = hand.tips(hand.expand(hand.neutral))
+
+    def apart(landmarks: np.ndarray) -> np.ndarray:
+        aligned = palm_alignment(landmarks[None], hand).apply(landmarks[None])[0]
+        return np.linalg.norm(tips - aligned[[LANDMARKS.index(n) for n in hand.tip_names]], axis=1)
+
+    assert apart(human(side)).max() < 0.1
+    # a hand of the other side bends its fingers the other way when it is laid on this palm
+    assert apart(human(side)).mean() < apart(human("left" if side == "right" else "right")).mean()
+    points = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    # knuckles are fixed to the palm, as a human's are: what is aligned does not move
+    q = limited_poses(np.random.default_rng(4), hand.limits, 20)
+    bases = [hand.tree.names.index(LANDMARKS[i]) for i in hand.align_indices]
+    assert np.ptp(hand.landmark_positions(q)[:, bases], axis=0).max() < 1e-6
+    bends = [
+        np.linalg.norm(points[a] - points[b])
+        for finger in hand.fingers
+        for base in (BASES[FINGERS.index(finger)],)
+        for a, b in zip(LANDMARKS[base : base + 3], LANDMARKS[base + 1 : base + 4], strict=True)
+    ]
+    assert min(bends) > 0.008
+    assert max(bends) < 0.09
+
+
+@pytest.mark.parametrize(("name", "side"), HANDS)
+def test_every_joint_has_a_row_in_the_joint_map(name: str, side: str) -> None:
+    hand = load_hand(name, side)
+    rows = joint_map(hand)
+    assert tuple(row.joint for row in rows) == hand.actuated_names
+    still = [row.joint for row in rows if not row.gains]
+    assert not still, still
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tips_are_at_the_end_of_their_fingers(name: str) -> None:
+    """Within 3 mm of the surface of the last link."""
+    hand = load_hand(name)
+    data = mujoco.MjData(hand.model)
+    mujoco.mj_kinematics(hand.model, data)
+    for finger in hand.spec.fingers:
+        body = hand.model.body(finger.tip.body).id
+        tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ np.array(finger.tip.offset)
+        distances = []
+        for geom in np.flatnonzero(hand.model.geom_bodyid == body):
+            local = data.geom_xmat[geom].reshape(3, 3).T @ (tip - data.geom_xpos[geom])
+            radius, half = hand.model.geom_size[geom, :2]
+            local[2] -= np.clip(local[2], -half, half)
+            distances.append(np.linalg.norm(local) - radius)
+        assert abs(min(distances, key=abs)) < 0.003, (finger.name, distances)
+
+
+@pytest.mark.parametrize(("name", "side"), HANDS)
+def test_a_hand_at_rest_is_not_inside_itself(name: str, side: str) -> None:
+    hand = load_hand(name, side)
+    depths = penetration_depths(hand, hand.expand(hand.neutral)[None])
+    assert depths is not None
+    assert depths[0] == 0
+    poses = hand.expand(limited_poses(np.random.default_rng(5), hand.limits, 20))
+    deep = penetration_depths(hand, poses)
+    assert deep is not None
+    assert np.isfinite(deep).all()
+
+
+@pytest.mark.parametrize("name", MIRRORED)
+def test_mirrored_hands_are_mirror_images(name: str) -> None:
+    right, left = load_hand(name, "right"), load_hand(name, "left")
+    assert right.joint_names == left.joint_names
+    np.testing.assert_array_equal(right.limits, left.limits)
+    q = limited_poses(np.random.default_rng(1), right.limits, 100)
+    np.testing.assert_allclose(
+        left.landmark_positions(q), right.landmark_positions(q) * (-1, 1, 1), atol=1e-12
+    )
+
+
+# As published
+
+
+@functools.cache
+def published(file: Path) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
+    return load_model(file)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "side"), REAL)
+def test_landmarks_and_limits_are_the_published_ones(shared: Path, name: str, side: str) -> None:
+    real, hand = REAL[name, side], load_hand(name, side)
+    model, _ = published(shared / real.file)
+    joints = [model.joint(joint).id for joint in hand.joint_names]
+    assert joints == sorted(joints)  # the model's own order
+    others = {model.joint(j).name for j in range(model.njnt)} - set(hand.joint_names)
+    assert others <= {"lh_WRJ1", "lh_WRJ2"}  # the arm's, as the right one is published without
+    np.testing.assert_allclose(hand.joint_limits, model.jnt_range[joints], atol=1e-8)
+
+    q = limited_poses(np.random.default_rng(2), hand.joint_limits, 1000)
+    ours = dict(
+        zip(hand.tree.names, np.moveaxis(np.asarray(hand.tree.positions(q)), 1, 0), strict=True)
+    )
+    points = {"wrist": real.wrist} if real.wrist else {}
+    for finger, four in real.fingers.items():
+        base = BASES[FINGERS.index(finger)]
+        points |= {LANDMARKS[base + i]: p for i, p in enumerate(four) if p is not None}
+    theirs = positions(model, real.palm, list(points.values()), q, joints)
+    neutral = positions(
+        model, real.palm, list(points.values()), hand.expand(hand.neutral)[None], joints
+    )
+    for finger in real.moving:
+        base = list(points).index(LANDMARKS[BASES[FINGERS.index(finger)]])
+        assert np.ptp(theirs[:, base], axis=0).max() > 0.001
+        theirs[:, base] = neutral[0, base]
+    for name_, column in zip(points, np.moveaxis(theirs, 1, 0), strict=True):
+        miss = np.linalg.norm(ours[name_] - column, axis=-1).max()
+        assert miss < 1e-6, (name_, miss)
+    assert set(hand.tree.names) - set(points) <= {"wrist"} | {
+        LANDMARKS[BASES[FINGERS.index(f)] + 2] for f, four in real.fingers.items() if not four[2]
+    }
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "side"), REAL)
+def test_couplings_are_the_published_ones(shared: Path, name: str, side: str) -> None:
+    """Equalities, URDF mimic, and Shadow's tendons."""
+    real, hand = REAL[name, side], load_hand(name, side)
+    _, declared = published(shared / real.file)
+    ours = {c.joint: (c.follows, c.multiplier, c.offset) for c in hand.couplings}
+    theirs = {c.joint: (c.follows, c.multiplier, c.offset) for c in declared}
+    assert set(ours) == set(theirs)
+    for joint, (follows, multiplier, offset) in theirs.items():
+        sign = -1 if joint in real.known else 1
+        assert ours[joint][0] == follows
+        assert ours[joint][1:] == pytest.approx((sign * multiplier, offset), abs=1e-8)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [("shadow_hand", "right"), ("allegro_hand", "left"), ("inspire_hand", "left"),
+     ("schunk_svh", "right"), ("wuji_hand", "right"), ("leap_hand", "right")],
+)  # fmt: skip
+def test_a_description_is_carried_over_to_the_vendors_model(
+    shared: Path, name: str, side: str
+) -> None:
+    hand = load_hand(name, side)
+    there = on_model(hand, shared / REAL[name, side].file)
+    assert there.spec.palm == REAL[name, side].palm
+    assert there.fingers == hand.fingers
+    assert there.actuated_names == hand.actuated_names
+    np.testing.assert_allclose(
+        there.landmark_positions(hand.neutral), hand.landmark_positions(hand.neutral), atol=1e-6
+    )
+
+
+@pytest.mark.shared
+def test_models_of_other_hands_are_refused(shared: Path) -> None:
+    right = load_hand("shadow_hand")
+    with pytest.raises(HandModelError, match=r"lacks the joints rh_FFJ4.*that hand and side"):
+        on_model(right, shared / REAL["shadow_hand", "left"].file)
+    with pytest.raises(HandModelError, match="mirror image"):
+        on_model(load_hand("wuji_hand", "left"), shared / REAL["wuji_hand", "right"].file)
+
+
+def test_a_model_whose_landmarks_lie_elsewhere_is_refused(tmp_path: Path) -> None:
+    text = (MODELS / "ability_hand_right.xml").read_text()
+    longer = tmp_path / "longer.xml"
+    longer.write_text(text.replace('name="index_2" pos="0.0384', 'name="index_2" pos="0.0484'))
+    assert longer.read_text() != text
+    with pytest.raises(HandModelError, match=r"up to 1\d\.\d mm apart"):
+        on_model(load_hand("ability_hand"), longer)
+
+
+# Tendons
+
+
+TENDON = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody><body name="palm"><geom size="0.02"/>
+    <body name="a" pos="0 0 0.1"><joint name="a" range="0 1"/><geom size="0.01"/>
+      <body name="b" pos="0 0 0.1"><joint name="b" range="0 1"/><geom size="0.01"/>
+        <body name="c" pos="0 0 0.1"><joint name="c" range="0 1"/><geom size="0.01"/></body>
+      </body>
+    </body>
+  </body></worldbody>
+  <tendon><fixed name="t"><joint joint="c" coef="0.5"/><joint joint="b" coef="2"/></fixed></tendon>
+  <actuator><position joint="a"/>{actuators}</actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("actuators", "expected"),
+    [
+        ('<position tendon="t"/>', [("c", "b", 0.25)]),  # the first joint of the tendon leads
+        ('<position tendon="t"/><position tendon="t"/>', [("c", "b", 0.25)]),
+        ('<position tendon="t"/><position joint="b"/>', []),  # b is led by its own actuator
+        ("", []),
+    ],
+)
+def test_joints_on_one_tendon(
+    tmp_path: Path, actuators: str, expected: list[tuple[str, str, float]]
+) -> None:
+    path = tmp_path / "tendon.xml"
+    path.write_text(TENDON.format(actuators=actuators))
+    _, couplings = load_model(path)
+    assert [(c.joint, c.follows, c.multiplier) for c in couplings] == expected
+    assert all(c.offset == 0 for c in couplings)
+
+
+def test_shadows_joints_share_their_tendon() -> None:
+    hand = load_hand("shadow_hand")
+    q = limited_poses(np.random.default_rng(3), hand.limits, 10)
+    every = dict(zip(hand.joint_names, hand.expand(q).T, strict=True))
+    for finger in ("FF", "MF", "RF", "LF"):
+        np.testing.assert_array_equal(every[f"rh_{finger}J1"], every[f"rh_{finger}J2"])
+
+
+# Fewer fingers, and others
+
+
+def test_fewer_fingers() -> None:
+    hand = load_hand("shadow_hand", fingers=("thumb", "index", "pinky"))
+    assert hand.fingers == ("thumb", "index", "pinky")
+    assert hand.spec.align == ("thumb", "index", "pinky")
+    assert KeyvectorLayout(hand.fingers).vectors[3:] == ((4, 8), (4, 20), (8, 20))
+    assert len(hand.joint_names) == 22  # the driver still gets them all
+    two = load_hand("shadow_hand", fingers=("thumb", "middle"))
+    assert two.spec.align == ("wrist", "thumb", "middle")
+    assert load_hand("shadow_hand") is load_hand("shadow_hand")  # the whole one is kept
+
+
+def test_another_finger_drives() -> None:
+    spec = find_hand("allegro_hand").spec("right")
+    row = JointMap("rfj1", 0.1, {"ring_mcp": 1.0})
+    lost = JointMap("mfj1", 0.1, {"middle_mcp": 1.0})
+    chosen = select_fingers(
+        replace(spec, joint_map=(row, lost)), {"thumb": "thumb", "ring": "pinky", "index": "index"}
+    )
+    assert [finger.name for finger in chosen.fingers] == ["thumb", "index", "pinky"]
+    assert chosen.fingers[2].points == spec.fingers[3].points
+    assert chosen.align == ("thumb", "index", "pinky")
+    assert chosen.joint_map == (JointMap("rfj1", 0.1, {"pinky_mcp": 1.0}),)
+    hand, whole = load_hand_spec(chosen), load_hand("allegro_hand")
+    at = hand.landmark_positions(hand.neutral)[hand.tree.names.index("pinky_tip")]
+    there = whole.landmark_positions(whole.neutral)[whole.tree.names.index("ring_tip")]
+    np.testing.assert_array_equal(at, there)
+
+
+def test_choices_as_text() -> None:
+    assert parse_fingers("thumb, index,pinky=ring") == {
+        "thumb": "thumb", "index": "index", "pinky": "ring",
+    }  # fmt: skip
+    for text in ("", "thumb,,index", "thumb,index=", "=ring"):
+        with pytest.raises(HandModelError, match="no choice of fingers"):
+            parse_fingers(text)
+    with pytest.raises(HandModelError, match="'index' twice"):
+        parse_fingers("thumb,index,index=ring")
+
+
+@pytest.mark.parametrize(
+    ("fingers", "error", "message"),
+    [
+        (("thumb", "toe"), UnknownNameError, "unknown finger 'toe'"),
+        ({"thumb": "thumb", "index": "toe"}, UnknownNameError, "unknown human finger 'toe'"),
+        (("index", "middle"), HandModelError, "the thumb must be among the fingers"),
+        ({"thumb": "index", "index": "thumb"}, HandModelError, "driven by the human thumb"),
+        (("thumb",), HandModelError, "has 1 fingers"),
+        ({"thumb": "thumb", "index": "ring", "ring": "ring"}, HandModelError, "names a finger tw"),
+    ],
+)
+def test_impossible_choices(fingers: object, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        load_hand("shadow_hand", fingers=fingers)  # type: ignore[arg-type]
+
+
+# In use
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "method"),
+    [("shadow_dexee", "right", "sbr"), ("ability_hand", "left", "joint_angle")],
+)
+def test_a_frame_is_retargeted(name: str, side: str, method: str) -> None:
+    """Three fingers; two joints a finger, on the left."""
+    hand = load_hand(name, side)
+    retargeter = Retargeter(hand, method=method)
+    result = retargeter(HandFrame(human(side), side=side))  # type: ignore[arg-type]
+    assert result.status is Status.OK
+    assert result.command.names == hand.joint_names
+    q = result.command.positions[list(hand.actuated)]
+    assert (q >= hand.limits[:, 0]).all()
+    assert (q <= hand.limits[:, 1]).all()
+    assert np.abs(q - hand.neutral).max() > 0.05
+    np.testing.assert_allclose(hand.expand(q), result.command.positions, atol=1e-12)
+
+
+# The page about hands
+
+
+def test_the_documented_table_is_the_catalogue() -> None:
+    docs = Path(__file__).resolve().parents[1] / "docs"
+    rows = re.findall(
+        r"^\| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \| (\w+) \|",
+        (docs / "hands.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    assert rows == [
+        (name, *map(str, FOUND[name]), "mirrored" if name in MIRRORED else "published")
+        for name in NAMES
+    ]
+    for name in NAMES:
+        assert (docs / "img" / "hands" / f"{name}.png").stat().st_size < 60_000

@@ -1,0 +1,708 @@
+"""A hand is found in any model: by how it is built and moves, not by what it is called."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import tyro
+from discovery_hands import Model, Part, make_hand, mjcf, urdf
+
+from smooth_operator.cli.hands_add_options import Add
+from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.hands.discovery import Discovery, Overrules, discover
+from smooth_operator.hands.discovery.words import fingers_said, side_said, words
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.spec import Point
+from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.types import Side
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+
+
+def write(folder: Path, text: str, name: str = "model.urdf") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def sure(found: Discovery, subject: str) -> float:
+    return next(f.confidence for f in found.findings if f.subject == subject)
+
+
+def because(found: Discovery, subject: str) -> str:
+    return " ".join(next(f.evidence for f in found.findings if f.subject == subject))
+
+
+def tip_errors(found: Discovery, truth: list[tuple[str, np.ndarray]]) -> np.ndarray:
+    """Distances of the tips found from the true ones, thumb first [m]."""
+    model, _ = load_model(found.spec.model)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+
+    def world(body: str, offset: Any) -> np.ndarray:
+        at = data.body(body)
+        return at.xpos + at.xmat.reshape(3, 3) @ np.asarray(offset, float)
+
+    return np.array(
+        [
+            np.linalg.norm(world(f.tip_body, f.tip_offset) - world(body, offset))
+            for f, (body, offset) in zip(found.fingers, truth, strict=True)
+        ]
+    )
+
+
+# Real hands. Of each: side; per finger in order its last joint, and the tip as a body and a point
+# in its frame [m], as read off the files and their meshes; and the couplings.
+
+Z = (0.0, 0.0, 0.0)
+Tips = list[tuple[str, str, tuple[float, float, float]]]
+Real = tuple[Side, Tips, dict[str, tuple[str, float, float]]]
+
+
+def shadow(prefix: str, tips: bool) -> Tips:
+    names = ("th", "ff", "mf", "rf", "lf")
+    if tips:
+        return [(f"{prefix}{f.upper()}J1", f"{prefix}{f}tip", Z) for f in names]
+    length = dict.fromkeys(names, 0.026) | {"th": 0.0275}
+    return [(f"{prefix}{f.upper()}J1", f"{prefix}{f}distal", (0.0, 0.0, length[f])) for f in names]
+
+
+def tendons(prefix: str) -> dict[str, tuple[str, float, float]]:
+    return {f"{prefix}{f}J1": (f"{prefix}{f}J2", 1.0, 0.0) for f in ("FF", "MF", "RF", "LF")}
+
+
+def allegro_urdf(order: tuple[int, ...]) -> Tips:
+    return [(f"joint_{k}.0", f"link_{k}.0_tip", Z) for k in order]
+
+
+def leap(thumb: str = "15") -> Tips:
+    return [
+        (thumb, "thumb_tip_head", Z),
+        ("3", "index_tip_head", Z),
+        ("7", "middle_tip_head", Z),
+        ("11", "ring_tip_head", Z),
+    ]
+
+
+def ability() -> Real:
+    fingers = [(f"{f}_q2", f"{f}_tip", Z) for f in FINGERS]
+    mimic = {f"{f}_q2": (f"{f}_q1", 1.05851325, 0.72349796) for f in FINGERS[1:]}
+    return "right", fingers, mimic
+
+
+def inspire() -> Real:
+    fingers = [
+        ("thumb_distal_joint", "thumb_tip", Z),
+        *((f"{f}_intermediate_joint", f"{f}_tip", Z) for f in FINGERS[1:]),
+    ]
+    mimic = {
+        f"{f}_intermediate_joint": (f"{f}_proximal_joint", 1.06399, -0.04545) for f in FINGERS[1:]
+    }
+    mimic["thumb_intermediate_joint"] = ("thumb_proximal_pitch_joint", 1.334, 0.0)
+    mimic["thumb_distal_joint"] = ("thumb_proximal_pitch_joint", 0.667, 0.0)
+    return "right", fingers, mimic
+
+
+def schunk(side: str) -> Real:
+    p = f"{side}_hand_"
+    fingers = [
+        (f"{p}{joint}", tip, Z)
+        for joint, tip in (
+            ("j4", "thtip"),
+            ("j14", "fftip"),
+            ("j15", "mftip"),
+            ("j16", "rftip"),
+            ("j17", "lftip"),
+        )
+    ]
+    mimic = {
+        "j5": ("Thumb_Opposition", 1.0),
+        "j3": ("Thumb_Flexion", 1.01511),
+        "j4": ("Thumb_Flexion", 1.44889),
+        "j14": ("Index_Finger_Distal", 1.045),
+        "j15": ("Middle_Finger_Distal", 1.0454),
+        "j12": ("Ring_Finger", 1.3588),
+        "j16": ("Ring_Finger", 1.42093),
+        "j13": ("Pinky", 1.3588),
+        "j17": ("Pinky", 1.42307),
+        "index_spread": ("Finger_Spread", 0.5),
+        "ring_spread": ("Finger_Spread", 0.5),
+    }
+    return "right", fingers, {p + a: (p + b, m, 0.0) for a, (b, m) in mimic.items()}
+
+
+def of(side: Side, real: Real) -> Real:
+    return side, real[1], real[2]
+
+
+REAL: dict[str, Real] = {
+    "hands_urdf/ability_hand/ability_hand_right.urdf": ability(),
+    "hands_urdf/ability_hand/ability_hand_left.urdf": of("left", ability()),
+    "hands_urdf/allegro_hand/allegro_hand_right.urdf": ("right", allegro_urdf((15, 3, 7, 11)), {}),
+    "hands_urdf/allegro_hand/allegro_hand_left.urdf": ("left", allegro_urdf((15, 11, 7, 3)), {}),
+    "hands_urdf/inspire_hand/inspire_hand_right.urdf": inspire(),
+    "hands_urdf/inspire_hand/inspire_hand_left.urdf": of("left", inspire()),
+    "hands_urdf/leap_hand/leap_hand_right.urdf": ("right", leap(), {}),
+    "hands_urdf/leap_hand/leap_hand_left.urdf": ("left", leap(), {}),
+    "hands_urdf/schunk_hand/schunk_svh_hand_right.urdf": schunk("right"),
+    "hands_urdf/schunk_hand/schunk_svh_hand_left.urdf": of("left", schunk("left")),
+    "hands_urdf/shadow_hand/shadow_hand_right.urdf": ("right", shadow("", True), {}),
+    "hands_urdf/shadow_hand/shadow_hand_left.urdf": ("left", shadow("", True), {}),
+    "hands_urdf/shadow_hand/bimanual.urdf --side right": ("right", shadow("rh_", True), {}),
+    "hands_urdf/shadow_hand/bimanual.urdf --side left": ("left", shadow("lh_", True), {}),
+    "hands/shadow_hand/right_hand.xml": ("right", shadow("rh_", True), tendons("rh_")),
+    "hands/shadow_hand/left_hand.xml": ("left", shadow("lh_", False), tendons("lh_")),
+    "hands/wonik_allegro_hand/right_hand.xml": (
+        "right",
+        [(f"{f}j3", f"{f}_tip", Z) for f in ("th", "ff", "mf", "rf")],
+        {},
+    ),
+    "hands/wonik_allegro_hand/left_hand.xml": (
+        "left",
+        [
+            ("thj3", "th_distal", (0.0, 0.0, 0.0543)),
+            *((f"{f}j3", f"{f}_distal", (0.0, 0.0, 0.0387)) for f in ("ff", "mf", "rf")),
+        ],
+        {},
+    ),
+    "hands/leap_hand/right_hand.xml": ("right", leap(), {}),
+    "hands/leap_hand/left_hand_kinematics_only.xml": (
+        "left",
+        [
+            ("th_ipl", "th_ds", (0.0, -0.06, -0.015)),
+            *((f"{f}_dip", f"{f}_ds", (0.0, -0.048, 0.015)) for f in ("if", "mf", "rf")),
+        ],
+        {},
+    ),
+    "hands/mimic_p050_hand/right_hand.xml": (
+        "right",
+        [
+            ("thumb_pp2dp_actuated", "thumb_fingertip", Z),
+            *((f"{f}_mp2dp", f"{f}_fingertip", Z) for f in FINGERS[1:]),
+        ],
+        {f"{f}_mp2dp": (f"{f}_pp2mp", 1.0, 0.0) for f in FINGERS[1:]},
+    ),
+    "hands/orca_v2_hand/right_hand_kinematics_only.xml": (
+        "right",
+        [
+            ("right_t-pip", "right_T-DP_b7429e50", (-0.007, 0.0, 0.025)),
+            ("right_i-pip", "right_I-FingerTipAssembly_ec49c16c", (-0.0125, 0.0, 0.035)),
+            ("right_m-pip", "right_M-FingerTipAssembly_34afb748", (-0.0125, 0.0, 0.035)),
+            ("right_r-pip", "right_M-FingerTipAssembly_424a8e75", (-0.0125, 0.0, 0.035)),
+            ("right_p-pip", "right_P-FingerTipAssembly_cd219176", (-0.0125, 0.0, 0.035)),
+        ],
+        {},
+    ),
+    "hands/wuji_hand/right_hand.xml": (
+        "right",
+        [(f"right_finger{k}_joint4", f"right_finger{k}_tip_link", Z) for k in range(1, 6)],
+        {},
+    ),
+    # it has no side of its own; as a right hand, its index is the one at +x
+    "hands/shadow_dexee_hand/shadow_dexee.xml": (
+        "right",
+        [(f"{f}/J3", f"{f}/finger_distal", (0.0, -0.00625, 0.04)) for f in ("F0", "F2", "F1")],
+        {},
+    ),
+}
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("model", REAL)
+def test_a_real_hand_is_read_right(shared: Path, model: str) -> None:
+    side, fingers, coupled = REAL[model]
+    name, _, option = model.partition(" --side ")
+    found = discover(shared / name, side=side if option else None)
+    assert found.spec.side == side
+    assert [f.joints[-1] for f in found.fingers] == [joint for joint, _, _ in fingers]
+    assert [f.name for f in found.fingers] == list(FINGERS[: len(fingers)])
+    errors = tip_errors(found, [(body, np.array(at)) for _, body, at in fingers])
+    assert errors.max() < 0.003, errors
+    seen = {c.coupling.joint: c.coupling for c in found.coupled}
+    assert set(seen) == set(coupled)
+    for joint, (follows, multiplier, offset) in coupled.items():
+        assert seen[joint].follows == follows
+        assert seen[joint].multiplier == pytest.approx(multiplier)
+        assert seen[joint].offset == pytest.approx(offset, abs=1e-9)
+    assert sure(found, "thumb") > 0.9
+    if "dexee" not in model:
+        assert sure(found, "side") > 0.9
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("model", REAL)
+def test_a_real_hand_is_read_right_by_one_who_can_not_read(
+    shared: Path, model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing hangs on a name: without any, thumb, order, side and tips are the same."""
+    from smooth_operator.hands.discovery import landmarks, tips
+
+    module = sys.modules["smooth_operator.hands.discovery.discover"]
+    monkeypatch.setattr(module, "fingers_said", lambda chains: [None] * len(chains))
+    monkeypatch.setattr(module, "side_said", lambda names: None)
+    monkeypatch.setattr(tips, "says_tip", lambda name: False)
+    monkeypatch.setattr(landmarks, "says_wrist", lambda name: False)
+    side, fingers, _ = REAL[model]
+    name, _, option = model.partition(" --side ")
+    found = discover(shared / name, side=side if option else None)
+    assert found.spec.side == side
+    assert [f.joints[-1] for f in found.fingers] == [joint for joint, _, _ in fingers]
+    errors = tip_errors(found, [(body, np.array(at)) for _, body, at in fingers])
+    assert errors.max() < 0.003, errors
+
+
+@pytest.mark.shared
+def test_a_hand_without_a_side_of_its_own_says_so(shared: Path) -> None:
+    path = shared / "hands/shadow_dexee_hand/shadow_dexee.xml"
+    found = discover(path)
+    assert sure(found, "side") < 0.5
+    assert "either" in because(found, "side")
+    left = discover(path, side="left")
+    assert [f.joints[-1] for f in left.fingers] == ["F0/J3", "F1/J3", "F2/J3"]
+    assert sure(left, "side") > 0.9
+
+
+@pytest.mark.shared
+def test_a_coupling_that_the_limits_contradict_is_doubted(shared: Path) -> None:
+    found = discover(shared / "hands_urdf/schunk_hand/schunk_svh_hand_left.urdf")
+    doubted = [f.coupling.joint for f in found.coupled if f.confidence < 0.5]
+    assert doubted == ["left_hand_j5"]
+    assert "sign wrong" in because(found, "coupled")
+
+
+# Hands that nobody has seen.
+
+
+def check(found: Discovery, hand: Model) -> None:
+    truth = hand.truth
+    assert found.spec.palm == truth.palm
+    assert found.spec.side == truth.side
+    last = [body for body, _ in truth.tips]
+    assert [f.tip_body.removesuffix("_tip") for f in found.fingers] == last
+
+
+@pytest.mark.parametrize("fingers", [2, 3, 4, 5])
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_unseen_hand_in_any_frame_by_any_name(
+    tmp_path: Path, seed: int, side: str, fingers: int
+) -> None:
+    hand = make_hand(10 * fingers + seed, fingers=fingers, side=side, joints=2 + seed)
+    found = discover(write(tmp_path, urdf(hand.parts)))
+    check(found, hand)
+    assert tip_errors(found, list(hand.truth.tips)).max() < 1e-3
+    if fingers > 2:
+        assert sure(found, "thumb") > 0.8
+    else:
+        assert sure(found, "thumb") < 0.8  # which of two it is, is a matter of taste
+    loaded = load_hand_spec(found.spec)
+    assert (loaded.neutral >= loaded.limits[:, 0]).all()
+    assert (loaded.neutral <= loaded.limits[:, 1]).all()
+    bent = loaded.landmark_positions(loaded.neutral)
+    straight = loaded.landmark_positions(np.clip(0, *loaded.limits.T))
+    assert np.abs(bent - straight).max() > 5e-3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_neither_arm_nor_format_nor_missing_shapes_matter(tmp_path: Path, seed: int) -> None:
+    hand = make_hand(
+        seed, side="left" if seed % 2 else "right", arm=6, shapes=seed < 2, coupled=True
+    )
+    found = discover(write(tmp_path, mjcf(hand.parts), "model.xml"))
+    check(found, hand)
+    assert len(found.coupled) == 5
+    wanted = {p.joint: p.mimic for p in hand.parts if p.mimic}
+    for c in (f.coupling for f in found.coupled):
+        leader, gain, offset = wanted[c.joint]
+        assert (c.follows, c.multiplier, c.offset) == (
+            leader,
+            pytest.approx(gain),
+            pytest.approx(offset),
+        )
+    assert "lead to it" in because(found, "palm")
+    arm = {p.joint for p in hand.parts if p.joint.startswith("aj")}
+    assert not arm & {j for f in found.fingers for j in f.joints}
+    if seed >= 2:  # nothing marks the tips: guessed, and said to be
+        assert all(sure(found, f"tip of {name}") < 0.5 for name in FINGERS)
+        assert found.unsure[0].subject.startswith("tip of")
+
+
+def test_tip_links_and_sites_are_taken_to_the_micrometre(tmp_path: Path) -> None:
+    linked = make_hand(5, tip_links=True, shapes=False)
+    found = discover(write(tmp_path, urdf(linked.parts)))
+    check(found, linked)
+    assert tip_errors(found, list(linked.truth.tips)).max() < 1e-6
+    assert all(f.tip_body.endswith("_tip") for f in found.fingers)
+    bare = make_hand(5, shapes=True)
+    found = discover(write(tmp_path, mjcf(bare.parts, sites=True, tips=bare.truth), "m.xml"))
+    assert tip_errors(found, list(bare.truth.tips)).max() < 1e-6
+
+
+def test_a_frame_half_way_or_at_the_joint_is_no_tip(tmp_path: Path) -> None:
+    hand = make_hand(6)
+    last, tip = hand.truth.tips[1]
+    parts = (*hand.parts, Part("imu", last, tip * 0.4), Part("origin_tip", last, tip * 0.0))
+    found = discover(write(tmp_path, urdf(parts)))
+    assert tip_errors(found, list(hand.truth.tips)).max() < 1e-3
+    assert found.fingers[1].tip_body == last
+
+
+def test_a_mirrored_hand_is_the_other_one_in_the_same_order(tmp_path: Path) -> None:
+    hands = [make_hand(7, side=side, turned=False) for side in ("right", "left")]
+    found = [discover(write(tmp_path, urdf(hand.parts))) for hand in hands]
+    assert [f.spec.side for f in found] == ["right", "left"]
+    assert [f.joints for f in found[0].fingers] == [f.joints for f in found[1].fingers]
+
+
+@pytest.mark.parametrize(("arm", "fingers"), [(0, 3), (5, 2)])
+def test_of_two_hands_the_side_chooses(tmp_path: Path, arm: int, fingers: int) -> None:
+    hands = {
+        side: make_hand(k, side=side, arm=arm, fingers=fingers, prefix=side[0], at=(0.4 * k, 0, 0))
+        for k, side in enumerate(("right", "left"))
+    }
+    apart = [replace(p, position=p.position + np.array([0.5, 0, 0])) if p.parent is None else p
+             for p in hands["left"].parts]  # fmt: skip
+    path = write(tmp_path, urdf((*hands["right"].parts, *apart)))
+    with pytest.raises(HandModelError, match=r"holds 2 hands .*--side"):
+        discover(path)
+    for side, hand in hands.items():
+        check(discover(path, side="left" if side == "left" else "right"), hand)
+
+
+def test_three_like_fingers_and_a_gripper_are_not_guessed_at(tmp_path: Path) -> None:
+    parts = [Part("base", None, np.zeros(3))]
+    for k in range(3):
+        out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
+        axis = np.array([-out[1], out[0], 0.0])
+        up = np.array([0.0, 0.0, 0.06])
+        parts.append(Part(f"a{k}", "base", 0.05 * out, axis=axis, joint=f"p{k}", end=up,
+                          limits=(-1.3, 0.5)))  # fmt: skip
+        parts.append(Part(f"b{k}", f"a{k}", up, axis=axis, joint=f"q{k}", end=up,
+                          limits=(-1.3, 0.5)))  # fmt: skip
+    found = discover(write(tmp_path, urdf(tuple(parts))))
+    assert sure(found, "side") < 0.5
+    assert sure(found, "thumb") < 0.8
+    claw = [Part("hand", None, np.zeros(3), end=np.array([0.0, 0.0, 0.05]))]
+    for name, sign in (("lf", 1.0), ("rf", -1.0)):
+        claw.append(Part(name, "hand", np.array([0, 0.01 * sign, 0.06]), slide=True, joint=name,
+                         axis=np.array([0.0, sign, 0.0]), limits=(0.0, 0.04),
+                         end=np.array([0.0, 0.0, 0.05])))  # fmt: skip
+    found = discover(write(tmp_path, urdf(tuple(claw))))
+    assert {"side", "thumb"} <= {f.subject for f in found.unsure}
+    assert [f.name for f in found.fingers] == ["thumb", "index"]  # rf is no ring finger here
+    load_hand_spec(found.spec)
+
+
+def test_overruled_findings_are_as_given(tmp_path: Path) -> None:
+    hand = make_hand(8, fingers=4)
+    path = write(tmp_path, urdf(hand.parts))
+    last = [body for body, _ in hand.truth.tips]
+    tip = Point(last[1], (0.0, 0.001, 0.03))
+    found = discover(
+        path,
+        side="left",
+        name="mine",
+        overrules=Overrules(
+            thumb=last[3],
+            fingers=(("pinky", last[2]),),
+            tips=(("middle", Point(last[1], (0.0, 0.0, 0.01))),),
+            wrist=Point("palm", (0.0, 0.0, -0.01)),
+        ),
+    )
+    by_name = {f.name: f for f in found.fingers}
+    assert {"thumb", "middle", "pinky"} < set(by_name)
+    assert by_name["thumb"].tip_body == last[3]
+    assert by_name["pinky"].tip_body == last[2]
+    assert found.spec.side == "left"
+    assert found.spec.name == "mine"
+    assert sure(found, "thumb") == 1.0
+    assert found.spec.wrist.offset == (0.0, 0.0, -0.01)
+    given = discover(path, overrules=Overrules(palm="palm", tips=(("index", tip),)))
+    assert given.spec.fingers[1].tip == tip
+    assert sure(given, "tip of index") == 1.0
+
+
+def test_what_is_given_is_checked(tmp_path: Path) -> None:
+    hand = make_hand(8)
+    path = write(tmp_path, urdf(hand.parts))
+    last = [body for body, _ in hand.truth.tips]
+    with pytest.raises(HandModelError, match="'index' twice"):
+        Overrules(tips=(("index", Point("a")), ("index", Point("b"))))
+    with pytest.raises(HandModelError, match="'toe'"):
+        Overrules(fingers=(("toe", "a"),))
+    with pytest.raises(UnknownNameError, match="nowhere"):
+        discover(path, overrules=Overrules(palm="nowhere"))
+    with pytest.raises(UnknownNameError, match="nothing"):
+        discover(path, overrules=Overrules(thumb="nothing"))
+    with pytest.raises(HandModelError, match="fixed to that finger's"):
+        discover(path, overrules=Overrules(tips=(("index", Point(last[0])),)))
+    with pytest.raises(HandModelError, match="same finger"):
+        discover(path, overrules=Overrules(thumb=last[0], fingers=(("ring", last[0]),)))
+    with pytest.raises(HandModelError, match=r"hang from the palm .*--finger"):
+        discover(path, overrules=Overrules(palm=last[0]))
+    with pytest.raises(ConfigError, match="side"):
+        discover(path, side="up")  # type: ignore[arg-type]
+
+
+# Meshes.
+
+
+def test_meshes_are_found_by_package_paths_and_missed_aloud(tmp_path: Path) -> None:
+    import trimesh
+
+    hand = make_hand(9, shapes=False, turned=False)
+    package = tmp_path / "vendor_hand"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    path = write(
+        package / "urdf", urdf(hand.parts, mesh="package://vendor_hand/meshes/sub/box.stl")
+    )
+    found = discover(path)
+    assert any("meshes could not be read" in note for note in found.notes)
+    assert sure(found, "tip of index") < 0.5
+    (package / "meshes/sub").mkdir()
+    box = trimesh.creation.box(extents=(0.008, 0.008, 0.02))
+    box.apply_translation((0.0, 0.0, 0.01))
+    box.export(package / "meshes/sub/box.stl")
+    found = discover(path)
+    assert not found.notes
+    index = found.fingers[1]
+    assert np.allclose(index.tip_offset, (0.0, 0.0, 0.02), atol=1e-4)
+    assert sure(found, "tip of index") > 0.5
+
+
+def test_inertias_of_no_real_body_do_not_stop_it(tmp_path: Path) -> None:
+    hand = make_hand(4)
+    bad = (
+        '<inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1e-9" iyz="0" '
+        'izz="1e-9"/></inertial>'
+    )
+    check(discover(write(tmp_path, urdf(hand.parts, inertia=bad))), hand)
+
+
+# What is no hand.
+
+
+def wheels(count: int) -> str:
+    body = "".join(
+        f'<body name="w{k}" pos="{0.2 * (k % 2)} {0.2 * (k // 2)} 0"><joint name="w{k}" '
+        'axis="0 1 0"/><geom type="cylinder" size=".05 .01" euler="90 0 0"/></body>'
+        for k in range(count)
+    )
+    return f'<mujoco><worldbody><body name="base"><freejoint/><geom size=".1"/>{body}</body></worldbody></mujoco>'  # fmt: skip  # noqa: E501
+
+
+def legs() -> str:
+    body = "".join(
+        f'<body name="hip{k}" pos="{0.2 * (k % 2)} {0.2 * (k // 2)} 0"><joint name="hip{k}" '
+        'axis="0 1 0" range="-90 90"/><geom size=".03"/><body pos="0 0 -.21"><joint '
+        f'name="knee{k}" axis="0 1 0" range="-150 -40"/><geom type="capsule" size=".02" '
+        'fromto="0 0 0 0 0 -.2"/></body></body>'
+        for k in range(4)
+    )
+    return (
+        '<mujoco><compiler autolimits="true"/><worldbody><body name="trunk"><geom size=".1"/>'
+        f"{body}</body></worldbody></mujoco>"
+    )
+
+
+ARM = (
+    '<mujoco><compiler autolimits="true"/><worldbody><body><joint range="-90 90"/><geom size=".1"/>'
+    '<body pos="0 0 .3"><joint range="-90 90"/><geom size=".1"/></body></body></worldbody></mujoco>'
+)
+STATUE = '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link></robot>'  # fmt: skip  # noqa: E501
+XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="a"/></robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (wheels(4), r"turn without limits \(wheels\?\).*give a model"),
+        (legs(), r"too long for fingers"),
+        (ARM, r"branches nowhere"),
+        (STATUE, r"no joints"),
+        ("<robot><link", r"not well-formed XML.*mend"),
+        ("<html/>", r"starts with <html>.*expected"),
+        (XACRO, r"xacro .* > hand.urdf"),
+    ],
+)
+def test_what_is_no_hand_is_refused_with_what_to_do(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    with pytest.raises(HandModelError, match=message):
+        discover(write(tmp_path, text, "model.xml"))
+
+
+def test_a_broken_hand_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    hand = make_hand(3)
+    text = urdf(hand.parts)
+    joint = hand.parts[2]
+    last = hand.truth.tips[0][0]
+    with pytest.raises(HandModelError, match="no hand model at"):
+        discover(tmp_path / "none.urdf")
+    low, high = joint.limits
+    swapped = text.replace(f'lower="{low}" upper="{high}"', f'lower="{high}" upper="{low}"', 1)
+    with pytest.raises(HandModelError, match=r"reversed.*swap"):
+        discover(write(tmp_path, swapped))
+    xml = mjcf(hand.parts).replace(f'range="{low} {high}"', f'range="{high} {low}"', 1)
+    with pytest.raises(HandModelError, match=r"reversed.*swap"):
+        discover(write(tmp_path, xml, "m.xml"))
+    twice = text.replace("</robot>", f'<link name="{last}"/></robot>')
+    with pytest.raises(HandModelError, match=r"twice.*own name"):
+        discover(write(tmp_path, twice))
+    endless = text.replace(f'lower="{low}" upper="{high}"', "").replace(
+        f'name="{joint.joint}" type="revolute"', f'name="{joint.joint}" type="continuous"'
+    )
+    with pytest.raises(HandModelError, match=r"no limits.*<limit"):
+        discover(write(tmp_path, endless))
+    stranger = text.replace("</robot>", "").replace(
+        f'<joint name="{joint.joint}" type="revolute">',
+        f'<joint name="{joint.joint}" type="revolute"><mimic joint="ghost"/>',
+    )
+    with pytest.raises(HandModelError, match="no joint 'ghost'"):
+        discover(write(tmp_path, stranger + "</robot>"))
+
+
+# Words: weak evidence.
+
+
+def test_words_are_told_apart() -> None:
+    assert words("rightIndexTip_2") == ("right", "index", "tip")
+    assert fingers_said([["ffproximal"], ["thbase"], ["rf_medial"], ["lfj3"]]) == [
+        "index", "thumb", "ring", "pinky",
+    ]  # fmt: skip
+    # said of all, a word tells none from another; initials of two may be left and right
+    assert fingers_said([["a_middle"], ["b_middle"]]) == [None, None]
+    assert fingers_said([["rf"], ["lf"]]) == [None, None]
+    assert side_said(["rh_palm", "rh_ff"]) == "right"
+    assert side_said(["thumb_L1", "index_L2"]) is None
+    assert side_said(["l_thumb"]) == "left"
+
+
+def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path: Path) -> None:
+    hand = make_hand(2, fingers=4, side="left")
+    honest = discover(write(tmp_path, urdf(hand.parts)))
+    first = {f.joints[0] for f in honest.fingers[1:2]}
+    text = urdf(hand.parts)
+    for joint in first:
+        text = text.replace(f'"{joint}"', '"right_thumb_joint"')
+    found = discover(write(tmp_path, text))
+    assert [f.tip_body for f in found.fingers] == [f.tip_body for f in honest.fingers]
+    assert found.spec.side == "left"
+    assert sure(found, "side") < sure(honest, "side")
+    assert "though names" in because(found, "side")
+
+
+# The command.
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "hands"
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(folder))
+    return folder
+
+
+def add(*arguments: str | Path) -> None:
+    tyro.cli(Add, args=[str(a) for a in arguments], config=(tyro.conf.FlagCreatePairsOff,)).run()
+
+
+def test_the_command_writes_a_spec_and_prints_a_checklist(
+    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand = make_hand(1, side="left")
+    path = write(tmp_path, urdf(hand.parts), "gadget_left.urdf")
+    add(path, "--no-view")
+    text = capsys.readouterr().out
+    for word in ("side", "palm", "thumb", "order", "tip of pinky", "wrist", "0.98", "--tip"):
+        assert word in text
+    file = folder / "gadget.left.toml"
+    spec = read_hand_spec(file)
+    assert spec == discover(path).spec
+    assert spec.model == path
+    assert "0.98  side: left" in file.read_text(encoding="utf-8")
+    load_hand_spec(spec)
+
+
+def test_json_is_one_object_and_opens_no_page(
+    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand = make_hand(1, fingers=3, coupled=True)
+    add(write(tmp_path, urdf(hand.parts)), "--json", "--name", "three")
+    told = json.loads(capsys.readouterr().out)
+    assert told["side"] == "right"
+    assert told["palm"] == "palm"
+    assert [f["name"] for f in told["fingers"]] == ["thumb", "index", "middle"]
+    for finger in told["fingers"]:
+        assert set(finger) == {"name", "tip_body", "tip_offset", "joints", "confidence"}
+        assert len(finger["tip_offset"]) == 3
+    assert len(told["coupled"]) == 3
+    assert set(told["coupled"][0]) == {"joint", "follows", "multiplier", "offset", "confidence"}
+    assert {"side", "palm", "thumb", "order"} <= set(told["confidence"])
+    assert told["file"] == str(folder / "three.right.toml")
+
+
+def test_a_hand_of_that_name_is_not_replaced_unasked(
+    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path, urdf(make_hand(1).parts), "gadget.urdf")
+    add(path, "--json")
+    add(path, "--json")  # the same again
+    assert [f.name for f in folder.iterdir()] == ["gadget.right.toml"]
+    write(tmp_path, urdf(make_hand(2).parts), "gadget.urdf")
+    add(path, "--json")
+    assert (folder / "gadget_2.right.toml").is_file()
+    with pytest.raises(ConfigError, match="--overwrite"):
+        add(path, "--json", "--name", "gadget")
+    add(path, "--json", "--name", "gadget", "--overwrite")
+    assert read_hand_spec(folder / "gadget.right.toml").neutral == discover(path).spec.neutral
+    built_in = write(tmp_path, urdf(make_hand(1).parts), "shadow_hand.urdf")
+    add(built_in, "--json")
+    assert (folder / "my_shadow_hand.right.toml").is_file()
+    capsys.readouterr()
+
+
+def test_options_that_make_no_sense_are_said_to(tmp_path: Path, folder: Path) -> None:
+    hand = make_hand(1)
+    path = write(tmp_path, urdf(hand.parts))
+    last = hand.truth.tips[1][0]
+    for option, message in (
+        (("--tip", "index"), "FINGER=BODY:x,y,z"),
+        (("--tip", f"index={last}:1,2"), "three numbers"),
+        (("--tip", f"index={last}:0,0,20"), "metres"),
+        (("--finger", "index"), "FINGER=BODY"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            add(path, "--json", *option)
+    with pytest.raises(HandModelError, match="twice"):
+        add(path, "--json", "--tip", f"index={last}:0,0,0.02", "--tip", f"index={last}:0,0,0.03")
+    with pytest.raises(HandModelError, match="can't be named"):
+        add(path, "--json", "--name", "a/b")
+    assert not folder.exists()
+
+
+def test_the_page_is_opened_unless_told_otherwise(
+    tmp_path: Path,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from smooth_operator.cli import hands_show
+
+    shown: list[Any] = []
+    monkeypatch.setattr(hands_show, "show_hand", shown.append)
+    path = write(tmp_path, urdf(make_hand(1).parts), "gadget.urdf")
+    add(path, "--port", "0", "--no-browser")
+    add(path, "--no-view")
+    assert [(s.hand, s.port, s.no_browser) for s in shown] == [
+        (str(folder / "gadget.right.toml"), 0, True)
+    ]
+    capsys.readouterr()
