@@ -25,8 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the arguments; None for those of the process.
 
     Returns:
-        The exit status: 0 done, 2 the user can mend it (the reason is on standard error), 130
-        stopped by Ctrl-C, 141 nobody reads standard output any more.
+        The exit status: 0 done, 1 done but for some recordings or cells (a folder, a benchmark),
+        2 the user can mend it (the reason is on standard error), 130 stopped by Ctrl-C, 141 nobody
+        reads standard output any more.
 
     Raises:
         SmoothOperatorError: what would have been a message, with ``--debug`` or
