@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -41,8 +42,8 @@ class Retargeter:
     good frame: the neutral pose) with a status that says why, and leaves the state as it was.
 
     Args:
-        hand: name of a built-in hand, a description, or a loaded hand.
-        side: side of a built-in hand.
+        hand: name of a hand, the path of a spec file, a description, or a loaded hand.
+        side: side of a hand given by name, ``right`` if left out; a spec file brings its own.
         method: name of the method.
         preset: name of its preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
@@ -55,9 +56,9 @@ class Retargeter:
 
     def __init__(
         self,
-        hand: str | HandSpec | Hand = "mimic_p050",
+        hand: str | Path | HandSpec | Hand = "mimic_p050",
         *,
-        side: str = "right",
+        side: str | None = None,
         method: str = "sbr",
         preset: str | None = None,
         config: MethodConfig | None = None,
