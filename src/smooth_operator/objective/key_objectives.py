@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import WRIST
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
-from smooth_operator.objective.targets import Targets
+from smooth_operator.objective.targets import Targets, unlatched
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,4 @@ class AkoTargets:
                 jnp.full(fingers, self.w_distal, human.dtype),
             ]
         )
-        if closure is None:
-            closure = latched.astype(human.dtype)
-        return Targets(human.at[pinch].set(scaled), weights, latched, closure)
+        return unlatched(human.at[pinch].set(scaled), weights, latched, closure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,16 +13,16 @@ from smooth_operator.geometry import AnyArray, AnyKind, namespace
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 
 
-class VectorLayout:
+class VectorLayout(ABC):
     """Which vectors between landmarks a target policy speaks of.
 
     Subclasses say :attr:`vectors`; a robot's counterparts of the landmarks have the same names.
     """
 
     @property
+    @abstractmethod
     def vectors(self) -> tuple[tuple[int | None, int], ...]:
         """(K,) (from, to) landmark indices; None is the origin of the palm frame."""
-        raise NotImplementedError
 
     @cached_property
     def landmarks(self) -> tuple[int, ...]:

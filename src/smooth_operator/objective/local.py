@@ -24,15 +24,13 @@ class LocalObjective:
     @cached_property
     def kinematics(self) -> PointKinematics:
         """The moving points that the vectors join, with derivatives."""
-        names = [LANDMARKS[i] for i in self.objective.layout.landmarks]
-        points = self.objective.points
-        moving = tuple(name for name in names if points[name].joint >= 0)
-        return PointKinematics(self.objective.hand.tree, moving)
+        names = tuple(LANDMARKS[i] for i in self.objective.moving)
+        return PointKinematics(self.objective.hand.tree, names)
 
     @cached_property
     def incidence(self) -> Float[np.ndarray, "K P"]:
         """Vectors from the P moving points, but for a constant: v = incidence @ points + ..."""
-        moving = [LANDMARKS.index(name) for name in self.kinematics.names]
+        moving = self.objective.moving
         matrix = np.zeros((len(self.objective.layout.vectors), len(moving)))
         for k, (i, j) in enumerate(self.objective.layout.vectors):
             for landmark, sign in ((j, 1.0), (i, -1.0)):
@@ -91,9 +89,9 @@ class LocalObjective:
 
     def _errors(self, moving: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, "K 3"]:
         layout, known = self.objective.layout, self.objective.points
-        at = {name: moving[p] for p, name in enumerate(self.kinematics.names)}
+        at = {i: moving[p] for p, i in enumerate(self.objective.moving)}
         points = [
-            at[name] if name in at else jnp.asarray(known[name].position, moving.dtype)
-            for name in (LANDMARKS[i] for i in layout.landmarks)
+            at[i] if i in at else jnp.asarray(known[LANDMARKS[i]].position, moving.dtype)
+            for i in layout.landmarks
         ]
         return layout.among(points) - goal.vectors

@@ -96,6 +96,11 @@ class Objective:
         """The robot's counterparts of human landmarks, by name."""
         return self.hand.tree.keypoints
 
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Those of the layout's landmarks whose counterparts a joint moves; others are fixed."""
+        return tuple(i for i in self.layout.landmarks if self.points[LANDMARKS[i]].joint >= 0)
+
     def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
         """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
 
@@ -104,17 +109,18 @@ class Objective:
             goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
         """
-        names = {i: LANDMARKS[i] for i in self.layout.landmarks}
-        moving = [i for i, name in names.items() if self.points[name].joint >= 0]
         walked = self.hand.tree.walk(
-            self.hand.expand_rows(q), [names[i] for i in moving], within_limits=within_limits
+            self.hand.expand_rows(q),
+            [LANDMARKS[i] for i in self.moving],
+            within_limits=within_limits,
         )
         at: dict[int | None, Sequence[Array | float]] = {None: (0.0, 0.0, 0.0)}
-        at |= {i: tuple(map(float, self.points[name].position)) for i, name in names.items()}
-        at |= {i: cast(Sequence[Array], point) for i, point in zip(moving, walked, strict=True)}
+        for i in self.layout.landmarks:
+            at[i] = tuple(map(float, self.points[LANDMARKS[i]].position))
+        at |= {m: cast(Sequence[Array], p) for m, p in zip(self.moving, walked, strict=True)}
         total: Array = jnp.zeros((), q[0].dtype)
-        for k, (i, j) in enumerate(self.layout.vectors):
-            error = [jnp.asarray(at[j][c] - at[i][c]) - goal.vectors[k, c] for c in range(3)]
+        for k, (start, end) in enumerate(self.layout.vectors):
+            error = [jnp.asarray(at[end][c] - at[start][c]) - goal.vectors[k, c] for c in range(3)]
             terms = [self.penalty(e) for e in error]
             total = total + goal.weights[k] * (terms[0] + terms[1] + terms[2])
         return total

@@ -72,10 +72,8 @@ class PlainTargets:
         closure: Float[Array, " P"] | None = None,
     ) -> Targets:
         """Targets of one frame; the latches stay as they are."""
-        if closure is None:
-            closure = latched.astype(human.dtype)
         weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
-        return Targets(human * self.beta, weights.astype(human.dtype), latched, closure)
+        return unlatched(human * self.beta, weights.astype(human.dtype), latched, closure)
 
 
 @dataclass(frozen=True)
@@ -100,9 +98,8 @@ class TipTargets:
         closure: Float[Array, " P"] | None = None,
     ) -> Targets:
         """Targets of one frame; the latches stay as they are."""
-        if closure is None:
-            closure = latched.astype(human.dtype)
-        return Targets(human * self.beta, jnp.ones(len(human), human.dtype), latched, closure)
+        weights = jnp.ones(len(human), human.dtype)
+        return unlatched(human * self.beta, weights, latched, closure)
 
 
 @dataclass(frozen=True)
@@ -185,6 +182,18 @@ class DexPilotTargets:
         vectors = human * free[:, None] + direction * eta[:, None]
         lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
         return Targets(vectors, lambdas.astype(human.dtype), latched, closure)
+
+
+def unlatched(
+    vectors: Float[Array, "K 3"],
+    weights: Float[Array, " K"],
+    latched: Bool[Array, " P"],
+    closure: Float[Array, " P"] | None,
+) -> Targets:
+    """Targets of a policy that latches nothing: its state is handed back as it came."""
+    if closure is None:
+        closure = latched.astype(vectors.dtype)
+    return Targets(vectors, weights, latched, closure)
 
 
 def base_weights(
