@@ -18,8 +18,7 @@ import pytest
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.types import Status
-from smooth_operator.ui import Playback, PlaybackServer, serve
-from smooth_operator.ui import player as player_module
+from smooth_operator.ui import Playback, PlaybackServer, serve, viser_server
 from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.human import _turn_z, lit_tips
 from smooth_operator.ui.layout import FOV, plan, view_axes
@@ -527,12 +526,12 @@ def test_a_single_frame_can_be_shown() -> None:
 
 
 def test_no_browser_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(player_module.sys, "platform", "linux")
+    monkeypatch.setattr(viser_server.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert not player_module._has_desktop()
+    assert not viser_server.has_desktop()
     monkeypatch.setenv("DISPLAY", ":0")
-    assert player_module._has_desktop()
+    assert viser_server.has_desktop()
 
 
 @pytest.mark.shared

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import sys
 import threading
-import webbrowser
 from typing import Any, Final
 
 import numpy as np
@@ -17,8 +16,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.ui.hand_view import HandView, JointRow, joint_rows
 from smooth_operator.ui.palette import PALM, finger_colors, linear
-from smooth_operator.ui.player import _has_desktop, _quiet_viser
-from smooth_operator.ui.ports import free_port
+from smooth_operator.ui.viser_server import close_server, open_page, open_server, page_url
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
 _FRAME: Final = 0.03  # length of the palm frame's axes [m]
@@ -55,9 +53,7 @@ class HandPage:
         """
         if self._server is not None:
             return self
-        port = free_port(self._host, self._wanted_port)
-        with _quiet_viser():
-            self._server = viser.ViserServer(host=self._host, port=port, verbose=False)
+        self._server = open_server(self._host, self._wanted_port)
         atexit.register(self.stop)
         with self._server.atomic():
             self._build_scene(self._server)
@@ -70,8 +66,7 @@ class HandPage:
         atexit.unregister(self.stop)
         server, self._server = self._server, None
         if server is not None:
-            with _quiet_viser():
-                server.stop()
+            close_server(server)
         self._ended.set()
 
     def wait(self) -> None:
@@ -94,9 +89,7 @@ class HandPage:
         """
         if self._server is None:
             raise ConfigError("the page is not being served; call start() first")
-        host = "localhost" if self._host in ("0.0.0.0", "::") else self._host
-        port = int(self._server.get_port())
-        return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+        return page_url(self._host, int(self._server.get_port()))
 
     @property
     def joint_positions(self) -> Float[np.ndarray, " m"]:
@@ -284,8 +277,8 @@ def serve_hand(
     page = HandPage(hand, notes, host=host, port=port).start()
     hint = "; Ctrl-C ends" if block else ""
     print(f"showing {hand.name} at {page.url}{hint}", file=sys.stderr, flush=True)
-    if open_browser and _has_desktop():
-        webbrowser.open(page.url)
+    if open_browser:
+        open_page(page.url)
     if block:
         try:
             page.wait()

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import os
 import sys
 import threading
 import time
-import webbrowser
 from collections.abc import Callable, Iterator
 
-import rich
 import viser
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.panel import SPEEDS, Panel
 from smooth_operator.ui.playback import Playback
-from smooth_operator.ui.ports import free_port
 from smooth_operator.ui.scene import Scene
+from smooth_operator.ui.viser_server import close_server, open_page, open_server, page_url
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
 _TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses
@@ -69,9 +66,7 @@ class PlaybackServer:
         """
         if self._server is not None:
             return self
-        port = free_port(self._host, self._wanted_port)
-        with _quiet_viser():
-            self._server = viser.ViserServer(host=self._host, port=port, verbose=False)
+        self._server = open_server(self._host, self._wanted_port)
         atexit.register(self.stop)
         with self._server.atomic():
             self._scene = Scene(self._server, self.playback)
@@ -94,8 +89,7 @@ class PlaybackServer:
             self._thread = None
         if self._server is not None:
             server, self._server = self._server, None
-            with _quiet_viser():
-                server.stop()
+            close_server(server)
         self._ended.set()
 
     def wait(self) -> None:
@@ -123,8 +117,7 @@ class PlaybackServer:
     @property
     def url(self) -> str:
         """Address of the page."""
-        host = "localhost" if self._host in ("0.0.0.0", "::") else self._host
-        return f"http://[{host}]:{self.port}" if ":" in host else f"http://{host}:{self.port}"
+        return page_url(self._host, self.port)
 
     @property
     def frame(self) -> int:
@@ -313,8 +306,8 @@ def serve(
     taken = "" if port in (0, server.port) else f" (port {port} was taken)"
     hint = "; Ctrl-C ends" if block else ""
     print(f"playing at {server.url}{taken}{hint}", file=sys.stderr, flush=True)
-    if open_browser and _has_desktop():
-        webbrowser.open(server.url)
+    if open_browser:
+        open_page(server.url)
     server.play()
     if block:
         try:
@@ -324,21 +317,3 @@ def serve(
         finally:
             server.stop()
     return server
-
-
-def _has_desktop() -> bool:
-    # without a display, webbrowser starts a text browser that takes over the terminal
-    if sys.platform in ("win32", "darwin"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-@contextlib.contextmanager
-def _quiet_viser() -> Iterator[None]:
-    # viser announces itself on standard output through rich's global console, which is ours
-    console = rich.get_console()
-    before, console.quiet = console.quiet, True
-    try:
-        yield
-    finally:
-        console.quiet = before
