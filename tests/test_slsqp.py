@@ -100,8 +100,26 @@ def test_an_objective_that_is_nowhere_finite_says_so() -> None:
     assert np.isnan(found.value)
 
 
+def test_a_start_that_is_a_minimum_is_looked_at_once() -> None:
+    found = slsqp_minimise(bowl, CENTRE, WIDE, SlsqpConfig(optimality=1e-6))
+    assert (found.stopped_by, found.evaluations) == ("optimality", 1)
+    np.testing.assert_array_equal(found.x, CENTRE)
+
+
+def test_a_gradient_against_a_bound_does_not_count() -> None:
+    limits = np.array([[1.0, 2.0], [-3.0, -2.0], [-1.0, 1.0], [0.25, 3.0]])  # none holds the centre
+    corner = np.array([1.0, -2.0, 1.0, 0.25])
+    config = SlsqpConfig(optimality=1e-6)
+    assert slsqp_minimise(bowl, corner, limits, config).evaluations == 1
+    inside = corner + np.array([0.1, 0, 0, 0])  # one component may still go down
+    found = slsqp_minimise(bowl, inside, limits, config)
+    assert found.evaluations > 1
+    np.testing.assert_allclose(found.x, corner, atol=1e-6)
+
+
 @pytest.mark.parametrize(
-    "bad", [{"tolerance": 0.0}, {"max_evaluations": 0}, {"time_budget_ms": 0.0}]
+    "bad",
+    [{"tolerance": 0.0}, {"max_evaluations": 0}, {"time_budget_ms": 0.0}, {"optimality": -1.0}],
 )
 def test_a_bad_configuration_is_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):

@@ -1,5 +1,9 @@
 """Methods that descend: targets as an objective, solved by SLSQP from a warm start.
 
+Newton steps within the compiled program come first, since the objective's exact Hessian is at hand
+there, and SLSQP has to learn it anew in every frame; then SLSQP looks at what they found, and goes
+on from there unless it is a minimum already.
+
 DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
 weights and starting point only.
 """
@@ -19,10 +23,12 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.retargeters.joint_angle import JointAngleMap
 from smooth_operator.retargeters.method import MethodOutput
 from smooth_operator.retargeters.program import compiled
+from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 
@@ -34,14 +40,16 @@ class DescentConfig:
         alignment: how human landmarks reach the palm frame.
         objective: targets, loss and weights.
         solver: when SLSQP stops.
-        start: where it begins: at the ``previous`` command, or at the ``joint_angle`` method's
+        start: where to begin: at the ``previous`` command, or at the ``joint_angle`` method's
             answer to the frame.
+        approach: Newton steps before SLSQP; with no iterations, SLSQP does it all.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
-    solver: SlsqpConfig = field(default_factory=SlsqpConfig)
+    solver: SlsqpConfig = field(default_factory=lambda: SlsqpConfig(optimality=1e-4))
     start: Literal["previous", "joint_angle"] = "previous"
+    approach: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=5))
 
     def __post_init__(self) -> None:
         if self.start not in ("previous", "joint_angle"):
@@ -78,7 +86,7 @@ class DescentProblem(NamedTuple):
 
     Attributes:
         goal: targets and weights.
-        start: (m,) where to begin [rad].
+        start: (m,) where SLSQP is to begin [rad].
         latched, closure: as the state has them, after this frame.
     """
 
@@ -101,8 +109,13 @@ class Descent:
         return Objective(self.hand, self.config.objective)
 
     @cached_property
+    def local(self) -> LocalObjective:
+        """The same near one pose, with second derivatives."""
+        return LocalObjective(self.objective)
+
+    @cached_property
     def joint_angles(self) -> JointAngleMap | None:
-        """Where to begin, if not at the previous command."""
+        """Where the descent begins, if not at the previous command."""
         return JointAngleMap(self.hand) if self.config.start == "joint_angle" else None
 
     @cached_property
@@ -135,18 +148,27 @@ class Descent:
         )
 
     def prepare(self, state: DescentState, aligned: Float[Array, "21 3"]) -> DescentProblem:
-        """Targets of the frame, and where to begin."""
+        """Targets of the frame, and where SLSQP is to begin."""
         config, layout = self.config.objective, self.objective.layout
         targets = config.targets(layout, layout.human(aligned), state.latched, state.closure)
         previous = jnp.asarray(state.q)
         start = previous if self.joint_angles is None else self.joint_angles.positions(aligned)
+        goal = FrameGoal(
+            targets.vectors,
+            targets.weights.astype(jnp.float32),
+            previous,
+            jnp.float32(config.velocity_weight),
+        )
+        if self.config.approach.iterations:
+            limits = self.hand.limits
+            start, _ = newton_minimise(
+                lambda q: self.local.expand(q, goal),
+                jnp.clip(start, limits[:, 0], limits[:, 1]),
+                limits,
+                self.config.approach,
+            )
         return DescentProblem(
-            FrameGoal(
-                targets.vectors,
-                targets.weights.astype(jnp.float32),
-                previous,
-                jnp.float32(config.velocity_weight),
-            ),
+            goal,
             start,
             targets.latched,
             targets.closure,

@@ -17,6 +17,7 @@ from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.sbr import SbrConfig
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.solvers.slsqp import SlsqpConfig
 
 SBR_PAPER: Final = SbrConfig()
 """The paper's table of hyper-parameters, fresh normals in every cycle."""
@@ -62,8 +63,11 @@ KEYVECTOR_POSITION: Final = replace(
 )
 """``position`` in dex-retargeting's sense: fingertips at the human's places in the palm frame."""
 
-HYBRID: Final = replace(KEYVECTOR, start="joint_angle")
-"""mimic-one's (Nava et al. 2025): the keyvector method, begun at the joint-angle solution."""
+HYBRID: Final = replace(KEYVECTOR, start="joint_angle", approach=NewtonConfig(iterations=12))
+"""mimic-one's (Nava et al. 2025): the keyvector method, begun at the joint-angle solution.
+
+That lies further from the minimum than the last command does, so it takes more Newton steps.
+"""
 
 DEXPILOT: Final = DescentConfig(
     objective=ObjectiveConfig(
@@ -81,6 +85,12 @@ AKO: Final = DescentConfig(
 )
 """Analyzing Key Objectives (Xin et al. 2025)."""
 
+
+def _alone(config: DescentConfig) -> DescentConfig:
+    """As published: SLSQP from the start, until its own tolerance."""
+    return replace(config, approach=NewtonConfig(iterations=0), solver=SlsqpConfig())
+
+
 PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
     "sbr": {"realtime": SBR_REALTIME, "paper": SBR_PAPER},
     "joint_angle": {"default": JointAngleConfig()},
@@ -88,10 +98,11 @@ PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
         "default": KEYVECTOR,
         "vector": KEYVECTOR_VECTOR,
         "position": KEYVECTOR_POSITION,
+        "slsqp": _alone(KEYVECTOR),
     },
-    "hybrid": {"default": HYBRID},
-    "dexpilot": {"default": DEXPILOT},
-    "ako": {"default": AKO},
+    "hybrid": {"default": HYBRID, "slsqp": _alone(HYBRID)},
+    "dexpilot": {"default": DEXPILOT, "slsqp": _alone(DEXPILOT)},
+    "ako": {"default": AKO, "slsqp": _alone(AKO)},
     "geort": {"default": GeortConfig()},
 }
 """Method name -> preset name -> configuration; the first preset of a method is its default."""

@@ -17,6 +17,7 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
+from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.retargeters.method import HostMethod, Method, Stateful
 from smooth_operator.types import Status
 
@@ -119,8 +120,9 @@ class _Seen(NamedTuple):
 
 def _see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array) -> _Seen:
     """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
-    hand = method.hand
-    needs = np.array(sorted({*method.needs, *hand.align_indices}))
+    hand, operator = method.hand, alignment.operator
+    corrected = () if operator is None else operator.needs(hand)
+    needs = np.array(sorted({*method.needs, *hand.align_indices, *corrected}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
     present = finite[needs].all()
     safe = jnp.where(present, landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
@@ -131,7 +133,10 @@ def _see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: 
         Status.INVALID_LANDMARKS,
         jnp.where(~well_posed, Status.DEGENERATE_PALM, Status.OK),
     )
-    return _Seen(palm.apply(safe), status, palm.scale)
+    aligned = palm.apply(safe)
+    if operator is not None:
+        aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
+    return _Seen(aligned, status, palm.scale)
 
 
 def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:

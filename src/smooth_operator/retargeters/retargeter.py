@@ -52,6 +52,7 @@ class Retargeter:
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
         HandModelError: if the hand's model can't be used.
+        ConfigError: if the operator in the configuration was calibrated for another hand.
     """
 
     def __init__(
@@ -66,6 +67,8 @@ class Retargeter:
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         self.config = method_config(method, preset) if config is None else config
+        if self.config.alignment.operator is not None:
+            self.config.alignment.operator.check(self.hand)
         self.seed = seed
         self.method: Method | HostMethod = self.config.build(self.hand)
         self._program = frame_program(self.method, self.config.alignment)

@@ -21,6 +21,10 @@ ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """(m,) float64 to (1 + m,): the value, then the gradient."""
 
 
+Stop: TypeAlias = Literal["tolerance", "optimality", "evaluations", "time", "rounding"]
+"""Why SLSQP stopped."""
+
+
 @dataclass(frozen=True)
 class SlsqpConfig:
     """When SLSQP stops.
@@ -30,11 +34,15 @@ class SlsqpConfig:
         max_evaluations: evaluations of the objective per frame.
         time_budget_ms: time per frame [ms]; the best point so far is then the answer, and the
             same frames no longer give the same commands on a slower machine. None: no limit.
+        optimality: largest component of the gradient, but for those that push against a bound, at
+            which a point counts as a minimum. 0 asks for none: from a start that is one already,
+            SLSQP then searches until rounding stops it.
     """
 
     tolerance: float = 1e-6
     max_evaluations: int = 100
     time_budget_ms: float | None = None
+    optimality: float = 0.0
 
     def __post_init__(self) -> None:
         if self.tolerance <= 0 or self.max_evaluations < 1:
@@ -42,6 +50,8 @@ class SlsqpConfig:
                 "SLSQP needs tolerance > 0 and max_evaluations >= 1, not "
                 f"tolerance={self.tolerance}, max_evaluations={self.max_evaluations}"
             )
+        if not self.optimality >= 0:
+            raise ConfigError(f"optimality must not be negative, not {self.optimality}")
         if self.time_budget_ms is not None and not self.time_budget_ms > 0:
             raise ConfigError(
                 f"time_budget_ms must be positive, or None for no limit, not {self.time_budget_ms}"
@@ -55,14 +65,14 @@ class SlsqpResult(NamedTuple):
         x: (m,) the best point seen, within the bounds.
         value: the objective there; NaN if it was finite nowhere.
         evaluations: of the objective.
-        stopped_by: ``tolerance``, ``evaluations``, ``time`` or ``rounding`` (no further descent in
-            the precision of the objective).
+        stopped_by: ``tolerance``, ``optimality``, ``evaluations``, ``time`` or ``rounding`` (no
+            further descent in the precision of the objective).
     """
 
     x: Float[np.ndarray, " m"]
     value: float
     evaluations: int
-    stopped_by: Literal["tolerance", "evaluations", "time", "rounding"]
+    stopped_by: Stop
 
 
 def slsqp_minimise(
@@ -83,19 +93,25 @@ def slsqp_minimise(
     best = np.clip(np.asarray(start, np.float64), low, high)
     lowest, evaluations = math.inf, 0
     last_x, last = b"", np.empty(0)
+    stopped_by: Stop = "tolerance"
 
     def evaluate(x: np.ndarray, gradient: np.ndarray) -> float:
-        nonlocal best, lowest, evaluations, last_x, last
+        nonlocal stopped_by, best, lowest, evaluations, last_x, last
         # A line search asks for the value, and then for the gradient at the same point.
         here = x.tobytes()
         if here != last_x:
             evaluations += 1
             last_x, last = here, objective(x)
             if not math.isfinite(last.sum()):  # one number tells of them all
+                stopped_by = "rounding"
                 raise nlopt.ForcedStop("the objective is not finite")
         value = float(last[0])
         if value < lowest:
             best, lowest = x.copy(), value
+            # a step down the gradient that the bounds cut short
+            if abs(np.clip(x - last[1:], low, high) - x).max() <= config.optimality:
+                stopped_by = "optimality"
+                raise nlopt.ForcedStop("this is a minimum")
         if gradient.size:
             gradient[:] = last[1:]
         return value
@@ -108,10 +124,11 @@ def slsqp_minimise(
     if config.time_budget_ms is not None:
         solver.set_maxtime(config.time_budget_ms * 1e-3)
     solver.set_min_objective(evaluate)
-    stopped_by: Literal["tolerance", "evaluations", "time", "rounding"] = "tolerance"
     try:
         solver.optimize(best.copy())
-    except (nlopt.RoundoffLimited, nlopt.ForcedStop, RuntimeError):
+    except nlopt.ForcedStop:
+        pass  # it was said why
+    except (nlopt.RoundoffLimited, RuntimeError):
         # RuntimeError is what NLopt makes of a failed line search, which float32 may end in.
         stopped_by = "rounding"
     else:
