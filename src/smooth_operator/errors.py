@@ -40,6 +40,14 @@ class MissingExtraError(SmoothOperatorError, ImportError):
         )
 
 
+class SourceError(SmoothOperatorError, RuntimeError):
+    """A live source of hand frames can't be opened, or gave up."""
+
+
+class SinkError(SmoothOperatorError, RuntimeError):
+    """A sink can't be opened, or can't take commands now."""
+
+
 class WorkerError(SmoothOperatorError, RuntimeError):
     """Worker processes can't be started, or a cluster can't be reached."""
 

@@ -1,0 +1,1 @@
+"""Where joint commands go: one module per kind of sink."""

@@ -1,0 +1,204 @@
+"""What every live source is to the loop: frames with stamps, the newest one only.
+
+A source runs on a thread of its own and posts what it receives into a mailbox with one place per
+hand. A frame that nobody has taken when the next one comes is overwritten, so nothing ever queues
+up, and the loop always answers the newest.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.types import HandFrame, Side
+
+Clock: TypeAlias = Callable[[], float]
+"""Seconds that never go back: ``time.perf_counter``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """A frame that has come in.
+
+    Attributes:
+        frame: the hand; its stamp is by the tracker's clock.
+        received: when its last byte was here, by the loop's clock [s].
+        session: which start of the tracker it belongs to; stamps of another session may begin anew.
+    """
+
+    frame: HandFrame
+    received: float
+    session: int = 0
+
+
+class Mailbox:
+    """The newest frame of each hand; safe for several threads.
+
+    Attributes:
+        received: frames that were posted.
+        overwritten: those among them that a newer one replaced before they were taken.
+    """
+
+    def __init__(self, clock: Clock = time.perf_counter) -> None:
+        self.clock = clock
+        self.received = 0
+        self.overwritten = 0
+        self._newest: dict[Side, Arrival] = {}
+        self._arrived = threading.Condition()
+
+    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> None:
+        """Put in a frame.
+
+        Args:
+            frame: the hand.
+            received: when it was received; now if left out.
+            session: see :class:`Arrival`.
+        """
+        at = self.clock() if received is None else received
+        with self._arrived:
+            self.received += 1
+            self.overwritten += frame.side in self._newest
+            self._newest[frame.side] = Arrival(frame, at, session)
+            self._arrived.notify_all()
+
+    def take(self, side: Side) -> Arrival | None:
+        """The newest frame of a hand, once; None if none came since the last call."""
+        with self._arrived:
+            return self._newest.pop(side, None)
+
+    def wait(self, sides: Collection[Side], timeout: float) -> bool:
+        """Sleep until a frame of one of these hands is here, or for so many seconds at most.
+
+        Returns:
+            whether one is here.
+        """
+        with self._arrived:
+            return self._arrived.wait_for(lambda: any(s in self._newest for s in sides), timeout)
+
+    def wake(self) -> None:
+        """Have :meth:`wait` look again now."""
+        with self._arrived:
+            self._arrived.notify_all()
+
+
+@dataclass(frozen=True)
+class SourceHealth:
+    """How a source is.
+
+    Attributes:
+        state: ``waiting`` for its tracker; ``running``; ``ended``, there is nothing more to come;
+            ``failed``, it gave up.
+        detail: a sentence for a person: the address that it listens on, what went wrong.
+    """
+
+    state: Literal["waiting", "running", "ended", "failed"]
+    detail: str = ""
+
+
+class LiveSource(Protocol):
+    """A source of frames."""
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+
+    def start(self, mailbox: Mailbox) -> None:
+        """Begin to post frames, and return at once.
+
+        Raises:
+            SourceError: it can't be opened: no such camera, a port that is taken.
+            MissingExtraError: a library that it needs is not installed.
+        """
+
+    def stop(self) -> None:
+        """Post nothing more and give everything back; a second call does nothing."""
+
+    def health(self) -> SourceHealth:
+        """How it is; may be asked at any time, from any thread."""
+
+
+class ThreadedSource(ABC):
+    """A source with a thread of its own; subclasses say what runs on it.
+
+    Subclasses are frozen dataclasses of settings, and keep what changes in :class:`Running`.
+    """
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """What it is, in a few words."""
+
+    @abstractmethod
+    def run(self, running: Running) -> None:
+        """Post frames until ``running.stopping`` is set, or there are no more.
+
+        Whatever it raises becomes the health ``failed``, with the error as the detail.
+        """
+
+    def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
+        """Get hold of what is needed, before the thread starts; errors reach the caller."""
+
+    def start(self, mailbox: Mailbox) -> None:
+        """Begin; see :class:`LiveSource`."""
+        self.open()
+        running = Running(mailbox, self.label)
+        # The settings are frozen, but a source that runs is not its settings alone.
+        object.__setattr__(self, "_running", running)
+        running.begin(self.run)
+
+    def stop(self) -> None:
+        """Stop; see :class:`LiveSource`."""
+        running: Running | None = getattr(self, "_running", None)
+        if running is not None:
+            running.end()
+
+    def health(self) -> SourceHealth:
+        """How it is; see :class:`LiveSource`."""
+        running: Running | None = getattr(self, "_running", None)
+        return SourceHealth("waiting", "not started") if running is None else running.health
+
+
+class Running:
+    """A started source: its thread, its mailbox, its health.
+
+    Attributes:
+        mailbox: where frames go.
+        stopping: set when it is to end; ``stopping.wait(seconds)`` is the way to sleep.
+        health: may be replaced by the thread at any time.
+    """
+
+    def __init__(self, mailbox: Mailbox, label: str) -> None:
+        self.mailbox = mailbox
+        self.stopping = threading.Event()
+        self.health = SourceHealth("waiting")
+        self._label = label
+        self._thread: threading.Thread | None = None
+
+    def begin(self, run: Callable[[Running], None]) -> None:
+        """Run on a thread."""
+
+        def guarded() -> None:
+            try:
+                run(self)
+            except SmoothOperatorError as error:
+                self.health = SourceHealth("failed", str(error))
+            except Exception as error:  # a library's: the loop must go on, and say what happened
+                self.health = SourceHealth("failed", f"{type(error).__name__}: {error}")
+            else:
+                if self.health.state != "failed":
+                    self.health = SourceHealth("ended", self.health.detail)
+            self.mailbox.wake()
+
+        self._thread = threading.Thread(target=guarded, name=f"source {self._label}", daemon=True)
+        self._thread.start()
+
+    def end(self, timeout: float = 5.0) -> None:
+        """Ask it to end, and wait for that a while."""
+        self.stopping.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout)
