@@ -16,6 +16,9 @@ class Sink(Protocol):
     Sinks are dataclasses of settings. The loop calls :meth:`send` from one thread and never waits
     for the far side: a sink that may have to wait keeps the newest command for a thread of its own.
     A sink that raises is closed, opened again after a while, and does not stop the others.
+
+    A sink with an attribute ``observes`` that is true moves nothing, and gets its ticks after the
+    others have theirs, with the time that took among the stages: the log, the table.
     """
 
     @property

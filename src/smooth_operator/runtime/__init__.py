@@ -1,0 +1,1 @@
+"""The real-time loop: from the newest hand frame to a safe command, on one clock."""

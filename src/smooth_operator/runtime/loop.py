@@ -1,0 +1,175 @@
+"""The loop: one thread, one clock, the newest frame of each hand to a command for the sinks."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+from smooth_operator.runtime.controls import Controls
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.runtime.statistics import LoopStatistics
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.tick import Tick
+from smooth_operator.sources.live import Arrival, LiveSource, Mailbox
+from smooth_operator.types import Side
+
+PLAY: Final = 0.8
+"""Shortest time between two frames that are answered, over the period: trackers are uneven."""
+PATIENCE: Final = 1.25
+"""Longest time between two commands, over the period: a frame that is a little late still finds the
+loop free."""
+
+
+class TeleopLoop:
+    """Drives robot hands from a source until told to end.
+
+    A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
+    commands go out at the loop's pace all the same, held or easing as the policies say.
+
+    Args:
+        pipelines: side -> hand.
+        source: where frames come from.
+        sinks: where commands go.
+        config: pace and policies.
+        mailbox: between source and loop; has the clock.
+        watch: called with every tick after the sinks have it, such as for a page; must be quick.
+
+    Attributes:
+        controls: switches, for any thread.
+        statistics: what the run came to.
+    """
+
+    def __init__(
+        self,
+        pipelines: Mapping[Side, HandPipeline],
+        source: LiveSource,
+        sinks: SinkRunner,
+        config: LoopConfig,
+        *,
+        mailbox: Mailbox | None = None,
+        watch: Callable[[Tick], None] | None = None,
+    ) -> None:
+        self.pipelines = dict(pipelines)
+        self.source = source
+        self.sinks = sinks
+        self.config = config
+        self.mailbox = Mailbox() if mailbox is None else mailbox
+        self.controls = Controls(self.mailbox)
+        self.statistics = LoopStatistics(config.period)
+        self._watch = watch
+        self._beat = self.mailbox.clock()
+        self._answered: dict[Side, float] = {}
+        self._commanded: dict[Side, float] = {}
+
+    def run(self, duration: float | None = None, configuration: Mapping[str, Any] = {}) -> None:
+        """Open the sinks, start the source, and loop.
+
+        Args:
+            duration: [s]; None until :meth:`Controls.quit` or the source's end.
+            configuration: resolved, for sinks that keep it.
+
+        Raises:
+            SourceError, SinkError, OutputError, MissingExtraError: something can't be opened; what
+                was opened before is closed again.
+        """
+        hands = {side: pipeline.retargeter.hand for side, pipeline in self.pipelines.items()}
+        self.sinks.open(hands, configuration)
+        try:
+            self.source.start(self.mailbox)
+            try:
+                with self._watchdog():
+                    self._loop(duration)
+            finally:
+                self.source.stop()
+        finally:
+            self.sinks.close()
+
+    def _loop(self, duration: float | None) -> None:
+        clock, sides = self.mailbox.clock, tuple(self.pipelines)
+        start = clock()
+        self._commanded = dict.fromkeys(sides, start)
+        ended: float | None = None
+        while not self.controls.quitting:
+            now = clock()
+            if duration is not None and now - start >= duration:
+                return
+            if self.source.health().state in ("ended", "failed"):
+                # What the tracker failing means has been decided: hold, then ease. A source that
+                # ended by itself ends the loop when that is done.
+                ended = now if ended is None else ended
+                if now - ended > self.config.safety.lost_s and self.source_done:
+                    return
+            self._wait(now, sides)
+            for change in self.controls.drain():
+                for pipeline in self.pipelines.values():
+                    change(pipeline)
+            for side in sides:
+                self._serve(side)
+
+    @property
+    def source_done(self) -> bool:
+        """Whether the source ended by itself, as a recording does."""
+        return self.source.health().state == "ended"
+
+    def _wait(self, now: float, sides: Sequence[Side]) -> None:
+        """Sleep until something is to be done."""
+        if self.controls.waiting:
+            return
+        period = self.config.period
+        due = min(self._commanded.values()) + PATIENCE * period
+        free = [s for s in sides if now >= self._answered.get(s, -1e9) + PLAY * period]
+        if free:
+            self.mailbox.wait(free, max(due - now, 0.0))
+        else:
+            soonest = min(self._answered[s] for s in sides) + PLAY * period
+            time.sleep(max(min(soonest, due) - now, 0.0))
+
+    def _serve(self, side: Side) -> None:
+        """Answer the newest frame of a hand, or keep its pace."""
+        clock, period = self.mailbox.clock, self.config.period
+        now = clock()
+        arrival: Arrival | None = None
+        if now >= self._answered.get(side, -1e9) + PLAY * period:
+            arrival = self.mailbox.take(side)
+        due = self._commanded[side] + PATIENCE * period
+        if arrival is None and now < due:
+            return
+        if arrival is not None:
+            due = max(arrival.received, self._answered.get(side, -1e9) + PLAY * period)
+            self._answered[side] = now
+        self._commanded[side] = now
+        tick = self.pipelines[side].step(now, arrival)
+        before = clock()
+        self.sinks.send(tick)
+        sent = self._beat = clock()
+        if tick.status is not None:
+            tick = replace(tick, stages={**tick.stages, "send": (sent - before) * 1e3})
+        self.sinks.observe(tick)
+        self.statistics.add(tick, due, sent)
+        if self._watch is not None:
+            self._watch(tick)
+
+    @contextlib.contextmanager
+    def _watchdog(self) -> Iterator[None]:
+        """A thread that tells the sinks when the loop has fallen silent."""
+        limit, done = self.config.safety.watchdog_s, threading.Event()
+        self._beat = self.mailbox.clock()
+
+        def watch() -> None:
+            while not done.wait(limit / 2):
+                silence = self.mailbox.clock() - self._beat
+                if silence > limit:
+                    self.sinks.stalled(silence)
+
+        thread = threading.Thread(target=watch, name="watchdog", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()

@@ -1,0 +1,157 @@
+"""One hand: the newest frame, or none, to the next command."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.runtime.delay import TrackerDelay
+from smooth_operator.runtime.limiter import Limiter
+from smooth_operator.runtime.plausible import implausible
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.runtime.supervisor import Supervisor
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources.live import Arrival
+from smooth_operator.types import JointCommand, Result, Side, Status
+
+
+class HandPipeline:
+    """Frames of one hand to commands of one robot hand.
+
+    Not for several threads at once: the loop owns it, and whoever else wants something of it asks
+    the loop (:class:`smooth_operator.runtime.controls.Controls`).
+
+    Args:
+        retargeter: method and hand.
+        config: policies and limits.
+        clock: measures the stages; the time of a step is given.
+
+    Attributes:
+        supervisor: mode and policies.
+        limiter: what was last commanded.
+    """
+
+    def __init__(
+        self,
+        retargeter: Retargeter,
+        config: LoopConfig,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.retargeter = retargeter
+        self.config = config
+        self.supervisor = Supervisor(config.safety)
+        self.limiter = Limiter(retargeter.hand, config.limits)
+        self.side: Side = retargeter.hand.spec.side
+        self._clock = clock
+        self._state = retargeter.init()
+        self._wanted = self.limiter.q  # what the operator asked for last
+        self._from = self.limiter.q  # where a blend began
+        self._delay = TrackerDelay()
+        self._last: float | None = None
+        self._number = 0
+
+    def switch(self, retargeter: Retargeter) -> None:
+        """Go on with another method, or other settings of it; it should be warmed up.
+
+        The robot goes over from its last command as the limits let it.
+        """
+        self.retargeter = retargeter
+        self._state = retargeter.init()
+        self.supervisor.restart_blend(self._last)
+        self._from = self.limiter.q
+
+    def step(self, now: float, arrival: Arrival | None = None) -> Tick:
+        """The next command.
+
+        Args:
+            now: time of the step, by the clock of the arrivals [s].
+            arrival: the newest frame, if one has come since the last step.
+        """
+        before = self.supervisor.mode
+        events: list[str] = []
+        stages: dict[str, float] = {}
+        result: Result | None = None
+        self.supervisor.update(now)  # what the operator switched since the last step
+        if arrival is not None:
+            self._delay.see(arrival)
+            why = implausible(arrival.frame) or self.supervisor.admits(arrival, now)
+            if why is not None:
+                events.append(f"frame refused: {why}")
+                arrival = None
+            elif not self.supervisor.listens:
+                arrival = None
+            else:
+                result, stages = self._answer(arrival, now)
+                if result.status != Status.OK:
+                    events.append(f"frame not used: {result.status.reason}")
+        mode = self.supervisor.update(now)
+        guarded = self._clock()
+        q = self._follow(mode, now)
+        velocity = self.limiter.velocity
+        if mode is not before:
+            events.append(f"{before.value} -> {mode.value}")
+        hand = self.retargeter.hand
+        command = JointCommand(
+            hand.expand(q),
+            hand.joint_names,
+            now if arrival is None else arrival.frame.stamp,
+        )
+        ready = self._clock()
+        if result is not None:
+            stages["limit"] = (ready - guarded) * 1e3
+        tick = Tick(
+            self.side,
+            hand.name,
+            command,
+            hand.expansion[0] @ velocity,
+            mode,
+            ready,
+            self._number,
+            None if result is None else result.status,
+            arrival,
+            stages,
+            float("nan") if result is None else result.tracking_loss,
+            float("nan") if result is None else result.scale,
+            tuple(events),
+        )
+        self._last, self._number = now, self._number + 1
+        return tick
+
+    def _answer(self, arrival: Arrival, now: float) -> tuple[Result, dict[str, float]]:
+        """The method's answer to a frame, and how long its stages took [ms]."""
+        start = self._clock()
+        if self.supervisor.afresh:
+            self._state = self.retargeter.init()
+        state, result = self.retargeter.step(self._state, arrival.frame)
+        solved = self._clock()
+        if result.status == Status.OK:
+            if not self.supervisor.mode.moves:
+                self._from = self.limiter.q
+            self.supervisor.usable(now)
+            self._state = state
+            self._wanted = result.command.positions[list(self.retargeter.hand.actuated)]
+        return result, {
+            "tracker": self._delay.above_fastest(arrival) * 1e3,
+            "receive": (start - arrival.received) * 1e3,
+            "solve": (solved - start) * 1e3,
+        }
+
+    def _follow(self, mode: Mode, now: float) -> np.ndarray:
+        """What the limits let the robot do in this mode."""
+        dt = self.config.period if self._last is None else now - self._last
+        if mode is Mode.TRACKING:
+            return self.limiter.step(self._wanted, dt)
+        if mode is Mode.BLENDING:
+            share = self.supervisor.blend(now)
+            return self.limiter.step(self._from + share * (self._wanted - self._from), dt)
+        if mode is Mode.EASING:
+            return self.limiter.step(
+                self.retargeter.hand.neutral, dt, self.config.safety.ease_velocity
+            )
+        if mode is Mode.STOPPED:
+            return self.limiter.halt()
+        # Brake to a stand within the limits of acceleration: where it would come to rest.
+        return self.limiter.rest(dt)

@@ -1,0 +1,58 @@
+"""Whether a frame can be what it says: of a human's size, and of that side."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from smooth_operator.landmarks import BASES, WRIST
+from smooth_operator.types import HandFrame
+
+PALM_M = (0.05, 0.14)
+"""Wrist to the base of the middle finger of a human hand [m]."""
+
+CURL = -0.6
+"""Least curl of a hand, as share of its fingers' length.
+
+Over four real recordings and the built-in operator, hands bent back as far as they go reach -0.51.
+A mirrored hand has the negative of its curl: more than 0.6 as soon as it nears a fist.
+"""
+
+_INDEX, _MIDDLE, _PINKY = BASES[1], BASES[2], BASES[4]
+_FINGERS = np.array(BASES[1:])
+
+
+def implausible(frame: HandFrame) -> str | None:
+    """Why a frame can't be a human hand of its side; None if it may be one.
+
+    What is missing is not judged: the method says whether it needs it.
+    """
+    p = frame.landmarks
+    palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
+    if not np.isfinite(palm):
+        return None
+    if not PALM_M[0] <= palm <= PALM_M[1]:
+        return f"a palm of {palm:.3g} m is no human's; landmarks must be in metres"
+    curl = finger_curl(frame)
+    if curl < CURL:
+        other = "left" if frame.side == "right" else "right"
+        return f"the fingers bend to the back of the hand: is it a {other} hand?"
+    return None
+
+
+def finger_curl(frame: HandFrame) -> float:
+    """How far the fingertips stand before the palm, as share of the fingers' length.
+
+    Returns:
+        mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
+        bent back; NaN where a landmark is missing.
+    """
+    p = frame.landmarks
+    normal = np.cross(p[_INDEX] - p[WRIST], p[_PINKY] - p[WRIST])
+    if frame.side == "left":
+        normal = -normal
+    length = np.linalg.norm(normal)
+    if not length > 1e-9:
+        return float("nan")
+    reach = p[_FINGERS + 3] - p[_FINGERS]
+    bones = np.linalg.norm([p[_FINGERS + k + 1] - p[_FINGERS + k] for k in range(3)], axis=-1)
+    return float((reach @ normal / length / np.maximum(bones.sum(axis=0), 1e-9)).mean())

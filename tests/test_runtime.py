@@ -1,0 +1,384 @@
+"""Policies, limits and one hand's steps, on a clock that the test turns; no sleeping."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smooth_operator import HandFrame, Retargeter, Status, load_hand
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.recording.readers import read_recording
+from smooth_operator.runtime.delay import TrackerDelay
+from smooth_operator.runtime.limiter import Limiter
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.plausible import finger_curl, implausible
+from smooth_operator.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.runtime.statistics import LoopStatistics, percentiles
+from smooth_operator.runtime.supervisor import Supervisor
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.live import Arrival
+from smooth_operator.types import HandRecording
+
+PERIOD = 0.01
+LOOP = LoopConfig(rate=1 / PERIOD)
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module")
+def retargeter(hand: Hand) -> Retargeter:
+    built = Retargeter(hand, method="joint_angle")  # the quickest to compile
+    built.warm_up()
+    return built
+
+
+@pytest.fixture(scope="module")
+def motion() -> HandRecording:
+    return SyntheticOperator(seed=2, rate_hz=1 / PERIOD).record(8.0)
+
+
+# Limits
+
+
+def within(hand: Hand, limits: LimitsConfig, q: np.ndarray, dt: float) -> None:
+    """Every joint of (T, m) commands within all limits."""
+    every = hand.expand(q)
+    assert (q >= hand.limits[:, 0] - 1e-12).all()
+    assert (q <= hand.limits[:, 1] + 1e-12).all()
+    assert np.abs(np.diff(every, axis=0)).max() / dt <= limits.velocity * (1 + 1e-9)
+    assert np.abs(np.diff(every, n=2, axis=0)).max() / dt**2 <= limits.acceleration * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wild_targets_never_break_a_limit(hand: Hand, seed: int) -> None:
+    config = LimitsConfig(velocity=8.0, acceleration=300.0)
+    limiter, rng = Limiter(hand, config), np.random.default_rng(seed)
+    low, high = hand.limits.T
+    out = [limiter.q, limiter.q]
+    target = limiter.q
+    for step in range(800):
+        if step % rng.integers(1, 30) == 0:
+            target = rng.uniform(low - 1, high + 1)
+        if step == 400:
+            target = np.full_like(target, np.nan)
+        out.append(limiter.step(target, PERIOD))
+    within(hand, config, np.array(out), PERIOD)
+
+
+def test_a_step_is_reached_without_overshoot(hand: Hand) -> None:
+    limiter = Limiter(hand, LimitsConfig(velocity=5.0, acceleration=200.0))
+    target = hand.limits[:, 1].copy()
+    start = limiter.q
+    path = np.array([limiter.step(target, PERIOD) for _ in range(200)])
+    np.testing.assert_allclose(path[-1], target, atol=1e-6)
+    ahead = np.sign(target - start) * (path - target)
+    assert ahead.max() <= 1e-9
+    # no slower than the physics of it: accelerate, cruise, brake
+    longest = np.abs(target - start).max()
+    needed = longest / 5.0 + 5.0 / 200.0
+    arrived = np.argmax(np.abs(path - target).max(axis=1) < 1e-3) * PERIOD
+    assert arrived < needed + 5 * PERIOD
+
+
+def test_a_slow_target_is_followed_exactly(hand: Hand) -> None:
+    limiter = Limiter(hand, LimitsConfig())
+    middle, half = hand.limits.mean(axis=1), np.diff(hand.limits, axis=1)[:, 0] / 2
+    for _ in range(300):
+        limiter.step(middle, PERIOD)
+    for t in np.arange(0, 2, PERIOD):
+        target = middle + 0.8 * half * np.sin(2 * np.pi * t)
+        np.testing.assert_allclose(limiter.step(target, PERIOD), target, atol=1e-9)
+
+
+def test_rest_brakes_and_stands(hand: Hand) -> None:
+    config = LimitsConfig(velocity=5.0, acceleration=100.0)
+    limiter = Limiter(hand, config)
+    path = [limiter.step(hand.limits[:, 1], PERIOD) for _ in range(6)]
+    path += [limiter.rest(PERIOD) for _ in range(100)]
+    within(hand, config, np.array(path), PERIOD)
+    assert (limiter.velocity == 0).all()
+    np.testing.assert_array_equal(path[-1], path[-50])
+
+
+def test_a_pause_of_the_loop_is_not_caught_up_with(hand: Hand) -> None:
+    limiter = Limiter(hand, LimitsConfig(velocity=1.0, acceleration=1e6))
+    before = limiter.q
+    after = limiter.step(hand.limits[:, 1], 60.0)
+    assert np.abs(hand.expand(after) - hand.expand(before)).max() <= 0.1 + 1e-9
+
+
+def test_a_margin_that_leaves_nothing_is_refused(hand: Hand) -> None:
+    with pytest.raises(ConfigError, match="margin"):
+        Limiter(hand, LimitsConfig(margin=2.0))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SafetyConfig(stale_s=0),
+        lambda: SafetyConfig(stale_s=1.0, lost_s=0.5),
+        lambda: SafetyConfig(blend_s=-1),
+        lambda: LimitsConfig(velocity=0),
+        lambda: LoopConfig(rate=0.1),
+    ],
+)
+def test_impossible_settings_are_refused(make: Callable[[], object]) -> None:
+    with pytest.raises(ConfigError):
+        make()
+
+
+# Which frames count
+
+
+def arrived(frame: HandFrame, at: float, session: int = 0, **changes: object) -> Arrival:
+    return Arrival(replace(frame, **changes), at, session)  # type: ignore[arg-type]
+
+
+def test_only_newer_frames_count(motion: HandRecording) -> None:
+    supervisor, frame = Supervisor(SafetyConfig()), motion[0]
+    seen = [(1.0, 0), (1.0, 0), (1.01, 0), (0.9, 0), (1.02, 0), (1.5, 1), (0.1, 1)]
+    answers = [
+        supervisor.admits(arrived(frame, 5.0, session, stamp=stamp), 5.0) for stamp, session in seen
+    ]
+    assert answers == [None, "a stamp that came before", None, "out of order", None, None, None]
+    assert supervisor.refused == {"a stamp that came before": 1, "out of order": 1}
+
+
+def test_a_frame_that_waited_too_long_is_refused(motion: HandRecording) -> None:
+    supervisor = Supervisor(SafetyConfig(stale_s=0.1))
+    assert supervisor.admits(arrived(motion[0], 1.0), 1.2) == "too late"
+
+
+def test_another_hand_and_another_unit_are_told() -> None:
+    frames = list(SyntheticOperator(seed=1).record(6.0))
+    assert all(implausible(frame) is None for frame in frames)
+    curled = max(frames, key=finger_curl)
+    assert finger_curl(curled) > 0.6
+    mirrored = replace(curled, landmarks=curled.landmarks * [-1, 1, 1])
+    assert finger_curl(mirrored) == pytest.approx(-finger_curl(curled))
+    assert "left hand?" in (implausible(mirrored) or "")
+    assert implausible(replace(mirrored, side="left")) is None
+    assert "metres" in (implausible(replace(curled, landmarks=curled.landmarks * 1000)) or "")
+    missing = replace(curled, landmarks=np.full((21, 3), np.nan), valid=None)
+    assert implausible(missing) is None
+
+
+@pytest.mark.shared
+def test_no_frame_of_a_real_hand_is_implausible(shared: object) -> None:
+    recording = read_recording(
+        shared / "recordings" / "manus_right_subject-000_run-010.npz"  # type: ignore[operator]
+    )
+    assert not [why for frame in recording[::7] if (why := implausible(frame))]
+
+
+def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> None:
+    delay, rng = TrackerDelay(), np.random.default_rng(0)
+    extra = rng.exponential(0.004, 500)
+    extra[0] = 0.0
+    for i in range(500):
+        arrival = arrived(motion[0], 1000.0 + i * PERIOD + extra[i], stamp=i * PERIOD)
+        delay.see(arrival)
+        assert delay.above_fastest(arrival) == pytest.approx(extra[i], abs=1e-9)
+
+
+# One hand
+
+
+class Stage:
+    """A pipeline on a clock that the test turns."""
+
+    def __init__(self, retargeter: Retargeter, config: LoopConfig = LOOP) -> None:
+        self.now = 100.0
+        self.pipeline = HandPipeline(retargeter, config, clock=lambda: self.now)
+        self.ticks: list[Tick] = []
+
+    def play(self, frames: list[HandFrame | None]) -> list[Tick]:
+        """A frame, or silence, per period."""
+        start = len(self.ticks)
+        for frame in frames:
+            self.now += PERIOD
+            arrival = None if frame is None else Arrival(frame, self.now)
+            self.ticks.append(self.pipeline.step(self.now, arrival))
+        return self.ticks[start:]
+
+    @property
+    def q(self) -> np.ndarray:
+        actuated = list(self.pipeline.retargeter.hand.actuated)
+        return np.array([tick.command.positions[actuated] for tick in self.ticks])
+
+
+def modes(ticks: list[Tick]) -> list[Mode]:
+    """Modes in their order, without repetitions."""
+    out: list[Mode] = []
+    for tick in ticks:
+        if not out or out[-1] is not tick.mode:
+            out.append(tick.mode)
+    return out
+
+
+def test_silence_holds_then_eases_and_the_return_blends(
+    hand: Hand, retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    assert modes(stage.play([None] * 5)) == [Mode.WAITING]
+    assert modes(stage.play(frames[:200])) == [Mode.BLENDING, Mode.TRACKING]
+    held = stage.play([None] * 100)
+    assert modes(held) == [Mode.TRACKING, Mode.HOLDING]
+    tracking = sum(t.mode is Mode.TRACKING for t in held)
+    assert tracking == pytest.approx(LOOP.safety.stale_s / PERIOD, abs=1)  # the clock's rounding
+    np.testing.assert_array_equal(held[-1].command.positions, held[50].command.positions)
+    lost = stage.play([None] * 500)
+    assert modes(lost) == [Mode.HOLDING, Mode.EASING]
+    actuated = list(hand.actuated)
+    np.testing.assert_allclose(lost[-1].command.positions[actuated], hand.neutral, atol=1e-9)
+    eased = np.abs(np.diff([t.command.positions for t in lost], axis=0)).max() / PERIOD
+    assert eased <= LOOP.safety.ease_velocity * (1 + 1e-9)
+    back = stage.play(frames[200:400])
+    assert modes(back) == [Mode.BLENDING, Mode.TRACKING]
+    within(hand, LOOP.limits, stage.q, PERIOD)
+
+
+def test_tracking_is_the_methods_own_answer(retargeter: Retargeter, motion: HandRecording) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    ticks = stage.play(frames[:300])
+    followed = ticks[-1]
+    assert followed.mode is Mode.TRACKING
+    assert followed.status == Status.OK
+    _, result = retargeter.step(retargeter.init(), frames[299])
+    np.testing.assert_allclose(followed.command.positions, result.command.positions, atol=1e-6)
+    assert followed.command.stamp == frames[299].stamp
+    assert list(followed.stages) == ["tracker", "receive", "solve", "limit"]
+
+
+def test_on_loss_hold_never_eases(retargeter: Retargeter, motion: HandRecording) -> None:
+    stage = Stage(retargeter, replace(LOOP, safety=SafetyConfig(on_loss="hold")))
+    stage.play(list(motion)[:100])
+    assert modes(stage.play([None] * 500)) == [Mode.TRACKING, Mode.HOLDING]
+
+
+def test_useless_frames_are_a_loss(retargeter: Retargeter, motion: HandRecording) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:100])
+    nothing = [replace(f, landmarks=np.full((21, 3), np.nan), valid=None) for f in frames[100:400]]
+    ticks = stage.play(list(nothing))
+    assert modes(ticks) == [Mode.TRACKING, Mode.HOLDING, Mode.EASING]
+    assert all(t.status == Status.INVALID_LANDMARKS for t in ticks)
+    assert "not used" in ticks[0].events[0]
+
+
+def test_the_clutch_holds_and_takes_over_where_the_operator_is(
+    hand: Hand, retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:100])
+    stage.pipeline.supervisor.pause()
+    paused = stage.play(frames[100:200])
+    assert modes(paused) == [Mode.PAUSED]
+    np.testing.assert_array_equal(paused[-1].command.positions, paused[20].command.positions)
+    stage.pipeline.supervisor.resume()
+    back = stage.play(frames[200:300])
+    assert modes(back) == [Mode.BLENDING, Mode.TRACKING]
+    within(hand, LOOP.limits, stage.q, PERIOD)
+
+
+def test_an_emergency_stop_stands_at_once_until_released(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    before = stage.play(frames[:100])[-1]
+    stage.pipeline.supervisor.stop()
+    stopped = stage.play(frames[100:150])
+    assert modes(stopped) == [Mode.STOPPED]
+    for tick in stopped:
+        np.testing.assert_array_equal(tick.command.positions, before.command.positions)
+        assert (tick.velocity == 0).all()
+    stage.pipeline.supervisor.resume()  # the clutch does not release a stop
+    assert modes(stage.play(frames[150:160])) == [Mode.STOPPED]
+    stage.pipeline.supervisor.release()
+    assert modes(stage.play(frames[160:260])) == [Mode.BLENDING, Mode.TRACKING]
+
+
+def test_a_short_gap_blends_as_long_as_the_gap(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:100])
+    stage.play([None] * 20)  # 0.2 s
+    back = stage.play(frames[120:200])
+    blending = sum(tick.mode is Mode.BLENDING for tick in back)
+    assert blending == pytest.approx(0.21 / PERIOD, abs=2)
+
+
+def test_another_method_takes_over_smoothly(
+    hand: Hand, retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:100])
+    other = Retargeter(hand, method="geort")
+    other.warm_up()
+    stage.pipeline.switch(other)
+    assert modes(stage.play(frames[100:250])) == [Mode.BLENDING, Mode.TRACKING]
+    within(hand, LOOP.limits, stage.q, PERIOD)
+
+
+def test_the_fault_run_breaks_no_limit(hand: Hand, retargeter: Retargeter) -> None:
+    """Drop-outs, bursts, NaN, swapped hands, doubled and shuffled stamps, a restarted tracker."""
+    rng, stage = np.random.default_rng(7), Stage(retargeter)
+    frames = list(SyntheticOperator(seed=9, rate_hz=1 / PERIOD).record(40.0))
+    events: list[HandFrame | None] = []
+    for i in range(3000, len(frames)):  # started again
+        frames[i] = replace(frames[i], stamp=frames[i].stamp - 25.0)
+    for i, frame in enumerate(frames):
+        kind = rng.random()
+        if 1000 <= i < 1200 or kind < 0.1:
+            events.append(None)
+        elif kind < 0.13:
+            landmarks = frame.landmarks.copy()
+            landmarks[rng.integers(21)] = np.nan
+            events.append(replace(frame, landmarks=landmarks, valid=None))
+        elif kind < 0.16:
+            events.append(replace(frame, landmarks=frame.landmarks * [-1, 1, 1]))
+        elif kind < 0.19:
+            events.append(replace(frame, stamp=frames[i - 1].stamp))
+        elif kind < 0.22:
+            events.append(frames[max(i - 3, 0)])
+        elif kind < 0.23:
+            events.append(replace(frame, landmarks=frame.landmarks * 1000))
+        else:
+            events.append(frame)
+    stage.play(events)
+    within(hand, LOOP.limits, stage.q, PERIOD)
+    seen = {t.mode for t in stage.ticks}
+    assert {Mode.TRACKING, Mode.HOLDING, Mode.BLENDING} <= seen
+    assert sum(t.mode.moves for t in stage.ticks) > 0.8 * len(stage.ticks)
+    stamps = [t.command.stamp for t in stage.ticks if t.status == Status.OK]
+    backwards = sum(b <= a for a, b in itertools.pairwise(stamps))
+    assert backwards == 1  # the restart
+
+
+# Statistics
+
+
+def test_what_a_run_came_to(retargeter: Retargeter, motion: HandRecording) -> None:
+    stage = Stage(retargeter)
+    statistics = LoopStatistics(PERIOD)
+    for i, tick in enumerate(stage.play([*list(motion)[:50], *[None] * 50])):
+        late = 0.02 if i == 10 else 0.002
+        statistics.add(tick, tick.time, tick.time + late)
+    summary = statistics.summary()
+    assert summary["commands"] == {"right": 100}
+    assert summary["deadlines_missed"] == 1
+    assert summary["added_latency_ms"]["p50"] == pytest.approx(2.0)
+    assert summary["added_latency_ms"]["max"] == pytest.approx(20.0)
+    assert summary["rate_hz"] == pytest.approx(100, rel=0.01)
+    assert sum(summary["mode_share"].values()) == pytest.approx(1)
+    assert percentiles([]) == {}
