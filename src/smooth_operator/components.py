@@ -61,7 +61,7 @@ def build_component(kind: str, text: str, table: Mapping[str, Component]) -> Any
     values: dict[str, Any] = {}
     for position, part in enumerate(rest.split(",") if rest else ()):
         name, sign, value = part.partition("=")
-        if position == 0 and (not sign or name not in fields):  # an address may hold a '='
+        if position == 0 and not (sign and name.isidentifier()):  # an address may hold a '='
             name, value = next(iter(fields), ""), part
         if name not in fields:
             raise UnknownNameError(f"setting of {kind} {word!r}:", name, fields)

@@ -1,0 +1,176 @@
+"""``smooth-operator teleop``: from a live source to sinks, until told to end."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any, Final
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.keys import keys
+from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.offline import build_retargeter, live_configuration, request, settle
+from smooth_operator.recording import to_json
+from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.runtime.controls import Controls
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.sinks.catalogue import build_sink
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sources.catalogue import build_source
+from smooth_operator.types import Side
+
+_SWITCH_S: Final = 5e-4
+"""How long another thread may keep the interpreter before the loop gets it [s]."""
+
+
+def teleop(options: Teleop) -> None:
+    """Builds source, hands and sinks, and runs the loop.
+
+    Raises:
+        SmoothOperatorError: something can't be opened; nothing has moved then.
+        SystemExit: 1, a sink failed on the way.
+        KeyboardInterrupt: Ctrl-C; everything is closed and what it came to is printed.
+    """
+    progress = Progressing(options.quiet)
+    config = LoopConfig(options.rate, options.safety, options.limits)
+    source = build_source(options.source)
+    sinks = SinkRunner([build_sink(text) for text in options.sink])
+    asked = request(
+        hand=options.hand,
+        method=options.method,
+        preset=options.preset,
+        seed=options.seed,
+        scale=options.scale,
+        fingers=options.fingers,
+        operator=options.operator,
+    )
+    sides: tuple[Side, ...] = ("right", "left") if options.side == "both" else (options.side,)
+    retargeters: dict[Side, Retargeter] = {}
+    for side in sides:
+        hand, method = settle(asked, side)
+        with progress.waiting(f"compiling {asked.method} for {hand.name} {side}"):
+            retargeters[side], _ = build_retargeter(hand, method, options.seed)
+    pipelines = {side: HandPipeline(built, config) for side, built in retargeters.items()}
+    loop = TeleopLoop(pipelines, source, sinks, config)
+    configuration = live_configuration(
+        "teleop",
+        asked,
+        {side: built.config for side, built in retargeters.items()},
+        source=source,
+        sinks=options.sink,
+        loop=config,
+    )
+    started = time.perf_counter()
+    where = ", ".join(sink.label for sink in sinks.health()) or "no sink"
+    progress.note(f"from {source.label} to {where}")
+    with (
+        _attentive(),
+        _interrupts(loop.controls) as interrupted,
+        _keyboard(loop.controls, progress),
+    ):
+        loop.run(options.duration, configuration)
+    seconds = time.perf_counter() - started
+    _report(options, loop, seconds, progress)
+    if interrupted.is_set():
+        raise KeyboardInterrupt
+    if any(sink.failed for sink in sinks.report()):
+        raise SystemExit(1)
+
+
+def _report(options: Teleop, loop: TeleopLoop, seconds: float, progress: Progressing) -> None:
+    """What the run came to."""
+    summary: dict[str, Any] = {
+        "duration_s": seconds,
+        **loop.statistics.summary(),
+        "frames_received": loop.mailbox.received,
+        "frames_overwritten": loop.mailbox.overwritten,
+        "frames_refused": {
+            side: pipeline.supervisor.refused for side, pipeline in loop.pipelines.items()
+        },
+        "source": loop.source.health(),
+        "sinks": loop.sinks.report(),
+    }
+    if options.json:
+        print(json.dumps(json.loads(to_json(summary))))
+    for sink in loop.sinks.report():
+        if sink.failed:
+            progress.note(f"{sink.label}: failed {sink.failed} times: {sink.detail}", matters=True)
+    health = loop.source.health()
+    if health.state == "failed":
+        progress.note(f"{loop.source.label}: {health.detail}", matters=True)
+    added = summary["added_latency_ms"]
+    if added:
+        progress.note(
+            f"{summary['frames_answered']} frames in {seconds:.1f} s, commands at "
+            f"{summary['rate_hz']:.0f} Hz; received to sent p50 {added['p50']:.2f} ms, "
+            f"p99 {added['p99']:.2f} ms; {100 * summary['deadlines_missed_share']:.2f} % late"
+        )
+    else:
+        progress.note(
+            f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",
+            matters=True,
+        )
+
+
+@contextlib.contextmanager
+def _attentive() -> Iterator[None]:
+    """The loop before all else: short turns for other threads, no collection of old garbage."""
+    turn = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    gc.collect()
+    gc.freeze()  # a compiled model is a great many objects, which a collection would walk through
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(turn)
+
+
+@contextlib.contextmanager
+def _interrupts(controls: Controls) -> Iterator[threading.Event]:
+    """Ctrl-C and SIGTERM end the loop in good order."""
+    came = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        came.set()
+        controls.quit()
+
+    # Only the main thread may; elsewhere, as in a test, the caller has its own way to end.
+    main = threading.current_thread() is threading.main_thread()
+    before = {n: signal.signal(n, end) for n in (signal.SIGINT, signal.SIGTERM)} if main else {}
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _keyboard(controls: Controls, progress: Progressing) -> Iterator[None]:
+    stopped, paused = False, False
+
+    def stop() -> None:
+        nonlocal stopped
+        stopped = not stopped
+        (controls.stop if stopped else controls.release)()
+        progress.note("STOPPED; space releases" if stopped else "released", matters=True)
+
+    def pause() -> None:
+        nonlocal paused
+        paused = not paused
+        (controls.pause if paused else controls.resume)()
+        progress.note("paused; p resumes" if paused else "resumed", matters=True)
+
+    with keys({" ": stop, "p": pause, "q": controls.quit}) as there:
+        if there:
+            progress.note("space: emergency stop   p: pause   q: end")
+        yield

@@ -1,0 +1,105 @@
+"""Options of ``smooth-operator teleop``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from tyro.conf import arg
+
+from smooth_operator.cli.common_options import Common, Page
+from smooth_operator.components import describe_components
+from smooth_operator.runtime.settings import LimitsConfig, SafetyConfig
+from smooth_operator.sinks.catalogue import SINKS
+from smooth_operator.sources.catalogue import SOURCES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Teleop(Common, Page):
+    """Drive a robot hand from a live source: a tracker, a headset, a webcam, a recording."""
+
+    details: ClassVar[str] = f"""Sources and sinks are named by a word, with an argument and
+settings after it: replay:glove.npz,speed=2 or record:take.mcap.
+
+Sources:
+{describe_components(SOURCES)}
+
+Sinks, several at once:
+{describe_components(SINKS)}
+
+When the tracker falls silent the hand is held, then goes to its neutral pose; when the operator
+is back it goes over to them smoothly. Joint ranges, velocities and accelerations are limited
+whatever the method asks for.
+
+Keys in the terminal: space stops the robot at once (again: releases it), p pauses and resumes,
+q ends. Ctrl-C ends too; what was recorded is whole.
+
+Exit status: 0 done, 1 a sink failed on the way (it is said which), 2 something can't be opened,
+130 stopped by Ctrl-C.
+
+Examples:
+  smooth-operator teleop
+  smooth-operator teleop --source replay:glove.npz,loop=true --sink mujoco record:take.mcap
+  smooth-operator teleop --source webcam --hand allegro_hand --sink zmq:tcp://127.0.0.1:5556
+  smooth-operator teleop --source synthetic --duration 10 --no-view --json
+"""
+
+    source: Annotated[str, arg(metavar="NAME[:SETTINGS]")] = "synthetic"
+    """Where hand frames come from."""
+
+    sink: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
+    """Where commands go; the page shows them in any case."""
+
+    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
+    """Robot hand, by its catalogue name."""
+
+    side: Literal["right", "left", "both"] = "right"
+    """Which hand; both drives two robots from the operator's two."""
+
+    method: Annotated[str, arg(metavar="NAME")] = "sbr"
+    """Retargeting method: sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
+
+    preset: Annotated[str | None, arg(metavar="NAME")] = None
+    """Preset of the method; its default if left out."""
+
+    seed: int = 0
+    """Of all random numbers."""
+
+    scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
+    """Robot size over human size: found in every frame, or given; as the preset says if left
+    out."""
+
+    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
+    """Robot fingers to drive, each by its own human finger or by another:
+    thumb,index,pinky=ring."""
+
+    operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
+    """The operator's calibration for this hand, as calibrate writes it."""
+
+    rate: Annotated[float, arg(metavar="HZ")] = 100.0
+    """Commands a second [Hz]; frames are answered as they come, up to this rate."""
+
+    duration: Annotated[float | None, arg(metavar="SECONDS")] = None
+    """End after so long [s]; when the source ends if left out."""
+
+    safety: SafetyConfig = field(default_factory=SafetyConfig)
+    """When the tracker fails, and when the operator comes back."""
+
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    """Of what leaves the loop."""
+
+    no_view: bool = False
+    """Don't serve the page: for machines without a browser."""
+
+    json: bool = False
+    """Print what the run came to as one JSON object on standard output, and nothing else there."""
+
+    quiet: bool = False
+    """Nothing on standard error but what matters."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.teleop import teleop
+
+        teleop(self)

@@ -1,0 +1,320 @@
+"""The loop with real threads and clocks, and the command around it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator import HandFrame, Retargeter, load_hand
+from smooth_operator.cli import main
+from smooth_operator.errors import SinkError, SourceError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.settings import LoopConfig, SafetyConfig
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.live import Mailbox, Running, SourceHealth, ThreadedSource
+from smooth_operator.types import Side
+
+RATE = 50.0
+
+
+@dataclass
+class Player(ThreadedSource):
+    """Frames at a pace, with a say in what becomes of each."""
+
+    frames: list[HandFrame]
+    rate: float = RATE
+    before: Callable[[int], None] = lambda i: None
+
+    @property
+    def label(self) -> str:
+        return "player"
+
+    def run(self, running: Running) -> None:
+        running.health = SourceHealth("running")
+        start = time.perf_counter()
+        for i, frame in enumerate(self.frames):
+            if running.stopping.wait(max(start + i / self.rate - time.perf_counter(), 0)):
+                return
+            self.before(i)
+            running.mailbox.post(frame)
+
+
+@dataclass
+class Keeper:
+    """A sink that keeps what it gets."""
+
+    fails_at: frozenset[int] = frozenset()
+    observes: bool = False
+    ticks: list[Tick] = field(default_factory=list)
+    silences: list[float] = field(default_factory=list)
+    opened: int = 0
+    closed: int = 0
+    label: str = "keeper"
+    slow_s: float = 0.0
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        self.opened += 1
+        if -self.opened in self.fails_at:
+            raise SinkError("no such robot")
+
+    def send(self, tick: Tick) -> None:
+        time.sleep(self.slow_s)
+        if tick.number in self.fails_at:
+            raise SinkError("the cable is out")
+        self.ticks.append(tick)
+
+    def stalled(self, seconds: float) -> None:
+        self.silences.append(seconds)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture(scope="module")
+def retargeters() -> dict[Side, Retargeter]:
+    built: dict[Side, Retargeter] = {}
+    for side in ("right", "left"):
+        built[side] = Retargeter(load_hand("mimic_p050", side), method="joint_angle")
+        built[side].warm_up()
+    return built
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[HandFrame]:
+    return list(SyntheticOperator(seed=4, rate_hz=RATE).record(3.0))
+
+
+def looped(
+    retargeters: Mapping[Side, Retargeter],
+    source: Player,
+    *sinks: Keeper,
+    sides: tuple[Side, ...] = ("right",),
+    config: LoopConfig | None = None,
+    retry_s: float = 0.1,
+) -> TeleopLoop:
+    config = LoopConfig(rate=RATE) if config is None else config
+    pipelines = {side: HandPipeline(retargeters[side], config) for side in sides}
+    return TeleopLoop(pipelines, source, SinkRunner(sinks, retry_s=retry_s), config)
+
+
+def test_every_frame_is_answered_soon(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    sink, log = Keeper(), Keeper(observes=True)
+    loop = looped(retargeters, Player(frames), sink, log)
+    loop.run(duration=1.0)
+    answered = [tick for tick in sink.ticks if tick.status is not None]
+    assert len(answered) >= 0.7 * RATE  # a busy machine may lose some, and says so
+    assert loop.mailbox.overwritten + len(answered) >= loop.mailbox.received - 1
+    stamps = [tick.command.stamp for tick in answered]
+    assert stamps == sorted(stamps)
+    assert [t.number for t in sink.ticks] == list(range(len(sink.ticks)))
+    assert "send" not in answered[0].stages
+    seen = next(tick for tick in log.ticks if tick.status is not None)
+    assert list(seen.stages) == ["tracker", "receive", "solve", "limit", "send"]
+    assert len(log.ticks) == len(sink.ticks)
+    summary = loop.statistics.summary()
+    assert summary["added_latency_ms"]["p50"] < 10
+    assert (sink.opened, sink.closed) == (1, 1)
+
+
+def test_both_hands_have_their_own_frames(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    left = list(SyntheticOperator(seed=4, rate_hz=RATE, side="left").record(3.0))
+    both = [frame for pair in zip(frames, left, strict=True) for frame in pair]
+    sink = Keeper()
+    looped(retargeters, Player(both, 2 * RATE), sink, sides=("right", "left")).run(duration=1.0)
+    for side in ("right", "left"):
+        ticks = [t for t in sink.ticks if t.side == side and t.status is not None]
+        assert len(ticks) >= 0.5 * RATE
+        assert {t.arrival.frame.side for t in ticks if t.arrival} == {side}
+
+
+def test_commands_go_on_when_no_frame_comes(retargeters: dict[Side, Retargeter]) -> None:
+    sink = Keeper()
+    looped(retargeters, Player([], 1.0), sink).run(duration=0.6)
+    assert len(sink.ticks) >= 0.6 * RATE / 1.25 * 0.6
+    assert {tick.mode for tick in sink.ticks} == {Mode.WAITING}
+
+
+def test_a_sink_that_fails_is_opened_again_and_harms_nobody(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    bad, good = Keeper(fails_at=frozenset({10})), Keeper()
+    loop = looped(retargeters, Player(frames), bad, good)
+    loop.run(duration=1.2)
+    numbers = [tick.number for tick in bad.ticks]
+    assert 10 not in numbers
+    assert max(numbers) > 20
+    assert [t.number for t in good.ticks] == list(range(len(good.ticks)))
+    (report, _) = loop.sinks.report()
+    assert report.failed == 1
+    assert "cable" in report.detail
+
+
+def test_what_cannot_be_opened_is_said_before_anything_moves(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    good, bad = Keeper(), Keeper(fails_at=frozenset({-1}))
+    with pytest.raises(SinkError, match="no such robot"):
+        looped(retargeters, Player(frames), good, bad).run(duration=1.0)
+    assert not good.ticks
+    assert good.closed == 1
+
+    class Absent(Player):
+        def open(self) -> None:
+            raise SourceError("no such camera")
+
+    with pytest.raises(SourceError, match="camera"):
+        looped(retargeters, Absent(frames), good).run(duration=1.0)
+    assert good.closed == 2
+
+
+def test_the_watchdog_tells_of_a_loop_that_hangs(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    sink = Keeper()
+    config = LoopConfig(rate=RATE, safety=SafetyConfig(watchdog_s=0.1))
+    loop = looped(retargeters, Player(frames), sink, config=config)
+    loop.controls.change(lambda hand: time.sleep(0.5) if len(sink.ticks) == 0 else None)
+    loop.run(duration=1.0)
+    assert max(sink.silences) > 0.2
+
+
+def test_the_end_of_a_source_ends_the_loop_after_its_policies(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    sink = Keeper()
+    config = LoopConfig(rate=RATE, safety=SafetyConfig(lost_s=0.3))
+    looped(retargeters, Player(frames[:20]), sink, config=config).run()
+    modes = [tick.mode for tick in sink.ticks]
+    assert modes[-1] in (Mode.HOLDING, Mode.EASING)
+
+
+def test_a_source_that_fails_is_a_loss_and_not_the_end(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    def unplug(i: int) -> None:
+        if i == 20:
+            raise OSError("unplugged")
+
+    sink = Keeper()
+    config = LoopConfig(rate=RATE, safety=SafetyConfig(lost_s=0.2))
+    loop = looped(retargeters, Player(frames, before=unplug), sink, config=config)
+    loop.run(duration=1.5)
+    assert sink.ticks[-1].mode is Mode.EASING
+    assert loop.source.health() == SourceHealth("failed", "OSError: unplugged")
+
+
+def test_switches_work_from_another_thread(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    sink = Keeper()
+    loop = looped(retargeters, Player(frames), sink)
+    for at, switch in ((0.5, loop.controls.stop), (0.9, loop.controls.release)):
+        threading.Timer(at, switch).start()
+    threading.Timer(1.4, loop.controls.quit).start()
+    start = time.perf_counter()
+    loop.run()
+    assert time.perf_counter() - start < 3.0
+    modes = [tick.mode for tick in sink.ticks]
+    stopped = [i for i, mode in enumerate(modes) if mode is Mode.STOPPED]
+    assert stopped
+    held = np.array([sink.ticks[i].command.positions for i in stopped])
+    assert np.ptp(held, axis=0).max() == 0
+    assert Mode.BLENDING in modes[stopped[-1] :]
+
+
+def test_a_slow_sink_makes_the_loop_skip_frames_not_fall_behind(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    sink = Keeper(slow_s=0.05)
+    loop = looped(retargeters, Player(frames, 100.0), sink)
+    loop.run(duration=1.0)
+    assert loop.mailbox.overwritten > 10
+    ages = [t.time - t.arrival.received for t in sink.ticks if t.arrival]
+    assert np.median(ages) < 0.06
+
+
+def test_a_mailbox_keeps_the_newest(frames: list[HandFrame]) -> None:
+    box = Mailbox()
+    for frame in frames[:5]:
+        box.post(frame)
+    taken = box.take("right")
+    assert taken is not None
+    assert taken.frame is frames[4]
+    assert box.take("right") is None
+    assert (box.received, box.overwritten) == (5, 4)
+
+
+# The command
+
+
+def test_teleop_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    log = tmp_path / "take.mcap"
+    arguments = ["--source", "synthetic:rate=60", "--sink", f"record:{log}", "--rate", "60"]
+    ending = ["--method", "joint_angle", "--duration", "1.5", "--no-view", "--json"]
+    status = main(["teleop", *arguments, *ending])
+    out, err = capsys.readouterr()
+    assert status == 0, err
+    summary = json.loads(out)
+    assert summary["frames_answered"] > 40
+    assert set(summary["stages_ms"]) == {"tracker", "receive", "solve", "limit", "send"}
+    assert summary["sinks"][0]["failed"] == 0
+    assert log.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--source", "gloves"], "unknown source 'gloves'"),
+        (["--source", "replay:/nowhere.npz"], "/nowhere.npz"),
+        (["--sink", "robot"], "unknown sink 'robot'"),
+        (["--source", "synthetic:sped=2"], "Did you mean 'speed'"),
+        (["--rate", "0"], "rate must be between"),
+        (["--hand", "mimic_p05"], "Did you mean 'mimic_p050'"),
+        (["--operator", "/nowhere.json"], "/nowhere.json"),
+        (["--safety.stale-s", "-1"], "stale_s must be positive"),
+    ],
+)
+def test_what_teleop_says_of_mistakes(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["teleop", "--no-view", "--method", "joint_angle", *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
+    log = tmp_path / "take.mcap"
+    command = [sys.executable, "-m", "smooth_operator", "teleop", "--no-view", "--json"]
+    command += ["--method", "joint_angle", "--sink", f"record:{log}"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ}
+    )
+    end = time.monotonic() + 60
+    while time.monotonic() < end and not (log.exists() and log.stat().st_size > 2000):
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert json.loads(out)["frames_answered"] > 0
+    from smooth_operator.recording import read_log
+
+    assert read_log(log) is not None
