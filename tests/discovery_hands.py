@@ -116,9 +116,9 @@ def make_hand(
 
     body = {p.name: p for p in parts}
     if side == "left":
-        body = {name: _mirrored(p) for name, p in body.items()}
+        body = {name: mirrored(p) for name, p in body.items()}
         tips = [(name, tip * (-1, 1, 1)) for name, tip in tips]
-    body = {name: _flipped(p) if p.axis is not None and rng.random() < 0.5 else p
+    body = {name: flipped(p) if p.axis is not None and rng.random() < 0.5 else p
             for name, p in body.items()}  # fmt: skip
     for name, p in list(body.items()):  # a flipped leader turns its followers' gain round
         if p.mimic is not None:
@@ -129,7 +129,7 @@ def make_hand(
             shift = 1 if p.limits == own.limits else -1
             body[name] = replace(p, mimic=(p.mimic[0], p.mimic[1] * sign, p.mimic[2] * shift))
     if turned:
-        body, tips = _turned(body, tips, rng)
+        body, tips = scrambled(body, tips, rng)
     if not shapes:
         body = {name: replace(p, end=None) for name, p in body.items()}
     ordered = list(body.values())
@@ -161,7 +161,7 @@ def make_hand(
     return Model(tuple(renamed), truth)
 
 
-def _mirrored(part: Part) -> Part:
+def mirrored(part: Part) -> Part:
     flip = np.array([-1.0, 1.0, 1.0])
     return replace(
         part,
@@ -171,14 +171,14 @@ def _mirrored(part: Part) -> Part:
     )
 
 
-def _flipped(part: Part) -> Part:
+def flipped(part: Part) -> Part:
     """The same joint, counted the other way round."""
     assert part.axis is not None
     low, high = part.limits
     return replace(part, axis=-part.axis, limits=(-high, -low))
 
 
-def _turned(
+def scrambled(
     body: dict[str, Part], tips: list[tuple[str, Vector]], rng: np.random.Generator
 ) -> tuple[dict[str, Part], list[tuple[str, Vector]]]:
     """Every body's own frame turned at random: nothing can be read off an axis of a frame."""

@@ -25,7 +25,7 @@ class RealHand:
         palm: body whose frame is our palm frame.
         wrist: body or place in the palm frame; None where it is ours to choose.
         fingers: base to tip; None where the finger has no such joint.
-        known: joints whose published coupling contradicts their own limits.
+        known: joints whose published coupling contradicts their own limits; read turned round.
         moving: fingers whose base is moved by a joint; ours is where it lies in the neutral pose.
     """
 

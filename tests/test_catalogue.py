@@ -215,10 +215,11 @@ def test_couplings_are_the_published_ones(shared: Path, name: str, side: str) ->
     ours = {c.joint: (c.follows, c.multiplier, c.offset) for c in hand.couplings}
     theirs = {c.joint: (c.follows, c.multiplier, c.offset) for c in declared}
     assert set(ours) == set(theirs)
+    assert {c.joint for c in declared if c.turned} == set(real.known)
+    assert not any(c.turned for c in hand.couplings)  # ours are written as they are
     for joint, (follows, multiplier, offset) in theirs.items():
-        sign = -1 if joint in real.known else 1
         assert ours[joint][0] == follows
-        assert ours[joint][1:] == pytest.approx((sign * multiplier, offset), abs=1e-8)
+        assert ours[joint][1:] == pytest.approx((multiplier, offset), abs=1e-8)
 
 
 @pytest.mark.shared

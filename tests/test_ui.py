@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import shutil
 import socket
 import threading
 import time
@@ -14,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from browser_page import new_page, settled
 
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
@@ -560,62 +559,18 @@ def test_the_real_hand_of_meshes_is_drawn(shared: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    names = ("chromium", "chromium-browser", "google-chrome")
-    path = next((found for name in names if (found := shutil.which(name))), None)
-    if path is None:
-        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
-    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-             "--enable-unsafe-swiftshader", "--disable-background-networking",
-             "--disable-component-update", "--disable-sync"]  # fmt: skip
-    with sync_api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, headless=True, args=flags)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
 def opened(chromium: Any) -> Iterator[tuple[PlaybackServer, Any, list[str]]]:
     """A server, a page that shows it, and what the page has complained about so far."""
     with PlaybackServer(make_playback(300), port=0) as server:
         # software rendering takes 5 s to prepare the reflections
         server._server.scene.configure_environment_map(None)
-        page = chromium.new_page(viewport={"width": 800, "height": 600})
-        page.set_default_timeout(60_000)  # software rendering on a busy machine
-        problems: list[str] = []
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+        page, problems = new_page(chromium)
         page.goto(server.url)
         page.wait_for_selector("#playback-status")
         # the warning about software rendering would stand before the hands
         page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
         yield server, page, problems
         page.close()
-
-
-def picture(page: Any, width: int, height: int) -> np.ndarray:
-    """(height, width, 3) the page's upper left part, where the hands are."""
-    from PIL import Image
-
-    clip = {"x": 0, "y": 0, "width": width, "height": height}
-    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB"), float)
-
-
-def settled(page: Any, width: int, height: int, bare: float = 20.0) -> np.ndarray:
-    """The picture once two in a row are alike and there is something on it."""
-    last = picture(page, width, height)
-
-    def still() -> np.ndarray | None:
-        nonlocal last
-        page.wait_for_timeout(150)
-        before, last = last, picture(page, width, height)
-        return last if np.abs(last - before).max() < 8 and last.max() > bare else None
-
-    for _ in range(60):
-        if (found := still()) is not None:
-            return found
-    raise AssertionError("the picture never came to rest")
 
 
 def page_frame(page: Any) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from tyro.conf import arg
@@ -31,8 +32,9 @@ class Retargeting:
     """Retargeting method: sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method: for sbr realtime (used if left out) or paper, for keyvector default,
-    vector or position, for geort the file of a model that you trained."""
+    """Preset of the method: for sbr realtime (used if left out) or paper; for keyvector default,
+    vector, position or slsqp; for hybrid, dexpilot and ako default or slsqp; for geort the file of
+    a model that you trained."""
 
     seed: int = 0
     """Of all random numbers: the same seed and frames give the same commands."""
@@ -41,11 +43,29 @@ class Retargeting:
     """Robot size over human size: found in every frame, once for the recording, or given; as the
     preset says if left out."""
 
+    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
+    """Robot fingers to drive, two to five with the thumb among them, each by its own human finger
+    or by another: thumb,index,pinky=ring has the ring finger drive the robot's pinky. All if left
+    out."""
+
+    operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
+    """The operator's calibration for this hand, as calibrate writes it."""
+
     definition: Literal["sound", "paper"] = "sound"
     """How the metrics are defined; paper is as published, to compare with its table."""
 
     quiet: bool = False
     """No progress on standard error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meshes:
+    """Options of every command that draws a robot hand."""
+
+    model: Annotated[Path | None, arg(metavar="PATH|menagerie")] = None
+    """Your copy of the vendor's MJCF or URDF, with its meshes, to be drawn in place of our simple
+    shapes; it must have the hand's joints, by their names. Or the word menagerie, for the model of
+    MuJoCo Menagerie (extra menagerie: Allegro, LEAP, Shadow, DEX-EE)."""
 
 
 @dataclass(frozen=True, kw_only=True)

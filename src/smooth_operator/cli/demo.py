@@ -8,7 +8,8 @@ from typing import Any
 from smooth_operator.cli.console import Progressing, print_metrics
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
-from smooth_operator.cli.session import execute_shown, measure_shown
+from smooth_operator.cli.session import execute_shown, measure_shown, requested
+from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.metrics import Trace, save_plots
 from smooth_operator.offline import Outcome, configuration, plan
 from smooth_operator.recording import LogWriter, atomic_write, to_json, write_commands
@@ -24,6 +25,7 @@ def demo(options: Demo) -> None:
     """
     progress = Progressing(options.quiet)
     check_demo_folder(options.output, options.overwrite)
+    asked = requested(options, side=options.side)
     operator = SyntheticOperator(
         seed=options.seed,
         side=options.side,
@@ -35,14 +37,8 @@ def demo(options: Demo) -> None:
             seed=options.seed,
         ),
     )
-    todo = plan(
-        operator.record(options.duration),
-        hand=options.hand,
-        method=options.method,
-        preset=options.preset,
-        seed=options.seed,
-        scale=options.scale,
-    )
+    todo = plan(operator.record(options.duration), asked)
+    drawn = None if options.model is None else drawn_on(todo.hand, options.model)
     with folder_for(options.output):
         outcome = execute_shown(todo, progress)
         trace, metrics = measure_shown(todo, outcome, options.definition, progress)
@@ -56,7 +52,7 @@ def demo(options: Demo) -> None:
         from smooth_operator.cli.page import playback
         from smooth_operator.ui import serve
 
-        page = playback(title, todo.hand, trace, metrics)
+        page = playback(title, todo.hand, trace, metrics, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
 
 

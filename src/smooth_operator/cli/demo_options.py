@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Page, Retargeting
+from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page, Retargeting
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(Common, Page, Retargeting):
+class Demo(Common, Page, Meshes, Retargeting):
     """Retarget a built-in operator, print what was measured, and play it in the browser."""
 
     details: ClassVar[str] = """The folder holds commands.npz and commands.json (the resolved

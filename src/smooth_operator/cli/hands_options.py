@@ -1,7 +1,8 @@
 """Options of ``smooth-operator hands`` and of its subcommands.
 
-A further subcommand, say ``check``: write its options as a dataclass like :class:`Show` below (in
-``hands_check_options.py``) and its work in ``hands_check.py``, then add one line to :data:`What`.
+A further subcommand: write its options as a dataclass like :class:`Show` below (in a file of its
+own, as ``hands_check_options.py``) and its work in another (``hands_check.py``), then add one line
+to :data:`What`.
 The group itself is one line in ``cli/options.py``.
 """
 
@@ -13,8 +14,9 @@ from typing import Annotated, ClassVar, TypeAlias
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 
-from smooth_operator.cli.common_options import Common, HandSide, Page
+from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
 from smooth_operator.cli.hands_add_options import Add
+from smooth_operator.cli.hands_check_options import Check
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +37,7 @@ folder that is named below the table (SMOOTH_OPERATOR_HANDS names another)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OneHand(Common):
+class _OneHand(Common, Meshes):
     """Options of the subcommands about one hand."""
 
     hand: Annotated[Positional[str], arg(metavar="NAME")]
@@ -43,10 +45,6 @@ class _OneHand(Common):
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Which hand; right, or as the spec file says, if left out."""
-
-    model: Annotated[Path | None, arg(metavar="PATH")] = None
-    """Your copy of the vendor's MJCF or URDF, with its meshes, to be drawn in place of our simple
-    shapes. It must have the hand's joints, by their names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +54,7 @@ class Show(_OneHand, Page):
     details: ClassVar[str] = """Examples:
   smooth-operator hands show shadow_hand
   smooth-operator hands show ability_hand --side left --no-view
+  smooth-operator hands show shadow_hand --model menagerie
   smooth-operator hands show my-hand.right.toml --json"""
 
     no_view: bool = False
@@ -88,7 +87,7 @@ class Render(_OneHand):
         render_hand(self)
 
 
-def _described(kind: type[List | Show | Render | Add]) -> str:
+def _described(kind: type[List | Show | Render | Add | Check]) -> str:
     return f"{kind.__doc__}\n\n{kind.details}"
 
 
@@ -97,13 +96,14 @@ What: TypeAlias = (
     | Annotated[Show, subcommand("show", description=_described(Show))]
     | Annotated[Render, subcommand("render", description=_described(Render))]
     | Annotated[Add, subcommand("add", description=_described(Add))]
+    | Annotated[Check, subcommand("check", description=_described(Check))]
 )
 """The subcommands of the group."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hands:
-    """The robot hands: list them, show one, draw one."""
+    """The robot hands: list them, show one, draw one, add your own, check it."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hands list

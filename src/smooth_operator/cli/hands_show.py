@@ -15,7 +15,7 @@ from rich.text import Text
 from smooth_operator.cli.hands_options import Render, Show
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.published import on_model
+from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import POINTS
 
@@ -104,7 +104,7 @@ def describe(hand: Hand) -> dict[str, Any]:
 
 def _hand(options: Show | Render) -> Hand:
     hand = load_hand(options.hand, options.side)
-    return hand if options.model is None else on_model(hand, options.model)
+    return hand if options.model is None else drawn_on(hand, options.model)
 
 
 def _point(point: Point) -> dict[str, Any]:

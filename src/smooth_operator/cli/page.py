@@ -14,7 +14,9 @@ from smooth_operator.metrics import Trace
 from smooth_operator.ui import Playback
 
 
-def playback(title: str, hand: Hand, trace: Trace, metrics: Mapping[str, Any]) -> Playback:
+def playback(
+    title: str, hand: Hand, trace: Trace, metrics: Mapping[str, Any], drawn: Hand | None = None
+) -> Playback:
     """What the page plays.
 
     Args:
@@ -22,18 +24,21 @@ def playback(title: str, hand: Hand, trace: Trace, metrics: Mapping[str, Any]) -
         hand: the robot hand.
         trace: the run, in the palm frame.
         metrics: for the page's table.
+        drawn: the same hand on the model to draw, with the same joints by name, in any order; see
+            :func:`smooth_operator.hands.published.on_model`. The hand itself if left out.
     """
-    model = hand.model
-    qpos = np.tile(model.qpos0, (len(trace), 1))
-    qpos[:, model.jnt_qposadr] = trace.joint_positions
+    drawn = drawn or hand
+    model = drawn.model
+    poses = np.tile(drawn.expand(drawn.neutral), (len(trace), 1))
+    poses[:, [drawn.joint_names.index(name) for name in hand.joint_names]] = trace.joint_positions
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    palm = data.body(hand.spec.palm)  # it does not move: fingers hang from it
+    palm = data.body(drawn.spec.palm)  # it does not move: fingers hang from it
     rotation, origin = palm.xmat.reshape(3, 3), palm.xpos.copy()
     return Playback(
         title=title,
         model=model,
-        qpos=qpos,
+        qpos=drawn.qpos(poses),
         stamps=trace.stamps,
         human=trace.human @ rotation.T + origin,
         status=trace.status,
@@ -43,4 +48,5 @@ def playback(title: str, hand: Hand, trace: Trace, metrics: Mapping[str, Any]) -
         human_tips=tuple(TIPS[FINGERS.index(name)] for name in trace.fingers),
         fingers=trace.fingers,
         metrics=metrics,
+        bodies=drawn.bodies,
     )

@@ -4,9 +4,37 @@ from __future__ import annotations
 
 from typing import Any
 
+from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
 from smooth_operator.metrics import Definition, Trace
-from smooth_operator.offline import Outcome, Plan, build, execute, measure
+from smooth_operator.offline import Outcome, Plan, Request, build, execute, measure, request
+from smooth_operator.types import Side
+
+
+def requested(
+    options: Retargeting,
+    *,
+    side: Side | None = None,
+    rate: float | None = None,
+    frames: str | None = None,
+) -> Request:
+    """What the options ask for, every text and file in them read.
+
+    Raises:
+        SmoothOperatorError: one of them can't be.
+    """
+    return request(
+        hand=options.hand,
+        method=options.method,
+        preset=options.preset,
+        seed=options.seed,
+        scale=options.scale,
+        side=side,
+        rate=rate,
+        frames=frames,
+        fingers=options.fingers,
+        operator=options.operator,
+    )
 
 
 def execute_shown(todo: Plan, progress: Progressing) -> Outcome:

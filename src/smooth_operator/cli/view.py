@@ -12,6 +12,8 @@ from smooth_operator.cli.page import playback
 from smooth_operator.cli.view_options import View
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.menagerie import drawn_on
+from smooth_operator.hands.selection import FingerChoice, parse_fingers
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -35,18 +37,20 @@ def view(options: View) -> None:
         options.recording, rate=rate, side=options.side or config.get("side")
     )
     recording = _answered(commands, recording, options.commands, options.recording)
-    hand = load_hand(options.hand or config.get("hand", "mimic_p050"), recording.side)
+    name = options.hand or config.get("hand", "mimic_p050")
+    hand = load_hand(name, recording.side, fingers=_fingers(options, config))
     if commands.joint_names != hand.joint_names:
         raise HandModelError(
             f"{options.commands} holds commands for the joints {', '.join(commands.joint_names)}, "
             f"but the hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand "
             "with --hand"
         )
+    drawn = None if options.model is None else drawn_on(hand, options.model)
     trace = assemble_trace(recording, commands, hand, _alignment(config))
     metrics = evaluate(trace)
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)
     title = f"{hand.name} {hand.spec.side}" + (made_by and f": {made_by}")
-    page = playback(title, hand, trace, metrics)
+    page = playback(title, hand, trace, metrics, drawn)
     serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
 
 
@@ -64,6 +68,14 @@ def _answered(
             "from, with the same --rate if it holds no stamps"
         )
     return recording[int(at[0]) : int(at[-1]) + 1]
+
+
+def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
+    """The fingers that are driven: as asked for, or as the configuration tells."""
+    if options.fingers is not None:
+        return parse_fingers(options.fingers)
+    known = config.get("fingers")
+    return known if isinstance(known, dict) and options.hand is None else None
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:

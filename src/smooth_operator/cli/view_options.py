@@ -8,17 +8,18 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Page
+from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Common, Page):
+class View(Common, Page, Meshes):
     """Play joint commands beside the hand that they came from, in the browser."""
 
     details: ClassVar[str] = """Commands and frames are matched by their time stamps.
 
 Examples:
   smooth-operator view out.npz glove.npz
+  smooth-operator view out.npz glove.npz --model vendor/right_hand.xml
   smooth-operator view smooth-operator-demo/commands.npz smooth-operator-demo/log.mcap
 """
 
@@ -30,6 +31,9 @@ Examples:
 
     hand: Annotated[str | None, arg(metavar="NAME")] = None
     """Robot hand; as OUT.json says if left out."""
+
+    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
+    """Robot fingers that were driven, as for retarget; as OUT.json says if left out."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Which hand; as OUT.json or the recording says if left out."""

@@ -44,24 +44,53 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
     if not counts.any():
         return None
     data = mujoco.MjData(model)
-    neutral, depth = _overlaps(model, data, hand.expand(hand.neutral))
+    neutral, depth = _overlaps(hand, data, hand.expand(hand.neutral))
     touching = neutral[depth > 0]
     counts[touching[:, 0], touching[:, 1]] = counts[touching[:, 1], touching[:, 0]] = False
 
     depths = np.full(len(q), np.nan)
     for frame, pose in enumerate(q):
         if np.isfinite(pose).all():
-            pairs, depth = _overlaps(model, data, pose)
+            pairs, depth = _overlaps(hand, data, pose)
             counted = depth[counts[pairs[:, 0], pairs[:, 1]]]
             depths[frame] = max(float(counted.max(initial=0.0)), 0.0)
     return depths
 
 
-def _overlaps(
-    model: mujoco.MjModel, data: mujoco.MjData, pose: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
+    """What touches in the neutral pose, of the pairs that :func:`penetration_depths` looks at.
+
+    Left out are also the first two links of a finger against the palm: around a knuckle of two
+    joints, shapes overlap by design.
+
+    Returns:
+        names of two bodies -> how deep they are inside each other [m].
+    """
+    model, counts = hand.model, _counting_pairs(hand)
+    pairs, depths = _overlaps(hand, mujoco.MjData(model), hand.expand(hand.neutral))
+    out: dict[tuple[str, str], float] = {}
+    for geoms, depth in zip(pairs, depths, strict=True):
+        a, b = (int(model.body_weldid[model.geom_bodyid[g]]) for g in geoms)
+        near = a in _above(model, b)[:2] or b in _above(model, a)[:2]
+        if depth > 0 and counts[geoms[0], geoms[1]] and not near:
+            one, other = sorted(str(model.body(model.geom_bodyid[g]).name) for g in geoms)
+            out[one, other] = max(float(depth), out.get((one, other), 0.0))
+    return out
+
+
+def _above(model: mujoco.MjModel, part: int) -> list[int]:
+    """The parts that a part hangs from, nearest first."""
+    above: list[int] = []
+    while part:
+        part = int(model.body_weldid[model.body_parentid[part]])
+        above.append(part)
+    return above
+
+
+def _overlaps(hand: Hand, data: mujoco.MjData, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of shapes in contact, (c, 2), and how deep each is, (c,) [m]."""
-    data.qpos[model.jnt_qposadr] = pose
+    model = hand.model
+    data.qpos[:] = hand.qpos(pose)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
@@ -78,6 +107,7 @@ def _counting_pairs(hand: Hand) -> Bool[np.ndarray, "g g"]:
     above = model.body_weldid[model.body_parentid[part]]
     joined = (part[:, None] == above[None]) | (above[:, None] == part[None])
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    solid &= hand.bodies[model.geom_bodyid]  # neither an arm nor a second hand
     different = owner[:, None] != owner[None]
     return np.asarray(different & ~joined & solid[:, None] & solid[None])
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.loading import Coupling, driven_joints, load_model
+from smooth_operator.hands.membership import own_bodies, own_joints
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 
@@ -25,10 +26,11 @@ class Hand:
 
     Attributes:
         spec: the description it was loaded from.
-        model: the compiled MuJoCo model.
-        joint_names: (n,) all joints, in the model's own order.
+        model: the compiled MuJoCo model; it may hold more than the hand, such as an arm.
+        joint_names: (n,) all joints of the hand, which are those below the palm, in the model's
+            own order.
         actuated: (m,) indices of the joints that are commanded, in the model's own order.
-        couplings: joints that follow another.
+        couplings: joints that follow another of the hand.
         limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
         neutral: (m,) neutral pose of the actuated joints [rad].
         tree: kinematics of the hand's landmarks in the palm frame.
@@ -63,6 +65,26 @@ class Hand:
     def tip_names(self) -> tuple[str, ...]:
         """Keypoint names of the fingertips, thumb first."""
         return tuple(LANDMARKS[TIPS[FINGERS.index(finger)]] for finger in self.fingers)
+
+    @cached_property
+    def bodies(self) -> Bool[np.ndarray, " nbody"]:
+        """Which bodies of the model are the hand's: to draw, and to look at for collisions."""
+        return own_bodies(self.model, self.model.body(self.spec.palm).id)
+
+    def qpos(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch nq"]:
+        """Positions for the whole model; what is not of the hand stays at its reference.
+
+        Args:
+            q_all: (..., n) positions of all joints of the hand [rad].
+        """
+        q_all = np.asarray(q_all, float)
+        qpos = np.tile(np.asarray(self.model.qpos0, float), (*q_all.shape[:-1], 1))
+        qpos[..., self._addresses] = q_all
+        return qpos
+
+    @cached_property
+    def _addresses(self) -> list[int]:
+        return [int(self.model.joint(name).qposadr[0]) for name in self.joint_names]
 
     @cached_property
     def wrist(self) -> Float[np.ndarray, "3"]:
@@ -157,42 +179,66 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     for finger in spec.fingers:
         first = BASES[FINGERS.index(finger.name)]
         points |= {LANDMARKS[first + i]: p for i, p in enumerate(finger.points) if p is not None}
+    palm = _body(model, spec.palm)
+    own = own_joints(model, palm)
     tree = build_tree(
         model,
-        _body(model, spec.palm),
+        palm,
         {
             name: _at(model, point.mirrored if spec.mirror else point)
             for name, point in points.items()
         },
+        own,
     )
-    names = tuple(model.joint(j).name for j in range(model.njnt))
+    every = tuple(model.joint(j).name for j in range(model.njnt))
     for name in [*spec.neutral, *(n for c in couplings for n in (c.joint, c.follows))]:
-        if name not in names:
-            raise UnknownNameError("joint", name, names)
+        if name not in every:
+            raise UnknownNameError("joint", name, every)
+    names = tuple(every[j] for j in own)
+    couplings = tuple(coupling for coupling in couplings if coupling.joint in names)
     followers = {coupling.joint for coupling in couplings}
-    actuated = tuple(j for j in sorted(_driven(model)) if names[j] not in followers)
+    commanded = _commanded(model, own, tree)
+    actuated = tuple(i for i, j in enumerate(own) if j in commanded and names[i] not in followers)
     if not actuated:
         raise HandModelError(f"hand {spec.name!r} has no joint that can be commanded")
-    expansion = _expansion(names, actuated, couplings)
-    limits = _limits(names, actuated, couplings, tree.limits)
+    held = {name: float(model.joint(name).qpos0[0]) for name in every if name not in names}
+    expansion = _expansion(names, actuated, couplings, held)
+    limits = _limits(names, actuated, expansion, tree.limits)
     neutral = np.clip(
         [spec.neutral.get(names[j], 0.0) for j in actuated], limits[:, 0], limits[:, 1]
     )
-    return Hand(spec, model, names, actuated, couplings, limits, neutral, tree, expansion)
+    within = tuple(coupling for coupling in couplings if coupling.follows in names)
+    return Hand(spec, model, names, actuated, within, limits, neutral, tree, expansion)
 
 
-def _driven(model: mujoco.MjModel) -> set[int]:
-    """Joints with an actuator; all joints of a model without actuators, as URDFs are."""
-    return driven_joints(model) or set(range(model.njnt))
+def _commanded(model: mujoco.MjModel, own: tuple[int, ...], tree: KinematicTree) -> set[int]:
+    """The hand's joints with an actuator; all of a hand without actuators, as URDFs are.
+
+    A wheel or knob that moves no landmark and turns without end is none of them.
+    """
+    moving = {own[joint.source] for joint in tree.joints}
+    endless = {j for j in own if not model.jnt_limited[j]} - moving
+    return (driven_joints(model) & set(own) or set(own)) - endless
 
 
 def _expansion(
-    names: tuple[str, ...], actuated: tuple[int, ...], couplings: tuple[Coupling, ...]
+    names: tuple[str, ...],
+    actuated: tuple[int, ...],
+    couplings: tuple[Coupling, ...],
+    held: Mapping[str, float],
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and offset from actuated to all joints; what follows a held joint is held too."""
     matrix, offset = np.zeros((len(names), len(actuated))), np.zeros(len(names))
     done = set(actuated)
     matrix[list(actuated), range(len(actuated))] = 1
-    pending = list(couplings)
+    pending = []
+    for c in couplings:
+        if c.follows in held:
+            i = names.index(c.joint)
+            offset[i] = c.multiplier * held[c.follows] + c.offset
+            done.add(i)
+        else:
+            pending.append(c)
     while pending:  # a follower may follow a follower
         ready = [c for c in pending if names.index(c.follows) in done]
         if not ready:
@@ -211,11 +257,11 @@ def _expansion(
 def _limits(
     names: tuple[str, ...],
     actuated: tuple[int, ...],
-    couplings: tuple[Coupling, ...],
+    expansion: tuple[np.ndarray, np.ndarray],
     all_limits: np.ndarray,
 ) -> np.ndarray:
     """Limits of the actuated joints, narrowed so that no follower leaves its own."""
-    matrix, offset = _expansion(names, actuated, couplings)
+    matrix, offset = expansion
     limits = all_limits[list(actuated)].copy()
     for i, (weights, constant) in enumerate(zip(matrix, offset, strict=True)):
         (used,) = np.nonzero(weights)

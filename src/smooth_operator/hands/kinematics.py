@@ -159,7 +159,10 @@ class KinematicTree:
 
 
 def build_tree(
-    model: mujoco.MjModel, palm: int, keypoints: Mapping[str, tuple[int, np.ndarray]]
+    model: mujoco.MjModel,
+    palm: int,
+    keypoints: Mapping[str, tuple[int, np.ndarray]],
+    own: Sequence[int] | None = None,
 ) -> KinematicTree:
     """Unroll a MuJoCo model into a :class:`KinematicTree`.
 
@@ -167,11 +170,14 @@ def build_tree(
         model: the compiled model.
         palm: body whose frame keypoints are given in; joints at or above it are held at zero.
         keypoints: name -> (body id, (3,) position in that body's frame [m]).
+        own: the model's joints that are all joints of the hand, those between palm and keypoints
+            among them; every joint of the model if left out.
 
     Raises:
         HandModelError: for a ball or free joint between the palm and a keypoint, or a keypoint on a
             body that does not hang from the palm.
     """
+    own = range(model.njnt) if own is None else own
     above_palm = set()
     body = palm
     while body > 0:
@@ -208,7 +214,14 @@ def build_tree(
             # a joint's position counts from its reference qpos0
             zero = float(model.qpos0[model.jnt_qposadr[j]])
             joints.append(
-                Joint(parent, rotation @ to_axis, translation + rotation @ anchor, -zero, j, slide)
+                Joint(
+                    parent,
+                    rotation @ to_axis,
+                    translation + rotation @ anchor,
+                    -zero,
+                    own.index(j),
+                    slide,
+                )
             )
             parent = by_id[j] = len(joints) - 1
             rotation, translation = to_axis.T, -to_axis.T @ anchor
@@ -226,7 +239,7 @@ def build_tree(
         model.jnt_limited.astype(bool)[:, None], model.jnt_range, np.array([-np.inf, np.inf])
     )
     reduced, points = _denavit_hartenberg(joints, points)
-    return KinematicTree(tuple(reduced), points, model.njnt, limits)
+    return KinematicTree(tuple(reduced), points, len(own), limits[list(own)])
 
 
 def _denavit_hartenberg(

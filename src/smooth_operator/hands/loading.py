@@ -8,22 +8,34 @@ and mirroring a right hand into a left one.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import mujoco
+import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
+
+NO_ROOM: Final = 0.25
+"""A coupling that can use less of its joints' ranges, see :func:`shared_range`, is a mistake."""
+_ROOM: Final = 0.75
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that follows another: q[joint] = multiplier * q[follows] + offset."""
+    """A joint that follows another: q[joint] = multiplier * q[follows] + offset.
+
+    ``turned`` says that the file has it with the other sign, which the joints' limits make
+    impossible.
+    """
 
     joint: str
     follows: str
     multiplier: float
     offset: float
+    turned: bool = False
 
 
 def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
@@ -34,7 +46,8 @@ def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tup
         mirror: reflect the model across its x = 0 plane, right hand to left hand.
 
     Returns:
-        the compiled model and the couplings of its joints.
+        the compiled model and the couplings of its joints, as the file has them but for signs that
+        no pose within the limits allows.
 
     Raises:
         HandModelError: if there is no such file or MuJoCo can't compile it.
@@ -54,12 +67,15 @@ def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tup
         model = spec.compile()
     except ValueError as error:
         if not _is_missing_asset(error):
-            raise HandModelError(f"MuJoCo can't compile {path}: {error}") from error
+            raise _refused("compile", path, error) from error
         model = _without_meshes(path, mirror)
     if root.tag == "robot":
-        return model, _urdf_mimics(root, path)
-    equalities = _equalities(model)
-    return model, (*equalities, *_tendons(model, {coupling.joint for coupling in equalities}))
+        couplings = _urdf_mimics(root, path)
+    else:
+        equalities = _equalities(model)
+        tendons = _tendons(model, {coupling.joint for coupling in equalities})
+        couplings = (*equalities, *tendons)
+    return model, tuple(_possible(model, coupling) for coupling in couplings)
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
@@ -71,7 +87,8 @@ def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise HandModelError(f"MuJoCo can't read {path}: {error}") from error
+        raise _refused("read", path, error) from error
+    _name_all(spec)
     # Links on fixed joints, such as a URDF's palm and fingertips, are to keep their names.
     spec.compiler.fusestatic = False
     # Vendors publish inertias that break the triangle inequality, and links without any.
@@ -83,18 +100,61 @@ def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
     return spec
 
 
+def _name_all(spec: mujoco.MjSpec) -> None:
+    """Names what has none, in the file's order: a description goes by names."""
+    for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
+        taken = {element.name for element in elements}
+        for number, element in enumerate(elements):
+            if not element.name:
+                name = f"{kind}_{number}"
+                while name in taken:
+                    name += "_"
+                element.name = name
+                taken.add(name)
+
+
+def _refused(what: str, path: Path, error: ValueError) -> HandModelError:
+    reason = " ".join(str(error).split())
+    return HandModelError(
+        f"MuJoCo can't {what} {path}: {reason}; mend that in the file, or export the model again"
+    )
+
+
+def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
+    """The model that :func:`load_model` compiles, to be edited further; it may lack its meshes.
+
+    Args:
+        path: MJCF or URDF file that can be loaded.
+        mirror: as for :func:`load_model`.
+
+    Raises:
+        HandModelError: MuJoCo can't compile it.
+    """
+    try:
+        _read(path, mirror).compile()
+    except ValueError as error:
+        if not _is_missing_asset(error):
+            raise _refused("compile", path, error) from error
+        return _meshless(path, mirror)
+    return _read(path, mirror)  # afresh: compiling fills in what is then no longer derived
+
+
 def _without_meshes(path: Path, mirror: bool) -> mujoco.MjModel:
     """Kinematics needs no mesh: drop what is drawn with one."""
+    try:
+        return _meshless(path, mirror).compile()
+    except ValueError as error:
+        raise _refused("compile without its meshes", path, error) from error
+
+
+def _meshless(path: Path, mirror: bool) -> mujoco.MjSpec:
     spec = _read(path, mirror)  # afresh: a spec that failed to compile can't be edited
     for geom in list(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
             spec.delete(geom)
     for asset in [*spec.meshes, *spec.skins, *spec.hfields]:
         spec.delete(asset)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise HandModelError(f"MuJoCo can't compile {path} without its meshes: {error}") from error
+    return spec
 
 
 def _is_missing_asset(error: ValueError) -> bool:
@@ -118,6 +178,50 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
                 ) from error
             couplings.append(Coupling(name, mimic.get("joint", ""), multiplier, offset))
     return tuple(couplings)
+
+
+def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
+    """The coupling, or the one with the other sign if only that leaves its joints room to move.
+
+    Vendors mirror a hand's joints and forget a mimic's sign, or the other way round.
+    """
+    ids = [
+        mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        for name in (coupling.joint, coupling.follows)
+    ]
+    if min(ids) < 0 or not model.jnt_limited[ids].all():
+        return coupling
+    own, leader = np.asarray(model.jnt_range[ids], float)
+    turned = [  # the joint counted the other way round, or its leader
+        replace(coupling, multiplier=-coupling.multiplier, offset=offset, turned=True)
+        for offset in (0.0 - coupling.offset, coupling.offset)
+    ]
+    best = max(turned, key=lambda c: shared_range(c, own, leader))
+    if shared_range(coupling, own, leader) < NO_ROOM and shared_range(best, own, leader) > _ROOM:
+        return best
+    return coupling
+
+
+def shared_range(
+    coupling: Coupling, own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
+) -> float:
+    """How much of its range a coupled joint and its leader can use together.
+
+    Args:
+        coupling: the joint, and what it follows.
+        own: (2,) limits of the joint [rad].
+        leader: (2,) limits of what it follows [rad].
+
+    Returns:
+        the overlap of both ranges over the smaller of the two; negative where they do not meet, and
+        1 where one of them is a point inside the other.
+    """
+    led = np.sort(coupling.multiplier * leader + coupling.offset)
+    overlap = min(own[1], led[1]) - max(own[0], led[0])
+    smaller = min(np.ptp(own), np.ptp(led))
+    if smaller <= 0:
+        return 1.0 if overlap >= 0 else -1.0
+    return float(overlap / smaller)
 
 
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:

@@ -66,13 +66,16 @@ def _carried(hand: Hand, model: mujoco.MjModel, path: Path) -> HandSpec:
 
     def carry(point: Point) -> Point:
         body = hand.model.body(point.body).id
-        joint = int(hand.model.body_jntadr[body])
-        if joint >= 0:
-            there = model.jnt_bodyid[model.joint(hand.model.joint(joint).name).id]
-            return Point(_name(model, int(there), path), point.offset)
-        rotation, position = _relative(hand.model, hand.model.body(spec.palm).id, body)
+        link = int(hand.model.body_weldid[body])  # what it is fixed to, as a tip to its last link
+        joint = int(hand.model.body_jntadr[link])
+        if joint >= 0 and hand.model.joint(joint).name in hand.joint_names:
+            there = int(model.jnt_bodyid[model.joint(hand.model.joint(joint).name).id])
+            name = _name(model, there, path)
+        else:
+            link, name = hand.model.body(spec.palm).id, palm
+        rotation, position = _relative(hand.model, link, body)
         x, y, z = rotation @ np.asarray(point.offset) + position
-        return Point(palm, (float(x), float(y), float(z)))
+        return Point(name, (float(x), float(y), float(z)))
 
     fingers = []
     for finger in spec.fingers:
@@ -84,18 +87,13 @@ def _carried(hand: Hand, model: mujoco.MjModel, path: Path) -> HandSpec:
 def _palm(hand: Hand, model: mujoco.MjModel) -> str:
     """The body that the first links hang from as they do from our palm."""
     ours = hand.model.body(hand.spec.palm).id
-    first = [
-        j
-        for j in range(hand.model.njnt)
-        if not hand.model.body_jntnum[hand.model.body_parentid[hand.model.jnt_bodyid[j]]]
-    ]
-    links = [
-        (
-            int(model.jnt_bodyid[model.joint(hand.model.joint(j).name).id]),
-            _relative(hand.model, ours, int(hand.model.jnt_bodyid[j])),
-        )
-        for j in first
-    ]
+    held = hand.model.body_weldid[ours]
+    links = []
+    for name in hand.joint_names:
+        body = int(hand.model.joint(name).bodyid[0])
+        if hand.model.body_weldid[hand.model.body_parentid[body]] == held:
+            there = int(model.joint(name).bodyid[0])
+            links.append((there, _relative(hand.model, ours, body)))
 
     def apart(body: int) -> float:
         frames = [(_relative(model, body, link), there) for link, there in links]

@@ -74,7 +74,7 @@ class HandView:
         self.hand = hand
         self._data = mujoco.MjData(hand.model)
         self._palm = hand.model.body(hand.spec.palm).id
-        self.meshes: dict[int, trimesh.Trimesh] = body_meshes(hand.model)
+        self.meshes: dict[int, trimesh.Trimesh] = body_meshes(hand.model, hand.bodies)
         self.finger_of_body = self._owners()
 
     @property
@@ -123,13 +123,12 @@ class HandView:
         hand = self.hand
         low, high = hand.limits.T
         poses = hand.expand(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
-        qpos = np.tile(hand.model.qpos0, (_POSES, 1))
-        qpos[:, hand.model.jnt_qposadr] = poses
+        qpos = hand.qpos(poses)
         self._pose(poses[0])
         palm = self._data.xmat.reshape(-1, 3, 3)[self._palm].copy()
         tips = hand.tips(poses) @ palm.T + self._data.xpos[self._palm]
         return finger_of_body(hand.model, qpos, tips, _POSES)
 
     def _pose(self, every: Float[np.ndarray, " n"]) -> None:
-        self._data.qpos[self.hand.model.jnt_qposadr] = every
+        self._data.qpos[:] = self.hand.qpos(every)
         mujoco.mj_kinematics(self.hand.model, self._data)

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from trimesh.graph import smooth_shade
 
 VISIBLE_GROUPS = 3
@@ -52,18 +52,25 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     return mesh
 
 
-def body_meshes(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
+def body_meshes(
+    model: mujoco.MjModel, bodies: Bool[np.ndarray, " nbody"] | None = None
+) -> dict[int, trimesh.Trimesh]:
     """One merged mesh per body that has something to draw, in the body's frame [m].
 
     Geoms of the visible groups are taken; if the model has none of those, all geoms are. Vertices
     are split along sharp edges, so that averaged vertex normals shade both curves and corners.
 
+    Args:
+        model: the compiled model.
+        bodies: (nbody,) which to look at; all if left out.
+
     Returns:
         Body index -> mesh.
     """
-    shown = model.geom_group < VISIBLE_GROUPS
+    own = np.ones(model.ngeom, bool) if bodies is None else bodies[model.geom_bodyid]
+    shown = own & (model.geom_group < VISIBLE_GROUPS)
     if not shown.any():
-        shown[:] = True
+        shown = own
     parts: dict[int, list[trimesh.Trimesh]] = {}
     for geom in np.flatnonzero(shown):
         mesh = geom_mesh(model, int(geom))

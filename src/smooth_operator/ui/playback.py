@@ -36,6 +36,8 @@ class Playback:
         human_tips: (F,) landmark index of the human fingertip that each robot fingertip follows.
         fingers: (F,) names of the fingers, thumb first.
         metrics: figures for the page's table; nested mappings are flattened. None: no table.
+        bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
+            if None.
 
     Raises:
         RecordingError: if an array about the human has the wrong shape, or the stamps don't
@@ -55,6 +57,7 @@ class Playback:
     human_tips: tuple[int, ...] = TIPS
     fingers: tuple[str, ...] = FINGERS
     metrics: Mapping[str, Any] | None = None
+    bodies: Bool[np.ndarray, " nbody"] | None = None
 
     def __post_init__(self) -> None:
         stamps = np.asarray(self.stamps, np.float64)

@@ -29,7 +29,7 @@ class RobotView:
     def __init__(self, scene: viser.SceneApi, playback: Playback, root: str) -> None:
         self._playback = playback
         self._data = mujoco.MjData(playback.model)
-        meshes = body_meshes(playback.model)
+        meshes = body_meshes(playback.model, playback.bodies)
         owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
         self._palette = finger_colors(len(playback.fingers))
         self._boxes = {body: mesh.bounding_box.vertices for body, mesh in meshes.items()}

@@ -201,7 +201,10 @@ class Branches:
         wheels = sum("without limits" in text for text in hand.left_out)
         if len(chains) < 2:
             return f"{len(chains)} chains with limited joints" + (
-                f" and {wheels} that turn without limits (wheels?)" if wheels else ""
+                f" and {wheels} that turn without limits (wheels? joints of fingers need their "
+                "limits in the file)"
+                if wheels
+                else ""
             )
         if len(chains) > 5:
             return f"{len(chains)} chains ({names}), more than the fingers of a hand"

@@ -9,11 +9,11 @@ import numpy as np
 
 from smooth_operator.hands.discovery.findings import Finding, FoundCoupling
 from smooth_operator.hands.discovery.skeleton import Skeleton
+from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
 
 _DECLARED: Final = 0.95
 _TENDON: Final = 0.7  # how the joints of a tendon share its travel is not in the file
 _CONTRADICTED: Final = 0.3
-_OVERLAP: Final = 0.05  # least share of a follower's range that its leader must be able to use
 
 
 def find_couplings(
@@ -21,7 +21,8 @@ def find_couplings(
 ) -> tuple[tuple[FoundCoupling, ...], Finding]:
     """The couplings among a hand's joints, and what to say of them all.
 
-    A coupling is doubted that would leave its follower no room: in such a file a sign is wrong.
+    A coupling is doubted that would leave its follower no room: in such a file a sign is wrong, and
+    has been turned where that mends it.
 
     Args:
         skeleton: the model.
@@ -38,11 +39,14 @@ def find_couplings(
         if c.joint in tendons:
             confidence = _TENDON
             text += " on a tendon (how they share its travel is taken from its coefficients)"
-        if _contradicted(skeleton, c.joint):
+        if c.turned:
+            confidence = _CONTRADICTED
+            text += f" with the factor {c.multiplier:g}: {_turned(c)}"
+        elif _contradicted(skeleton, c.joint):
             confidence = _CONTRADICTED
             text += (
                 f" with the factor {c.multiplier:g}, as declared, which its own limits do not "
-                "allow: is the sign wrong in the file?"
+                "allow: mend the factor or the limits in the file"
             )
         found.append(FoundCoupling(c, confidence))
         said.append(text)
@@ -55,15 +59,31 @@ def find_couplings(
     )
 
 
+def coupling_notes(found: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
+    """Warnings: couplings that are not as the file has them."""
+    return tuple(
+        f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: {_turned(c)}. "
+        "Check it on the hand; if it is the limits that are wrong, mend them in the file"
+        for c in (f.coupling for f in found)
+        if c.turned
+    )
+
+
+def _turned(coupling: Coupling) -> str:
+    return (
+        f"the file says {-coupling.multiplier:g}, for which its own limits leave no room, so the "
+        "sign is taken to be wrong there"
+    )
+
+
 def _contradicted(skeleton: Skeleton, name: str) -> bool:
     follower = skeleton.joint_names.index(name)
     leader, gain, offset = skeleton.leaders[follower]
     ranges = skeleton.limits[[follower, leader]]
     if not np.isfinite(ranges).all():
         return False
-    led = np.sort(gain * ranges[1] + offset)
-    overlap = min(ranges[0, 1], led[1]) - max(ranges[0, 0], led[0])
-    return bool(overlap < _OVERLAP * min(np.ptp(ranges[0]), np.ptp(led)))
+    resolved = Coupling(name, skeleton.joint_names[leader], gain, offset)
+    return shared_range(resolved, *ranges) < NO_ROOM
 
 
 def _on_tendons(skeleton: Skeleton) -> set[str]:

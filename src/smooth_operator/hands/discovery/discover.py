@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.discovery.branches import Branches, Chain, HandTree, holds
 from smooth_operator.hands.discovery.checklist import checklist
-from smooth_operator.hands.discovery.couplings import find_couplings
+from smooth_operator.hands.discovery.couplings import coupling_notes, find_couplings
 from smooth_operator.hands.discovery.findings import Discovery, FoundFinger
 from smooth_operator.hands.discovery.landmarks import find_wrist, finger_points
 from smooth_operator.hands.discovery.layout import Layout, find_layout
@@ -27,6 +27,7 @@ from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
 
+_TURNS: Final = 4 * np.pi  # [rad]: no joint of a finger has such a range
 _GENERIC: Final = {
     *("right", "left", "rh", "lh", "r", "l", "hand", "robot", "model", "scene", "description"),
     *("urdf", "mjcf", "kinematics", "only"),
@@ -199,7 +200,8 @@ def _described(
         palm_given=overrules.palm is not None,
         hands=hands,
     )
-    return Discovery(spec, findings, found, coupled, (*notes, *tree.left_out))
+    notes = (*notes, *coupling_notes(coupled), *tree.left_out)
+    return Discovery(spec, findings, found, coupled, notes)
 
 
 def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
@@ -254,6 +256,13 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
             raise HandModelError(
                 f"joint {name!r} of a finger has no limits; give it some in the file (URDF: "
                 '<limit lower="…" upper="…"/>, MJCF: range="… …")'
+            )
+        low, high = skeleton.limits[j]
+        if skeleton.turns[j] and skeleton.bounded[j] and high - low > _TURNS:
+            raise HandModelError(
+                f"joint {name!r} of a finger has the limits {low:g} to {high:g} rad, more than two "
+                "turns: are they degrees? A URDF's are radians, and so are an MJCF's under "
+                '<compiler angle="radian"/>; mend them in the file'
             )
 
 

@@ -56,6 +56,16 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
                 "fingertips and wrist are surer with them: put them where the file says, or set "
                 "what is wrong with --tip and --wrist"
             )
+    bodies, joints = (
+        sum(not e.get("name") for world in root.iter("worldbody") for e in world.iter(tag))
+        for tag in ("body", "joint")
+    )
+    if bodies or joints:
+        notes.append(
+            f"{bodies} bodies and {joints} joints have no name in the file, and are called body_1, "
+            "joint_1 and so on, in its order; name the joints there, or no driver can tell what a "
+            "command is for"
+        )
     loops = sum(
         int(kind) in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
         for kind in model.eq_type
@@ -70,6 +80,12 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
 
 
 def _parse(path: Path) -> ElementTree.Element:
+    if path.is_dir():
+        inside = sorted(p.name for p in path.iterdir() if p.suffix in (".urdf", ".xml"))
+        raise HandModelError(
+            f"{path} is a folder; name the model file in it"
+            + (f": {', '.join(inside[:5])}" + (", …" if len(inside) > 5 else "") if inside else "")
+        )
     if not path.is_file():
         raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
     try:

@@ -1,0 +1,218 @@
+"""Hands of designs of their own, each with what is true of it; none is a product.
+
+All are drawn up as right hands with fingers along z, palm to -y and thumb at +x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from discovery_hands import Model, Part, Truth, Vector, mirrored, scrambled
+from scipy.spatial.transform import Rotation
+
+X, Y, Z = np.eye(3)
+Step = tuple[Vector, Vector, tuple[float, float]]
+"""Offset from the joint before, axis, limits."""
+
+
+@dataclass
+class Drawing:
+    """A hand on paper: parts and tips are added finger by finger, thumb first."""
+
+    palm: str
+    parts: list[Part] = field(default_factory=list)
+    tips: list[tuple[str, Vector]] = field(default_factory=list)
+
+    def finger(
+        self,
+        name: str,
+        base: Vector,
+        steps: list[Step],
+        last: Vector,
+        *,
+        parent: str = "",
+        follow: dict[int, tuple[int, float]] | None = None,
+    ) -> None:
+        """A chain of joints; ``follow`` says which step follows which other with what factor."""
+        above, offset = parent or self.palm, base
+        for k, (to_here, axis, limits) in enumerate(steps):
+            following = steps[k + 1][0] if k + 1 < len(steps) else last
+            leader = (follow or {}).get(k)
+            self.parts.append(
+                Part(
+                    f"{name}{k}",
+                    above,
+                    offset + to_here if k == 0 else to_here,
+                    axis=axis / np.linalg.norm(axis),
+                    joint=f"{name}{k}_j",
+                    limits=limits,
+                    end=following if np.linalg.norm(following) > 0.004 else None,
+                    mimic=None if leader is None else (f"{name}{leader[0]}_j", leader[1], 0.0),
+                )
+            )
+            above, offset = f"{name}{k}", np.zeros(3)
+        self.tips.append((above, last))
+
+    def model(self, side: str, seed: int) -> Model:
+        """As the hand of a side, every body's frame turned at random."""
+        parts, tips = {p.name: p for p in self.parts}, self.tips
+        if side == "left":
+            parts = {name: mirrored(p) for name, p in parts.items()}
+            tips = [(name, tip * (-1, 1, 1)) for name, tip in tips]
+        parts, tips = scrambled(parts, tips, np.random.default_rng(seed))
+        return Model(tuple(parts.values()), Truth(side, self.palm, tuple(tips)))
+
+
+def palm(name: str, size: float = 1.0, parent: str | None = None) -> Part:
+    end = np.array([0, 0, 0.08]) * size
+    return Part(name, parent, np.zeros(3), end=end, radius=0.018 * size)
+
+
+def curled_at_zero() -> Drawing:
+    """Joints count from the middle of their range, where all fingers are half closed; German names
+    that no list of words holds; the thumb bends before it turns."""
+    drawing = Drawing("Handflaeche", [palm("Handflaeche")])
+
+    def bend(angle: float) -> Vector:
+        return Rotation.from_rotvec(angle * X).apply(Z)
+
+    inward = np.array([-0.35, -0.9, 0.1])
+    out = np.array([0.75, -0.2, 0.6])
+    drawing.finger(
+        "Daumen",
+        np.array([0.026, -0.008, 0.018]),
+        [(0 * X, inward, (-0.6, 0.7)), (0.012 * out, -Z, (-0.8, 0.8)),
+         (0.04 * out, inward, (-0.7, 0.7)), (0.032 * out, inward, (-0.6, 0.8))],
+        0.026 * out,
+    )  # fmt: skip
+    for k, name in enumerate(("Zeige", "Mitte", "Ringf", "Klein")):
+        long = (0.044, 0.046, 0.044, 0.036)[k]
+        drawing.finger(
+            name,
+            np.array([0.03 - 0.02 * k, 0.0, 0.09 - 0.004 * abs(k - 1)]),
+            [(0 * X, Y, (-0.25, 0.25)), (0 * X, X, (-0.7, 0.8)),
+             (long * bend(0.7), X, (-0.7, 0.9)), (0.6 * long * bend(1.4), X, (-0.6, 0.6))],
+            0.5 * long * bend(1.9),
+        )  # fmt: skip
+    return drawing
+
+
+def six_joints_a_finger() -> Drawing:
+    """A twist, a spread and four bends in each finger; the palm arches under the last two."""
+    drawing = Drawing("q0", [palm("q0", 1.3)])
+    out = np.array([0.8, 0.0, 0.6])
+    drawing.finger(
+        "k",
+        np.array([0.036, -0.014, 0.026]),
+        [(0 * X, -Z, (-0.3, 1.6)), (0.014 * out, np.array([0.6, 0, -0.8]), (-0.4, 0.4)),
+         *((0.03 * out, -Y, (-0.1, 1.0)) for _ in range(4))],
+        0.024 * out,
+    )  # fmt: skip
+    arch = np.array([0.55, 0.0, 0.85])
+    drawing.parts.append(
+        Part(
+            "m9",
+            "q0",
+            np.array([-0.005, 0, 0.02]),
+            axis=arch / np.linalg.norm(arch),
+            joint="m9_j",
+            limits=(0.0, 0.5),
+            end=np.array([-0.03, 0.0, 0.05]),
+        )
+    )
+    for k, name in enumerate("pdwz"):
+        place = np.array([0.039 - 0.026 * k, 0.0, 0.115])
+        arched = k > 1
+        drawing.finger(
+            name,
+            place - (np.array([-0.005, 0, 0.02]) if arched else 0),
+            [(0 * X, Z, (-0.2, 0.2)), (0.006 * Z, Y, (-0.3, 0.3)),
+             *(((0.004 if i == 0 else 0.03) * Z, X, (-0.1, 1.1)) for i in range(4))],
+            0.024 * Z,
+            parent="m9" if arched else "",
+        )  # fmt: skip
+    return drawing
+
+
+def spread_around() -> Drawing:
+    """Two fingers that swing round the palm's rim, one led by the other, and a thumb that can't."""
+    drawing = Drawing("core", [palm("core", 0.5)])
+    drawing.finger(
+        "fixed",
+        np.array([0.0, -0.05, 0.03]),
+        [(0 * X, -X, (0.0, 2.2)), (0.06 * Z, -X, (0.0, 0.9))],
+        0.05 * Z,
+        follow={1: (0, 0.33)},
+    )
+    for name, sign in (("one", 1.0), ("two", -1.0)):
+        drawing.finger(
+            name,
+            np.array([0.03 * sign, 0.03, 0.03]),
+            [(0 * X, -sign * Z, (0.0, 1.5)), (0.02 * Y, X, (0.0, 2.2)), (0.06 * Z, X, (0.0, 0.9))],
+            0.05 * Z,
+            follow={2: (1, 0.33)},
+        )
+    follower = next(p for p in drawing.parts if p.name == "two0")
+    at = drawing.parts.index(follower)
+    drawing.parts[at] = replace(follower, mimic=("one0_j", 1.0, 0.0))
+    return drawing
+
+
+def prosthesis() -> Drawing:
+    """One joint a finger, bent as it was moulded, and two for the thumb; pinyin names."""
+    drawing = Drawing("zhang", [palm("zhang")])
+    out = np.array([0.7, -0.1, 0.7])
+    drawing.finger(
+        "muzhi",
+        np.array([0.03, -0.012, 0.02]),
+        [(0 * X, -Z, (0.0, 1.5)), (0.018 * out, np.array([-0.1, -1.0, 0.0]), (0.0, 0.9))],
+        0.055 * out,
+    )
+    for k, name in enumerate(("shizhi", "zhongzhi", "wuming", "xiaozhi")):
+        tip = np.array([0.0, -0.02, 0.065 - 0.004 * abs(k - 1)])
+        drawing.finger(name, np.array([0.03 - 0.02 * k, 0, 0.09]), [(0 * X, X, (0.0, 1.5))], tip)
+    return drawing
+
+
+def pincer_with_a_wide_thumb() -> Drawing:
+    """Two long fingers and a thumb below them that swings across, as on many grippers."""
+    drawing = Drawing("chassis", [palm("chassis", 0.8)])
+    out = np.array([0.5, -0.5, 0.7])
+    drawing.finger(
+        "alpha",
+        np.array([0.03, -0.03, 0.0]),
+        [(0 * X, -Z, (-0.2, 1.8)), (0.02 * out, np.array([-0.7, -0.7, 0.0]), (-0.2, 1.2)),
+         (0.05 * out, np.array([-0.7, -0.7, 0.0]), (0.0, 1.2))],
+        0.04 * out,
+    )  # fmt: skip
+    for name, x in (("beta", 0.022), ("gamma", -0.022)):
+        drawing.finger(
+            name,
+            np.array([x, 0.0, 0.07]),
+            [(0 * X, X, (-0.2, 1.5)), (0.06 * Z, X, (0.0, 1.6))],
+            0.045 * Z,
+        )
+    return drawing
+
+
+def tendon_text(model: Model, text: str) -> str:
+    """The MJCF with its equalities as tendons of one actuator each, and a motor on all the rest."""
+    led = {p.mimic[0]: (p.joint, p.mimic[1]) for p in model.parts if p.mimic}
+    start, end = text.index("<equality>"), text.index("</equality>") + len("</equality>")
+    tendons, motors = [], []
+    followers = {joint for joint, _ in led.values()}
+    for part in model.parts:
+        if not part.joint or part.joint in followers:
+            continue
+        if part.joint in led:
+            joint, share = led[part.joint]
+            tendons.append(
+                f'<fixed name="t_{part.joint}"><joint joint="{part.joint}" coef="1"/>'
+                f'<joint joint="{joint}" coef="{share}"/></fixed>'
+            )
+            motors.append(f'<motor tendon="t_{part.joint}"/>')
+        else:
+            motors.append(f'<motor joint="{part.joint}"/>')
+    more = f"<tendon>{''.join(tendons)}</tendon><actuator>{''.join(motors)}</actuator>"
+    return text[:start] + more + text[end:]

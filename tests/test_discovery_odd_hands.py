@@ -1,0 +1,135 @@
+"""Hands of quite other designs are read right as well, or with honest doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import odd_hands
+import pytest
+from discovery_hands import Model, Part, mjcf, urdf
+from odd_hands import Drawing
+
+from smooth_operator.hands.discovery import Discovery, discover
+from smooth_operator.hands.discovery.findings import SURE, UNSURE
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.loading import load_model
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings to a log in the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def found_in(folder: Path, text: str, name: str = "model.urdf", **options: str) -> Discovery:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return discover(path, **options)  # type: ignore[arg-type]
+
+
+def sure(found: Discovery, subject: str) -> float:
+    return next(f.confidence for f in found.findings if f.subject == subject)
+
+
+def tip_errors(found: Discovery, model: Model) -> np.ndarray:
+    """Distances of the tips found from the true ones, thumb first [m]."""
+    compiled, _ = load_model(found.spec.model)
+    data = mujoco.MjData(compiled)
+    mujoco.mj_kinematics(compiled, data)
+
+    def world(body: str, offset: np.ndarray) -> np.ndarray:
+        at = data.body(body)
+        return np.asarray(at.xpos + at.xmat.reshape(3, 3) @ offset)
+
+    return np.array(
+        [
+            np.linalg.norm(world(f.tip_body, np.array(f.tip_offset)) - world(body, offset))
+            for f, (body, offset) in zip(found.fingers, model.truth.tips, strict=True)
+        ]
+    )
+
+
+def check(found: Discovery, model: Model) -> None:
+    """Palm, side, thumb, order and tips are true, and the hand can be used."""
+    assert found.spec.palm == model.truth.palm
+    assert found.spec.side == model.truth.side
+    assert [f.tip_body for f in found.fingers] == [body for body, _ in model.truth.tips]
+    assert tip_errors(found, model).max() < 3e-3
+    hand = load_hand_spec(found.spec)
+    assert set(hand.joint_names) == {
+        p.joint for p in model.parts if p.joint and not p.joint.startswith("arm")
+    }
+    assert np.isfinite(hand.landmark_positions(hand.neutral)).all()
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        odd_hands.curled_at_zero,
+        odd_hands.six_joints_a_finger,
+        odd_hands.prosthesis,
+        odd_hands.pincer_with_a_wide_thumb,
+    ],
+)
+def test_a_design_of_its_own(
+    tmp_path: Path, draw: Callable[[], Drawing], seed: int, side: str
+) -> None:
+    model = draw().model(side, seed)
+    found = found_in(tmp_path, urdf(model.parts))
+    check(found, model)
+    assert sure(found, "thumb") > UNSURE
+    assert sure(found, "side") > UNSURE
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_fingers_spread_around_a_palm_have_no_clear_side(tmp_path: Path, seed: int) -> None:
+    model = odd_hands.spread_around().model("right", seed)
+    found = found_in(tmp_path, urdf(model.parts))
+    assert found.fingers[0].tip_body == model.truth.tips[0][0]
+    assert sure(found, "thumb") > UNSURE
+    assert sure(found, "side") < UNSURE
+    assert sure(found, "order") < SURE
+    assert tip_errors(found, model)[0] < 3e-3
+    spread = next(c.coupling for c in found.coupled if c.coupling.joint == "two0_j")
+    assert (spread.follows, spread.multiplier) == ("one0_j", 1.0)
+    assert len(load_hand_spec(found.spec).actuated) == 4  # spread, and a bend each
+    check(found_in(tmp_path, urdf(model.parts), side="right"), model)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_hand_of_tendons_on_an_arm(tmp_path: Path, side: str) -> None:
+    model = odd_hands.curled_at_zero().model(side, 5)
+    parts = []
+    for part in model.parts:
+        name = part.name
+        if name[-1] == "3" and not name.startswith("Daumen"):  # the last joint of a finger
+            part = replace(part, mimic=(f"{name[:-1]}2_j", 0.7, 0.0))
+        parts.append(part)
+    mount = Part("armmount", "arm1", np.array([0.0, 0.0, 0.1]))
+    arm = [
+        Part("arm0", None, np.zeros(3), axis=odd_hands.Z, joint="arm0_j", limits=(-3.0, 3.0),
+             end=np.array([0.0, 0.0, 0.4]), radius=0.05),
+        Part("arm1", "arm0", np.array([0.0, 0.0, 0.4]), axis=odd_hands.Y, joint="arm1_j",
+             limits=(-2.0, 2.0), end=np.array([0.0, 0.0, 0.1]), radius=0.04),
+        mount,
+    ]  # fmt: skip
+    parts[0] = replace(parts[0], parent="armmount")
+    # as MJCF, a finger ends in half a ball, and its tip is on that
+    tips = tuple((n, t * (1 + 0.006 / np.linalg.norm(t))) for n, t in model.truth.tips)
+    model = Model((*arm, *parts), replace(model.truth, tips=tips))
+    text = odd_hands.tendon_text(model, mjcf(model.parts))
+    found = found_in(tmp_path, text, "model.xml")
+    check(found, model)
+    assert {(c.coupling.joint, c.coupling.follows) for c in found.coupled} == {
+        (f"{f}3_j", f"{f}2_j") for f in ("Zeige", "Mitte", "Ringf", "Klein")
+    }
+    assert all(c.coupling.multiplier == pytest.approx(0.7) for c in found.coupled)
+    assert all(c.confidence < SURE for c in found.coupled)  # how they share is not in the file
+    hand = load_hand_spec(found.spec)
+    assert len(hand.actuated) == 4 + 4 * 3

@@ -1,0 +1,97 @@
+"""The page of one hand, in a Chromium: a slider for every joint, and they move it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlparse
+
+import numpy as np
+import pytest
+from browser_page import new_page, settled
+
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.ui.hand_page import HandPage
+
+WIDTH, HEIGHT = 1000, 700
+SHOWN = 600  # the panel is to the right of this [px]
+
+
+def eventually(condition: Callable[[], object], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come to be"
+        time.sleep(0.02)
+
+
+def listening(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((host, port)) == 0
+
+
+def position(slider: Any) -> float:
+    return float(slider.get_attribute("aria-valuenow") or "nan")
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(("name", "side"), [("inspire_hand", "left"), ("allegro_hand", "right")])
+def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
+    chromium: Any, name: str, side: str
+) -> None:
+    before = set(threading.enumerate())
+    hand = load_hand(name, side)
+    with HandPage(hand, "what was found", port=0) as served:
+        assert served._server is not None
+        # software rendering takes 5 s to prepare the reflections
+        served._server.scene.configure_environment_map(None)
+        page, problems = new_page(chromium, WIDTH, HEIGHT)
+        page.goto(served.url)
+        # the warning about software rendering would stand before the hand
+        page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
+        page.get_by_text("what was found").wait_for()
+        assert page.get_by_text(f"{side} hand", exact=False).first.is_visible()
+        for joint in hand.joint_names:
+            assert page.get_by_text(joint, exact=True).count() == 1, joint
+        # not by role: the knob of one that can't be moved is not drawn
+        sliders = page.locator('[role="slider"]')
+        assert sliders.count() == len(hand.joint_names)
+        rest = settled(page, SHOWN, HEIGHT)
+        assert (rest.max(axis=-1) > 60).mean() > 0.02  # there is a hand
+
+        moved = 1 + int(np.argmax(np.ptp(hand.limits, axis=1)[1:]))
+        sliders.nth(moved).press("End")
+        high = hand.limits[moved, 1]
+        eventually(lambda: np.isclose(served.joint_positions[moved], high, atol=0.02))
+        others = np.arange(len(hand.limits)) != moved
+        np.testing.assert_array_equal(served.joint_positions[others], hand.neutral[others])
+        bent = settled(page, SHOWN, HEIGHT)
+        assert (np.abs(bent - rest).max(axis=-1) > 30).mean() > 0.002
+        # the sliders of joints that follow go along and can't be moved by hand
+        every = hand.expand(served.joint_positions)
+        followers = [i for i in range(len(hand.joint_names)) if i not in hand.actuated]
+        for at, joint in enumerate(followers, len(hand.actuated)):
+            knob = sliders.nth(at)
+            eventually(lambda k=knob, v=every[joint]: abs(position(k) - v) < 0.02)
+            assert knob.get_attribute("aria-disabled") == "true"
+        if followers:
+            assert np.abs(every - hand.expand(hand.neutral))[followers].max() > 0.1
+
+        page.get_by_role("button", name="Neutral pose").click()
+        eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
+        back = settled(page, SHOWN, HEIGHT)
+        assert (np.abs(back - rest).max(axis=-1) > 30).mean() < 0.001
+        page.get_by_label("shape", exact=True).uncheck()
+        eventually(lambda: not any(node.visible for node in served._nodes.values()))
+        bare = settled(page, SHOWN, HEIGHT)
+        assert (np.abs(bare - rest).max(axis=-1) > 30).mean() > 0.01
+        assert problems == []
+        page.close()
+        address = urlparse(served.url)
+        assert address.hostname == "127.0.0.1"
+        assert address.port is not None
+        assert listening(address.hostname, address.port)
+    assert not listening(address.hostname, address.port)
+    eventually(lambda: not {t for t in threading.enumerate() if not t.daemon} - before)

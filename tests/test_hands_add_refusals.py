@@ -1,0 +1,255 @@
+"""``hands add`` on what it can't use: one line that says what is wrong and what to do."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from discovery_hands import Model, make_hand, mjcf, urdf
+
+from smooth_operator.cli import main
+from smooth_operator.hands.catalogue import load_hand
+
+HAND = make_hand(3)
+TEXT, XML = urdf(HAND.parts), mjcf(HAND.parts)
+JOINT = HAND.parts[2]  # of the thumb
+LOW, HIGH = JOINT.limits
+LAST = HAND.truth.tips[0][0]
+
+WHEELS = "".join(
+    f'<body name="w{k}" pos="{0.2 * k} 0 0"><joint name="w{k}" axis="0 1 0"/>'
+    '<geom type="cylinder" size="0.05 0.01"/></body>'
+    for k in range(4)
+)
+ROVER = (
+    '<mujoco><worldbody><body name="base"><freejoint/><geom size="0.1"/>'
+    f"{WHEELS}</body></worldbody></mujoco>"
+)
+ARM = "".join(
+    f'<body name="a{k}" pos="0 0 0.2"><joint name="a{k}" range="-90 90"/><geom size="0.05"/>'
+    for k in range(6)
+)
+ARM_ONLY = (
+    '<mujoco><compiler autolimits="true"/><worldbody>'
+    + ARM
+    + 6 * "</body>"
+    + "</worldbody></mujoco>"
+)
+
+
+def joint_of(name: str) -> str:
+    """Pattern of a hinge in the MJCF text."""
+    return rf'<joint name="{name}" type="hinge" axis="[^"]*" range="[^"]*"/>'
+
+
+def scaled(attribute: str, factor: float) -> str:
+    """The URDF with every number of an attribute multiplied."""
+
+    def times(match: re.Match[str]) -> str:
+        numbers = " ".join(str(factor * float(word)) for word in match[1].split())
+        return f'{attribute}="{numbers}"'
+
+    return re.sub(rf'{attribute}="([^"]*)"', times, TEXT)
+
+
+# what it is: file name, content, what is said, options
+REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
+    "broken XML": ("h.xml", "<mujoco><worldbody>", r"not well-formed.*mend it", ()),
+    "an empty file": ("h.urdf", "", r"not well-formed.*export the model again", ()),
+    "another format": ("h.sdf", "<sdf><model/></sdf>", r"starts with <sdf>; expected <robot>", ()),
+    "a template": (
+        "h.urdf",
+        '<robot xmlns:xacro="http://x/xacro"><xacro:arg name="a"/></robot>',
+        r"expand it first: xacro h\.urdf > hand\.urdf",
+        (),
+    ),
+    "an include that is not there": (
+        "h.xml",
+        '<mujoco><include file="nope.xml"/></mujoco>',
+        r"nope\.xml.*mend that in the file",
+        (),
+    ),
+    "a parent that is not there": (
+        "h.urdf",
+        TEXT.replace('<parent link="palm"/>', '<parent link="ghost"/>', 1),
+        r"parent or child missing.*mend that",
+        (),
+    ),
+    "limits reversed": (
+        "h.urdf",
+        TEXT.replace(f'lower="{LOW}" upper="{HIGH}"', f'lower="{HIGH}" upper="{LOW}"', 1),
+        r"are reversed.*swap them in the file",
+        (),
+    ),
+    "limits reversed in MJCF": (
+        "h.xml",
+        XML.replace(f'range="{LOW} {HIGH}"', f'range="{HIGH} {LOW}"', 1),
+        r"are reversed.*swap them in the file",
+        (),
+    ),
+    "limits that are no numbers": (
+        "h.urdf",
+        TEXT.replace(f'lower="{LOW}"', 'lower="none"', 1),
+        r"are not two numbers",
+        (),
+    ),
+    "limits in degrees": (
+        "h.urdf",
+        re.sub(
+            r'lower="([^"]*)" upper="([^"]*)"',
+            lambda m: f'lower="{57.3 * float(m[1])}" upper="{57.3 * float(m[2])}"',
+            TEXT,
+        ),
+        r"more than two turns: are they degrees\?.*mend them",
+        (),
+    ),
+    "no limits": (
+        "h.urdf",
+        re.sub(r"<limit [^>]*/>", "", TEXT),
+        r"turn without limits \(.*need their limits in the file",
+        (),
+    ),
+    "millimetres": ("h.urdf", scaled("xyz", 1000.0), r"a model that is not in metres", ()),
+    "a tip link twice": (
+        "h.urdf",
+        TEXT.replace("</robot>", f'<link name="{LAST}"/></robot>'),
+        r"names the link .* twice; give each its own name",
+        (),
+    ),
+    "a tip given twice": (
+        "h.urdf",
+        TEXT,
+        r"--tip names 'index' twice; give each finger one tip",
+        ("--tip", f"index={LAST}:0,0,0.01", "--tip", f"index={LAST}:0,0,0.02"),
+    ),
+    "a tip on another finger": (
+        "h.urdf",
+        TEXT,
+        r"must be fixed to that finger's last link: ",
+        ("--tip", f"index={LAST}:0,0,0.01"),
+    ),
+    "a ball joint": (
+        "h.xml",
+        re.sub(joint_of(JOINT.joint), f'<joint name="{JOINT.joint}" type="ball"/>', XML),
+        r"is a ball or free joint.*write it as hinges",
+        (),
+    ),
+    "a mobile robot": ("h.xml", ROVER, r"4 that turn without limits \(wheels\?", ()),
+    "an arm": ("h.xml", ARM_ONLY, r"no fingers found: .*name its palm with --palm", ()),
+    "no joints": ("h.urdf", '<robot name="r"><link name="a"/></robot>', r"no joints", ()),
+    "a coupling to nothing": (
+        "h.xml",
+        XML.replace(
+            "<equality>",
+            f'<equality><joint joint1="{JOINT.joint}" joint2="ghost" polycoef="0 1 0 0 0"/>',
+        ),
+        r"ghost.*mend that",
+        (),
+    ),
+}
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """Runs the command in a folder of its own: status, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
+    monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        capfd.readouterr()
+        status = main(["hands", "add", *arguments, "--no-view"])
+        return status, *capfd.readouterr()
+
+    return call
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_can_not_be_used_is_refused_in_a_line(run: Run, tmp_path: Path, what: str) -> None:
+    name, content, message, options = REFUSED[what]
+    (tmp_path / name).write_text(content, encoding="utf-8")
+    status, out, err = run(name, *options)
+    said = [line for line in err.splitlines() if line.startswith("smooth-operator: ")]
+    assert (status, out, len(said)) == (2, "", 1), err
+    assert re.search(message, said[0]), said[0]
+    assert "Traceback" not in err
+    assert not (tmp_path / "hands").exists()
+
+
+def test_a_file_that_is_not_there_and_a_folder(run: Run, tmp_path: Path) -> None:
+    status, _, err = run("none.urdf")
+    assert (status, "no hand model at none.urdf" in err) == (2, True), err
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package/hand.urdf").write_text(TEXT)
+    (tmp_path / "package/README").touch()
+    status, _, err = run("package")
+    assert status == 2
+    assert "is a folder; name the model file in it: hand.urdf" in err
+
+
+def bare() -> Model:
+    return make_hand(3, shapes=False)
+
+
+@pytest.mark.parametrize("form", ["urdf", "xml"])
+def test_missing_meshes_are_a_note_and_no_obstacle(run: Run, tmp_path: Path, form: str) -> None:
+    if form == "urdf":
+        text = urdf(bare().parts, mesh="package://vendor/meshes/none.stl")
+    else:
+        asset = '<asset><mesh name="m" file="none.stl"/></asset>'
+        text = XML.replace("<worldbody>", f'{asset}<worldbody><geom type="mesh" mesh="m"/>')
+    (tmp_path / f"h.{form}").write_text(text)
+    status, out, err = run(f"h.{form}", "--name", "gadget")
+    assert status == 0, err
+    note = next(line for line in out.splitlines() if line.startswith("Note: "))
+    assert "could not be read" in note
+    assert "--tip" in note
+    assert load_hand("gadget").fingers[0] == "thumb"
+
+
+def test_a_model_without_names_is_read_all_the_same(run: Run, tmp_path: Path) -> None:
+    text = re.sub(r'<body name="b\d+"', "<body", XML)
+    text = re.sub(r'<joint name="j\d+" type', "<joint type", text)
+    (tmp_path / "h.xml").write_text(text)
+    status, out, err = run("h.xml", "--name", "nameless")
+    assert status == 0, err
+    assert "have no name in the file" in out
+    hand = load_hand("nameless")
+    assert len(set(hand.joint_names)) == len(hand.joint_names) == 19
+    (tmp_path / "named.xml").write_text(XML)
+    assert run("named.xml", "--name", "named")[0] == 0
+    named = load_hand("named")
+    q = (0.3 * hand.limits[:, 0] + 0.7 * hand.limits[:, 1])[None]
+    assert hand.landmark_positions(q) == pytest.approx(named.landmark_positions(q), abs=1e-9)
+
+
+def test_a_sign_that_can_not_be_is_turned_with_a_warning(run: Run, tmp_path: Path) -> None:
+    coupled = make_hand(5, coupled=True)
+    part = next(p for p in coupled.parts if p.mimic)
+    assert part.mimic is not None
+    gain = part.mimic[1]
+    # of the same joint, counted the other way round, but the coupling left as it was
+    low, high = part.limits
+    old = f'name="{part.joint}" type="revolute"'
+    head, _, tail = urdf(coupled.parts).partition(old)
+    tail = tail.replace(f'lower="{low}" upper="{high}"', f'lower="{-high}" upper="{-low}"', 1)
+    (tmp_path / "h.urdf").write_text(head + old + tail)
+    status, out, err = run("h.urdf", "--name", "turned", "--json")
+    assert status == 0, err
+    said = json.loads(out)
+    row = next(c for c in said["coupled"] if c["joint"] == part.joint)
+    assert row["multiplier"] == pytest.approx(-gain)
+    assert row["confidence"] < 0.5
+    assert all(c["confidence"] > 0.9 for c in said["coupled"] if c is not row)
+    assert "coupled" in said["unsure"]
+    assert any("sign is taken to be wrong" in note for note in said["notes"])
+    hand = load_hand("turned", said["side"])
+    every = hand.expand(hand.limits.T)
+    at = hand.joint_names.index(part.joint)
+    assert abs(every[1, at] - every[0, at]) > 0.5
