@@ -1,0 +1,98 @@
+"""``smooth-operator latency``: the timing of a recorded run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from smooth_operator.cli.latency_options import Latency
+from smooth_operator.errors import ConfigError, OutputError
+from smooth_operator.recording import read_log, to_json
+from smooth_operator.recording.log_reader import Log
+from smooth_operator.runtime.log_timing import added_latency, log_timing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SHOWN: Final = ("p50", "p95", "p99", "max")
+_COLOURS: Final = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")  # Okabe and Ito's
+
+
+def latency(options: Latency) -> None:
+    """Prints a table, or JSON, and draws the figure if one is asked for.
+
+    Raises:
+        RecordingError: a file is no log, or holds no commands.
+        OutputError: the figure can't be written.
+    """
+    if not options.logs:
+        raise ConfigError("name one log or more: smooth-operator latency take.mcap")
+    logs = {path: read_log(path) for path in options.logs}
+    timings = {path: log_timing(log) for path, log in logs.items()}
+    if options.json:
+        print(to_json({str(path): timing for path, timing in timings.items()}))
+    else:
+        for path, timing in timings.items():
+            _print(path, timing)
+    if options.plot is not None:
+        figure = _figure(logs)
+        try:
+            figure.savefig(options.plot, dpi=150)
+        except (OSError, ValueError) as error:
+            raise OutputError(f"can't write the figure {options.plot}: {error}") from error
+
+
+def _print(path: Path, timing: Mapping[str, Any]) -> None:
+    console = Console(highlight=False)
+    table = Table(title=str(path), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("[ms]")
+    for name in _SHOWN:
+        table.add_column(name, justify="right")
+    rows = {**timing["stages_ms"], "added: received to sent": timing.get("added_latency_ms", {})}
+    rows["between commands"] = timing.get("interval_ms", {})
+    rows = {name: row for name, row in rows.items() if row} or {"method": timing["method_ms"]}
+    for name, row in rows.items():
+        table.add_row(name, *(f"{row[key]:.2f}" if key in row else "–" for key in _SHOWN))
+    console.print(table)
+    parts = [f"{timing['commands']} commands"]
+    if "rate_hz" in timing:
+        parts.append(f"{timing['frames_answered']} of them answer frames")
+        parts.append(f"{timing['duration_s']:.1f} s at {timing['rate_hz'] or 0:.1f} Hz")
+        parts += [f"{mode} {100 * share:.1f} %" for mode, share in timing["mode_share"].items()]
+    console.print(", ".join(parts), markup=False)
+    for event, count in timing.get("events", {}).items():
+        console.print(f"  {count:6d} × {event}", markup=False)
+    if timing["truncated"]:
+        console.print("the end of the log is missing; this is what came before")
+
+
+def _figure(logs: Mapping[Path, Log]) -> Figure:
+    """Latencies over time, and their distribution."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    over_time, spread = figure.subplots(1, 2, width_ratios=(2, 1))
+    for (path, log), colour in zip(logs.items(), _COLOURS * len(logs), strict=False):
+        added = added_latency(log)
+        if log.loop is None or not len(added):
+            assert log.commands is not None  # log_timing has refused such a log
+            added = log.commands.latency_ms
+            times = log.commands.stamps
+        else:
+            times = log.loop.times[np.isfinite(log.stages_ms["solve"])]
+        over_time.plot(times - times[0], added, ".", ms=2, color=colour, label=path.name)
+        ordered = np.sort(added)
+        spread.plot(ordered, np.arange(1, len(ordered) + 1) / len(ordered), color=colour)
+    over_time.set(xlabel="time [s]", ylabel="received to sent [ms]", yscale="log")
+    spread.set(xlabel="received to sent [ms]", ylabel="share of frames", xscale="log")
+    for share in (0.5, 0.99):
+        spread.axhline(share, color="0.7", linewidth=0.8, linestyle="--")
+        spread.annotate(f"p{100 * share:g}", (1, share), xycoords=("axes fraction", "data"))
+    over_time.legend(fontsize=8)
+    return figure
