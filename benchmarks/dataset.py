@@ -28,7 +28,7 @@ from report import BenchmarkError, Report, cores
 from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.offline.dataset import retarget_all, survey
-from smooth_operator.offline.jobs import request
+from smooth_operator.offline.plan import request
 from smooth_operator.offline.scan import CHUNK, Scan
 from smooth_operator.retargeters.method import HostMethod
 from smooth_operator.retargeters.program import compiled, frame_step
@@ -179,7 +179,7 @@ class Batch:
 
     def __init__(self, retargeter: Retargeter, recording: HandRecording, size: int) -> None:
         self._hand = retargeter.hand
-        step = frame_step(retargeter.method, retargeter.config.alignment)  # type: ignore[arg-type]
+        step = frame_step(retargeter.shared.method, retargeter.config.alignment)  # type: ignore[arg-type]
 
         def program(state: Any, landmarks: Any, valid: Any) -> Any:
             def frame(carry: Any, now: Any) -> Any:

@@ -34,7 +34,7 @@ class Scan:
 
     def __init__(self, retargeter: Retargeter) -> None:
         self._retargeter = retargeter
-        step = frame_step(cast(Method, retargeter.method), retargeter.config.alignment)
+        step = frame_step(cast(Method, retargeter.shared.method), retargeter.config.alignment)
 
         def scan(state: RetargetState, landmarks: Any, valid: Any) -> Any:
             return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, (landmarks, valid))
@@ -45,8 +45,7 @@ class Scan:
         """As :meth:`smooth_operator.Retargeter.run`, with NaN for the latencies."""
         hand = self._retargeter.hand
         whole = len(recording) // CHUNK * CHUNK
-        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
-            landmarks = recording.landmarks.astype(np.float32)
+        landmarks = self._retargeter.seen(recording.landmarks)
         assert recording.valid is not None  # filled in on construction
         positions, status, loss = [], [], []
         state = self._retargeter.init()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,6 +42,9 @@ class GeortConfig:
         model: a file of :func:`~smooth_operator.retargeters.geort_model.write_geort_model`; None
             for the one that comes with the hand.
     """
+
+    shareable: ClassVar[bool] = False
+    """A model is a file, which may change, and is of one side."""
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     model: Path | None = None

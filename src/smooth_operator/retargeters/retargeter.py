@@ -19,7 +19,7 @@ from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
 from smooth_operator.retargeters.presets import method_config
 from smooth_operator.retargeters.program import RetargetState as RetargetState
-from smooth_operator.retargeters.program import frame_program
+from smooth_operator.retargeters.shared import shared_program
 from smooth_operator.types import (
     CommandTrajectory,
     HandFrame,
@@ -28,6 +28,8 @@ from smooth_operator.types import (
     Result,
     Status,
 )
+
+_REFLECTION = np.array([-1, 1, 1], np.float32)
 
 
 class Retargeter:
@@ -48,6 +50,11 @@ class Retargeter:
         preset: name of its preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
         seed: of the method's random numbers.
+
+    Attributes:
+        method: the method for this hand.
+        shared: the compiled program, and the method that it was made from: that of the mirror image
+            for a hand that is described as one.
 
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
@@ -71,7 +78,7 @@ class Retargeter:
             self.config.alignment.operator.check(self.hand)
         self.seed = seed
         self.method: Method | HostMethod = self.config.build(self.hand)
-        self._program = frame_program(self.method, self.config.alignment)
+        self.shared = shared_program(self.hand, self.config)
         self._state = self.init()
 
     def init(self, seed: int | None = None) -> RetargetState:
@@ -103,10 +110,8 @@ class Retargeter:
                 f"a {frame.side} human hand can't drive the {self.hand.spec.side} hand "
                 f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
             )
-        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
-            landmarks = frame.landmarks.astype(np.float32)
         assert frame.valid is not None  # filled in on construction
-        state, answer = self._program(state, landmarks, frame.valid)
+        state, answer = self.shared.run(state, self.seen(frame.landmarks), frame.valid)
         q, status = np.asarray(answer.q, float), Status(int(answer.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
@@ -118,6 +123,13 @@ class Retargeter:
             float(answer.tracking_loss),
             float(answer.scale),
         )
+
+    def seen(self, landmarks: Float[np.ndarray, "*batch 21 3"]) -> Float[np.ndarray, "*batch 21 3"]:
+        """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
+        image's."""
+        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
+            taken = landmarks.astype(np.float32)
+        return taken * _REFLECTION if self.shared.reflects else taken
 
     def __call__(self, frame: HandFrame | ArrayLike) -> Result:
         """One frame, with the state kept inside; see :meth:`step`."""

@@ -1,0 +1,71 @@
+"""The round trip through every method, as checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Final
+
+from smooth_operator.checkup.checks import Check, Verdict
+from smooth_operator.checkup.round_trip import RoundTrip, round_trip, without_pull
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.retargeters.presets import method_config
+from smooth_operator.retargeters.retargeter import Retargeter
+
+GOOD_MM: Final = 3.0
+"""Median error of a reachable round trip that ``sbr`` is to keep on any hand [mm]."""
+_BAD_MM: Final = 10.0
+_FROZEN: Final = 0.02  # share of frames
+_FOLLOWS_TIPS: Final = ("sbr", "keyvector", "hybrid")
+"""Methods whose answer to a reachable pose is that pose; the others aim at something else."""
+
+
+def check_method(
+    hand: Hand,
+    method: str,
+    *,
+    poses: int,
+    seed: int,
+    track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+) -> Check:
+    """One method's round trip; the pull to the neutral pose is taken away, to judge the hand."""
+    name = f"round trip: {method}"
+    try:
+        retargeter = Retargeter(hand, config=without_pull(method_config(method)))
+    except SmoothOperatorError as error:
+        return Check(name, "skipped", f"not served: {error}")
+    trip = round_trip(retargeter, poses=poses, seed=seed, track=track)
+    verdict, advice = _judge(method, trip)
+    said = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
+    if trip.limit_violations:
+        said += f"; {trip.limit_violations} frames outside the limits"
+    if (trip.frozen or 0.0) > _FROZEN:
+        said += f"; the hand stood still in {100 * (trip.frozen or 0):.0f} % of the motion"
+    if trip.ok < 1:
+        said += f"; {100 * (1 - trip.ok):.0f} % of the frames refused"
+    figures = {
+        "median_mm": round(trip.median, 4),
+        "p95_mm": round(trip.p95, 4),
+        "ok": trip.ok,
+        "frozen": trip.frozen,
+        "limit_violations": trip.limit_violations,
+        "poses": poses,
+    }
+    return Check(name, verdict, said, advice, figures)
+
+
+def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
+    if trip.limit_violations:
+        return "failed", "please report this: no command may leave the limits"
+    if trip.ok < 1:
+        return "failed", "look at the palm frame: frames of the hand itself are refused"
+    if (trip.frozen or 0.0) > _FROZEN:
+        return "failed", "the method can't move this hand: look at limits and couplings"
+    if method not in _FOLLOWS_TIPS or trip.median <= GOOD_MM:
+        return "ok", ""
+    if method == "sbr" and trip.median > _BAD_MM:
+        return "failed", "poses of the hand itself can't be followed: look at palm frame and tips"
+    return "warning", (
+        "poses of the hand itself are followed loosely: look at the palm frame, and whether other "
+        "joints reach the same tips"
+    )

@@ -1,0 +1,392 @@
+"""Checks of a hand's description: a right one passes, each fault is found by the check for it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+import pytest
+
+from smooth_operator.checkup import Checkup, check_hand, round_trip, without_pull
+from smooth_operator.checkup.pinches import closest_pinch
+from smooth_operator.checkup.reachable import human_landmarks, reachable_poses
+from smooth_operator.checkup.samples import Samples
+from smooth_operator.checkup.shapes import part_distances
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.discovery import discover
+from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.spec_writer import write_hand_spec
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.retargeters.presets import method_config
+from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.types import JointCommand, Result, Status
+
+ALLEGRO = load_hand("allegro_hand").spec
+BASICS = {
+    "size", "palm frame", "joint ranges", "joints used", "fingertips", "neutral pose", "flexion",
+    "side", "pinches",
+}  # fmt: skip
+SIDES = [
+    (name, side)
+    for name in ("ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050",
+                 "orca_v2", "schunk_svh", "shadow_dexee", "shadow_hand", "wuji_hand")
+    for side in ("right", "left")
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def no_hands_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
+
+
+def basics(hand: str | Hand | HandSpec, side: str | None = None) -> Checkup:
+    return check_hand(hand, side, methods=())
+
+
+# Right ones
+
+
+@pytest.mark.parametrize(("name", "side"), SIDES)
+def test_a_built_in_hand_passes(name: str, side: str) -> None:
+    found = basics(name, side)
+    assert {check.name for check in found.checks} == BASICS
+    # Inspire's thumb does not reach beyond the index finger, which is so
+    able = {"pinches"} if name == "inspire_hand" else set()
+    assert {c.name for c in found.checks if c.verdict != "ok"} == able, found
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("file", ["ability_hand/ability_hand_left.urdf",
+                                  "leap_hand/leap_hand_right.urdf",
+                                  "schunk_hand/schunk_svh_hand_right.urdf"])  # fmt: skip
+def test_a_discovered_hand_passes(shared: Path, file: str) -> None:
+    """URDFs without their meshes: some shapes are left, and are no reason for an alarm."""
+    found = basics(discover(shared / "hands_urdf" / file, name="mine").spec)
+    assert found.ok, found.failed
+
+
+# Wrong ones: each is found by its check, and by no other
+
+
+def retold(spec: HandSpec, tmp_path: Path, change: Callable[[str], str]) -> HandSpec:
+    """The same description of a changed model."""
+    text = spec.model.read_text(encoding="utf-8")
+    changed = change(text)
+    assert changed != text
+    model = tmp_path / spec.model.name
+    model.write_text(changed, encoding="utf-8")
+    return replace(spec, model=model)
+
+
+def with_finger(spec: HandSpec, name: str, tip: Point, dip: Point | bool | None = True) -> HandSpec:
+    """A finger's tip moved, and its third point if one is given (None: left out)."""
+    fingers = []
+    for finger in spec.fingers:
+        if finger.name == name:
+            a, b, c, _ = finger.points
+            finger = FingerSpec(name, (a, b, c if isinstance(dip, bool) else dip, tip))
+        fingers.append(finger)
+    return replace(spec, fingers=tuple(fingers))
+
+
+def tip_of(spec: HandSpec, name: str) -> Point:
+    return next(finger.tip for finger in spec.fingers if finger.name == name)
+
+
+def in_degrees(text: str) -> str:
+    def turned(match: re.Match[str]) -> str:
+        low, high = (float(v) * 180 / np.pi for v in match[1].split())
+        return f'range="{low} {high}"'
+
+    return re.sub(r'range="(\S+ \S+)"', turned, text)
+
+
+def index_bends_back(text: str) -> str:
+    """The index finger's flexion axes turned round, as after a mistake in mirroring."""
+    root = text
+    for joint in load_hand("allegro_hand").joint_names[1:4]:
+        root, count = re.subn(
+            rf'(<joint name="{re.escape(joint)}"[^>]*axis=")([^"]+)"',
+            lambda m: m[1] + " ".join(str(-float(v)) for v in m[2].split()) + '"',
+            root,
+        )
+        assert count == 1, joint
+    return root
+
+
+WRONG: dict[str, tuple[str, Callable[[Path], HandSpec], str]] = {
+    "side": ("side", lambda _: replace(ALLEGRO, side="left"), "this is a right hand"),
+    "order": (
+        "side",
+        lambda _: replace(
+            ALLEGRO,
+            fingers=(
+                ALLEGRO.fingers[0],
+                *(
+                    replace(finger, name=name)
+                    for finger, name in zip(
+                        reversed(ALLEGRO.fingers[1:]), ("index", "middle", "ring"), strict=True
+                    )
+                ),
+            ),
+        ),
+        "wrong order",
+    ),
+    "degrees": ("joint ranges", lambda p: retold(ALLEGRO, p, in_degrees), "degrees"),
+    "radians": (
+        "joint ranges",
+        lambda p: retold(ALLEGRO, p, lambda t: t.replace('angle="radian" ', "")),
+        "radian",
+    ),
+    "tip on the palm": (
+        "fingertips",
+        lambda _: with_finger(ALLEGRO, "index", Point(ALLEGRO.palm, (0.0, 0.04, 0.1))),
+        "last link",
+    ),
+    "tip of another finger": (
+        "fingertips",
+        lambda _: with_finger(ALLEGRO, "middle", tip_of(ALLEGRO, "index")),
+        "last link",
+    ),
+    "tip 10 cm off": (
+        "fingertips",
+        lambda _: with_finger(
+            ALLEGRO, "ring", replace(tip_of(ALLEGRO, "ring"), offset=(0.1, 0.0, 0.02))
+        ),
+        "offset in metres",
+    ),
+    "idle joint": (
+        "joints used",
+        lambda _: with_finger(
+            ALLEGRO,
+            "index",
+            Point(ALLEGRO.fingers[1].points[1].body, (0.0, 0.0, 0.03)),  # type: ignore[union-attr]
+            None,
+        ),
+        "last link",
+    ),
+    "neutral": (
+        "neutral pose",
+        lambda _: replace(
+            ALLEGRO, neutral={**ALLEGRO.neutral, load_hand("allegro_hand").joint_names[1]: 20.0}
+        ),
+        "radians",
+    ),
+    "wrist": (
+        "size",
+        lambda _: replace(ALLEGRO, wrist=replace(ALLEGRO.wrist, offset=(0.0, 0.0, -0.9))),
+        "metres",
+    ),
+    "axes": ("flexion", lambda p: retold(ALLEGRO, p, index_bends_back), "sign"),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_fault_fails_its_check_and_no_other(fault: str, tmp_path: Path) -> None:
+    name, make, advice = WRONG[fault]
+    found = basics(make(tmp_path))
+    assert [check.name for check in found.failed] == [name], found
+    assert advice in found[name].advice
+    assert not found.ok
+
+
+def test_a_palm_that_is_a_line() -> None:
+    fingers = tuple(
+        FingerSpec(f.name, (Point(ALLEGRO.palm, (0.0, 0.03 * i, 0.0)), *f.points[1:]))
+        for i, f in enumerate(ALLEGRO.fingers)
+    )
+    found = basics(replace(ALLEGRO, fingers=fingers))
+    assert found["palm frame"].verdict == "failed"
+    assert "line" in found["palm frame"].advice
+
+
+def test_knuckles_that_move_are_told() -> None:
+    fingers = tuple(
+        FingerSpec(f.name, (f.points[1], *f.points[1:])) if f.name == "ring" else f
+        for f in ALLEGRO.fingers
+    )
+    found = basics(replace(ALLEGRO, fingers=fingers))
+    assert found["palm frame"].verdict == "warning"
+    assert found["palm frame"].figures["travel_mm"] > 20
+
+
+def test_nothing_that_rests_on_a_fault_is_measured(tmp_path: Path) -> None:
+    found = check_hand(WRONG["degrees"][1](tmp_path), methods=("sbr",))
+    assert found["round trip: sbr"].verdict == "skipped"
+    assert "joint ranges" in found["round trip: sbr"].measured
+    assert found["pinches"].verdict == "skipped"
+
+
+# Measures
+
+
+def test_the_closest_pinch_is_closer_than_any_random_pose() -> None:
+    samples = Samples(load_hand("inspire_hand"))
+    for k, finger in enumerate(samples.hand.fingers[1:], start=1):
+        random = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1).min()
+        assert closest_pinch(samples, finger) <= random
+    # the thumb sweeps in one plane beside the little finger: a grid over its three joints agrees
+    hand = samples.hand
+    joints = [hand.actuated_names.index(n) for n in hand.actuated_names if "thumb" in n]
+    joints.append(hand.actuated_names.index("pinky_proximal_joint"))
+    grid = np.stack(
+        np.meshgrid(*(np.linspace(*hand.limits[j], 40) for j in joints), indexing="ij"), axis=-1
+    ).reshape(-1, len(joints))
+    q = np.tile(hand.neutral, (len(grid), 1))
+    q[:, joints] = grid
+    tips = hand.tips(hand.expand(q))
+    best = np.linalg.norm(tips[:, 4] - tips[:, 0], axis=1).min()
+    assert closest_pinch(samples, "pinky") == pytest.approx(best, abs=1e-3)
+    assert closest_pinch(samples, "pinky") <= best + 1e-9
+
+
+def test_distances_to_shapes() -> None:
+    """A mesh of a cube and the same cube as a box; a sphere, a capsule and a cylinder."""
+    corners = " ".join(
+        f"{x} {y} {z}" for x in (-0.01, 0.01) for y in (-0.02, 0.02) for z in (-0.03, 0.03)
+    )
+    text = f"""<mujoco><asset><mesh name="cube" vertex="{corners}"/></asset><worldbody>
+      <body name="palm"><geom type="sphere" size="0.001" pos="1 0 0"/>
+      <body name="a"><joint name="a" range="-1 1" axis="1 0 0"/>
+        <geom type="SHAPE" pos="0 0 0.1" quat="0.8 0 0.6 0"/></body></body></worldbody></mujoco>"""
+    points = np.random.default_rng(0).normal((0, 0, 0.1), 0.03, (40, 3))
+
+    def distances(shape: str) -> np.ndarray:
+        model = mujoco.MjModel.from_xml_string(text.replace('type="SHAPE"', shape))
+        hand = SimpleNamespace(
+            model=model,
+            bodies=np.ones(model.nbody, bool),
+            neutral=np.zeros(1),
+            expand=lambda q: q,
+            qpos=lambda q: q,
+        )
+        body = model.body("a").id
+        return np.array([part_distances(cast(Any, hand), body, p)[body] for p in points])
+
+    box = distances('type="box" size="0.01 0.02 0.03"')
+    mesh = distances('type="mesh" mesh="cube"')
+    assert (box < 0).any()
+    np.testing.assert_allclose(mesh, box, atol=1e-7)
+    away = points - (0, 0, 0.1)
+    ball = distances('type="sphere" size="0.02"')
+    np.testing.assert_allclose(ball, np.linalg.norm(away, axis=1) - 0.02, atol=1e-12)
+    np.testing.assert_allclose(distances('type="ellipsoid" size="0.02 0.02 0.02"'), ball, atol=1e-9)
+    capsule = distances('type="capsule" size="0.02 0.001"')
+    cylinder = distances('type="cylinder" size="0.02 0.021"')
+    assert (np.abs(capsule - ball) <= 0.001 + 1e-9).all()
+    assert (cylinder <= capsule + 1e-9).all()  # that capsule fits into it
+
+
+# The round trip
+
+
+def test_reachable_poses_are_free_and_mean_no_pinch() -> None:
+    hand = load_hand("leap_hand")
+    q = reachable_poses(hand, 30, seed=3)
+    np.testing.assert_array_equal(q, reachable_poses(hand, 30, seed=3))
+    assert q.shape == (30, 16)
+    assert (q >= hand.limits[:, 0]).all()
+    assert (q <= hand.limits[:, 1]).all()
+    depths = penetration_depths(hand, hand.expand(q))
+    assert depths is not None
+    assert depths.max() <= 1e-3
+    tips = hand.tips(hand.expand(q))
+    assert np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min() >= 0.02
+    assert (np.ptp(q, axis=0) > 0.5 * np.ptp(hand.limits, axis=1)).mean() > 0.9
+
+
+def test_landmarks_that_a_robot_lacks_are_plausible() -> None:
+    spec = load_hand("allegro_hand").spec
+    fingers = [FingerSpec(f.name, (f.points[0], None, None, f.points[3])) for f in spec.fingers]
+    hand = load_hand_spec(replace(spec, fingers=tuple(fingers)))
+    (points,) = human_landmarks(hand, hand.neutral[None])
+    assert np.isfinite(points).all()
+    at = dict(zip(LANDMARKS, points, strict=True))
+    np.testing.assert_allclose(
+        at["index_pip"], at["index_mcp"] + (at["index_tip"] - at["index_mcp"]) / 3
+    )
+    # the little finger that it hasn't got is beyond the ring finger, seen from the index
+    across = at["ring_mcp"] - at["index_mcp"]
+    assert (at["pinky_mcp"] - at["ring_mcp"]) @ across > 0
+
+
+def test_a_round_trip_tells_a_hand_that_never_moves() -> None:
+    hand = load_hand("allegro_hand")
+    positions = hand.expand(hand.neutral)
+    positions[0] = hand.joint_limits[0, 1] + 0.1
+
+    def step(state: None, frame: np.ndarray) -> tuple[None, Result]:
+        command = JointCommand(positions, hand.joint_names, 0.0)
+        return None, Result(command, Status.INVALID_LANDMARKS, 0.0, 0.0, 1.0)
+
+    idle = SimpleNamespace(hand=hand, init=lambda: None, step=step)
+    trip = round_trip(cast(Retargeter, idle), poses=3, seed=1)
+    assert trip.tip_error_mm.shape == (3, 4)
+    true = reachable_poses(hand, 3, 1)
+    np.testing.assert_array_equal(trip.q_true, hand.expand(true))
+    apart = hand.tips(trip.q_true) - hand.tips(positions)
+    np.testing.assert_allclose(trip.tip_error_mm, 1e3 * np.linalg.norm(apart, axis=-1))
+    assert (trip.ok, trip.frozen, trip.limit_violations) == (0.0, 1.0, 3 * 35)
+    assert trip.median == np.median(trip.tip_error_mm)
+    with pytest.raises(ConfigError, match="one pose"):
+        round_trip(cast(Retargeter, idle), poses=0, seed=1)
+
+
+def test_without_pull_changes_the_pull_only() -> None:
+    config = method_config("sbr")
+    free = without_pull(config)
+    assert free.objective.pose_weight == pytest.approx(1e-4)  # type: ignore[attr-defined]
+    back = replace(
+        free, objective=replace(free.objective, pose_weight=config.objective.pose_weight)
+    )  # type: ignore[type-var,attr-defined]
+    assert back == config
+    assert without_pull(method_config("joint_angle")) == method_config("joint_angle")
+
+
+# The command
+
+
+def test_the_command_prints_one_object(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["hands", "check", "inspire_hand", "--quick", "--poses", "4", "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert (found["hand"], found["side"], found["ok"]) == ("inspire_hand", "right", True)
+    checks = {check["name"]: check for check in found["checks"]}
+    assert set(checks) == {*BASICS, "round trip: sbr"}
+    trip = checks["round trip: sbr"]["figures"]
+    assert trip["median_mm"] <= 3
+    assert (trip["ok"], trip["limit_violations"], trip["frozen"]) == (1.0, 0, 0.0)
+
+
+def test_a_method_that_has_no_model_is_no_failure() -> None:
+    found = check_hand("inspire_hand", "left", methods=("joint_angle", "geort"), poses=2)
+    assert found.side == "left"
+    assert found["round trip: joint_angle"].verdict == "ok"
+    assert found["round trip: geort"].verdict == "skipped"
+    assert "train geort" in found["round trip: geort"].measured
+    assert found.ok
+
+
+def test_the_exit_status_says_how_it_went(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.toml"
+    write_hand_spec(replace(ALLEGRO, side="left", model=ALLEGRO.model.absolute()), file)
+    wrong = tmp_path / "wrong.toml"
+    write_hand_spec(WRONG["tip on the palm"][1](tmp_path), wrong)
+    assert main(["hands", "check", str(wrong)]) == 1
+    out = capfd.readouterr().out
+    assert "1 check failed" in out
+    assert "index tip is fixed to the palm" in out
+    assert main(["hands", "check", "no_such_hand"]) == 2
+    assert "no_such_hand" in capfd.readouterr().err

@@ -1,0 +1,65 @@
+"""Programs are compiled once for all that would compile the same one."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator.retargeters.shared import fingerprint, shared_program
+from smooth_operator.sources import SyntheticOperator
+
+
+def test_the_same_hand_and_settings_share_and_others_do_not() -> None:
+    hand, config = load_hand("mimic_p050"), method_config("joint_angle")
+    first = shared_program(hand, config)
+    assert shared_program(hand, method_config("joint_angle")).run is first.run
+    other = dataclasses.replace(
+        config,
+        alignment=dataclasses.replace(config.alignment, scale=1.1),  # type: ignore[type-var]
+    )
+    assert shared_program(hand, other).run is not first.run
+    fewer = load_hand("mimic_p050", fingers=("thumb", "index", "middle"))
+    assert shared_program(fewer, config).run is not first.run
+
+
+@pytest.mark.parametrize(("name", "mirrored"), [("mimic_p050", True), ("shadow_hand", False)])
+def test_a_mirrored_hand_is_served_by_its_mirror_image(name: str, mirrored: bool) -> None:
+    config = method_config("joint_angle")
+    right, left = (shared_program(load_hand(name, side), config) for side in ("right", "left"))
+    assert (right.run is left.run) == mirrored
+    assert (right.reflects, left.reflects) == (False, mirrored)
+
+
+def test_mirrored_motion_gives_equal_joints_bit_for_bit() -> None:
+    recordings = [SyntheticOperator(seed=3, side=side).record(0.4) for side in ("right", "left")]
+    (right, _), (left, _) = (
+        Retargeter("mimic_p050", side=recording.side, method="keyvector").run(
+            dataclasses.replace(
+                recording, landmarks=recordings[0].landmarks * ((-1, 1, 1) if i else (1, 1, 1))
+            )
+        )
+        for i, recording in enumerate(recordings)
+    )
+    np.testing.assert_array_equal(right.joint_positions, left.joint_positions)
+    assert right.joint_names == left.joint_names
+
+
+def test_another_retargeter_of_the_same_hand_is_there_at_once() -> None:
+    Retargeter("mimic_p050", method="geort", side="right")  # never shared: its file may change
+    first = Retargeter("mimic_p050", method="joint_angle", side="left")
+    first.warm_up()
+    start = time.perf_counter()
+    Retargeter("mimic_p050", method="joint_angle", side="left").warm_up()
+    assert time.perf_counter() - start < 1.0  # compiling takes longer on any machine
+
+
+def test_a_fingerprint_is_of_figures_not_of_names() -> None:
+    hand = load_hand("leap_hand")
+    renamed = load_hand(dataclasses.replace(hand.spec, name="other", source="elsewhere"))
+    assert fingerprint(renamed) == fingerprint(hand)
+    moved = dataclasses.replace(hand.spec, neutral={hand.actuated_names[0]: 0.1})
+    assert fingerprint(load_hand(moved)) != fingerprint(hand)
