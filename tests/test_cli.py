@@ -354,3 +354,24 @@ def test_a_real_recording(run: Run, shared: Path, tmp_path: Path) -> None:
     assert metrics["definition"] == "paper"
     assert metrics["cosine_similarity"] > 0.8
     assert metrics["latency_ms"]["p50"] > 0
+
+
+def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Swallowing:
+        def __del__(self) -> None:
+            raise KeyboardInterrupt  # where Python only writes a note of it
+
+    class Busy:
+        debug = False
+
+        def run(self) -> None:
+            Swallowing()
+            time.sleep(10)
+
+    monkeypatch.setattr("smooth_operator.cli.app.parse", lambda arguments: Busy())
+    start = time.monotonic()
+    assert main(["demo"]) == 130
+    assert time.monotonic() - start < 5
+    assert "stopped" in capsys.readouterr().err

@@ -26,7 +26,8 @@ from smooth_operator.errors import ConfigError, OutputError, RecordingError, Unk
 from smooth_operator.offline.dataset import Survey, retarget_all, survey
 from smooth_operator.offline.discovery import find_recordings
 from smooth_operator.offline.finished import claimed
-from smooth_operator.offline.jobs import Entry, Request, request
+from smooth_operator.offline.jobs import Entry, checked
+from smooth_operator.offline.plan import Request, request
 from smooth_operator.offline.scan import CHUNK, Scan, find_scan
 from smooth_operator.recording import LogWriter, read_commands, read_recording
 from smooth_operator.retargeters.presets import PRESETS
@@ -346,14 +347,14 @@ def test_refused_before_any_work(tmp_path: Path) -> None:
 
 
 def test_a_request_is_checked_once_and_not_per_recording() -> None:
-    assert request(preset="realtime") == replace(request(), preset="realtime")
+    assert checked(request(preset="realtime")) == replace(request(), preset="realtime")
     with pytest.raises(UnknownNameError, match="unknown hand"):
-        request(hand="foot")
+        checked(request(hand="foot"))
     with pytest.raises(UnknownNameError, match="unknown method"):
         request(method="sbrr")
     for wrong in ({"frames": "1-2"}, {"frames": "5:5"}, {"rate": -1.0}, {"scale": 40.0}):
         with pytest.raises(ConfigError):
-            request(**wrong)  # type: ignore[arg-type]
+            checked(request(**wrong))  # type: ignore[arg-type]
 
 
 # Many frames at a time.

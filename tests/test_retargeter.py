@@ -129,7 +129,7 @@ def test_reset_restores_everything_and_never_recompiles(
     fresh.reset()
     fresh.run(HandRecording(frames[:2], np.arange(2.0)), seed=3)
     with pytest.raises(AssertionError, match="a second time"):  # were it so, this is what happens
-        Retargeter(config=dataclasses.replace(FRESH, settle_rounds=7)).warm_up()
+        Retargeter(config=replace(FRESH, settle_rounds=7)).warm_up()
 
 
 def test_a_step_changes_nothing_but_what_it_returns(fresh: Retargeter, frames: np.ndarray) -> None:

@@ -23,7 +23,7 @@ def built_for(todo: Plan) -> tuple[Retargeter, float]:
         SmoothOperatorError: the method can't serve the hand.
     """
     spec = todo.hand.spec
-    words = (spec.name, spec.side, todo.method, str(todo.seed), to_json(todo.config))
+    words = (to_json(spec), todo.method, str(todo.seed), to_json(todo.config))
     key = hashlib.sha256("\n".join(words).encode()).hexdigest()
     if key not in _built:
         _built[key] = build(todo)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,6 +20,7 @@ from smooth_operator.offline.environment import package_version
 from smooth_operator.offline.finished import digest
 from smooth_operator.recording import to_json
 from smooth_operator.retargeters.method import MethodConfig
+from smooth_operator.retargeters.operated import operated_by
 from smooth_operator.types import Side
 
 # What a command or a metric depends on; pages, plots and the command line are not in it.
@@ -38,7 +39,8 @@ class Cell:
         hand: name of the robot hand.
         method: name of the method.
         preset: name of its preset.
-        config: the method's configuration.
+        config: the method's configuration, the operator in it.
+        fingers: robot finger -> human finger that drives it; None for all.
     """
 
     source: Source
@@ -46,6 +48,7 @@ class Cell:
     method: str
     preset: str
     config: MethodConfig
+    fingers: Mapping[str, str] | None = None
 
     @property
     def side(self) -> Side:
@@ -82,11 +85,13 @@ def cells_of(
     sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
 ) -> list[Cell]:
     """Every recording with every hand and every method, in this order."""
+    operator = settings.operator
+    configs = [c.config if operator is None else operated_by(c.config, operator) for c in methods]
     return [
-        Cell(source, hand, choice.method, choice.preset, choice.config)
+        Cell(source, hand, choice.method, choice.preset, config, settings.fingers)
         for source in sources
         for hand in settings.hands
-        for choice in methods
+        for choice, config in zip(methods, configs, strict=True)
     ]
 
 
@@ -97,7 +102,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
     """
     content: dict[str, Any] = {
         "frames": cell.source.digest,
-        "hand": _hand_identity(cell.hand, cell.side),
+        "hand": _hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
         "method": cell.method,
         "preset": cell.preset,
         "config": cell.config,
@@ -130,10 +135,10 @@ def code_digest() -> str:
 
 
 @cache
-def _hand_identity(name: str, side: Side) -> str:
+def _hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
     """The hand's description and the content of its model file, not the folder it is in."""
     try:
-        spec = load_hand(name, side).spec
+        spec = load_hand(name, side, fingers=dict(fingers) or None).spec
     except SmoothOperatorError as error:
         return f"{name} {side}: {error}"
     fields = {f.name: getattr(spec, f.name) for f in dataclasses.fields(spec) if f.name != "model"}

@@ -135,6 +135,6 @@ class _Run:
 
 def _built(cell: Cell, seed: int) -> Retargeter:
     assert cell.source.recording is not None  # looked at by the caller
-    hand = load_hand(cell.hand, cell.side)
+    hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
     todo = Plan(cell.source.recording, hand, cell.method, cell.preset, cell.config, seed)
     return built_for(todo)[0]

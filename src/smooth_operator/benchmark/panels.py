@@ -82,7 +82,7 @@ def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
     for key, group in groups.items():
         cell = group[0][0]
         assert cell.source.recording is not None  # or there would be no commands
-        hand = load_hand(cell.hand, cell.side)
+        hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         stamps = cell.source.recording.stamps
         runs = tuple(_run(cell, kept, hand) for cell, kept in group)
         yield Panel(key, hand, stamps - stamps[0], runs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +29,7 @@ class Task:
         config: its configuration.
         seed: of its random numbers.
         definition: of the metrics.
+        fingers: robot finger -> human finger that drives it; None for all.
     """
 
     recording: HandRecording
@@ -37,6 +39,7 @@ class Task:
     config: MethodConfig
     seed: int
     definition: Definition
+    fingers: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,10 @@ def measure_cell(task: Task) -> Measured:
     Raises:
         SmoothOperatorError: the method can't serve the hand, or the recording can't be used.
     """
-    hand = load_hand(task.hand, task.recording.side)
-    todo = Plan(task.recording, hand, task.method, task.preset, task.config, task.seed)
+    hand = load_hand(task.hand, task.recording.side, fingers=task.fingers)
+    todo = Plan(
+        task.recording, hand, task.method, task.preset, task.config, task.seed, task.fingers
+    )
     outcome = execute(todo, built_for(todo))
     untimed = np.full(len(outcome.commands), np.nan)
     outcome = replace(outcome, commands=replace(outcome.commands, latency_ms=untimed))

@@ -16,7 +16,8 @@ from smooth_operator.metrics import Metric
 Row: TypeAlias = dict[str, Any]
 """One cell: ``recording``, ``hand``, ``side``, ``method``, ``preset``, ``status``, ``reason``,
 ``metrics`` (as :func:`smooth_operator.metrics.evaluate` gives them, the latency measured alone),
-``fingers``, ``latency``, ``source``, ``seed``, ``definition``, ``cell``, ``seconds``, ``versions``,
+``fingers``, ``latency``, ``source``, ``seed``, ``definition``, ``fingers_driven`` (as chosen; null
+for all), ``operator`` (the calibration; null for none), ``cell``, ``seconds``, ``versions``,
 ``hardware``, ``date``."""
 
 KEY: Final = ("recording", "hand", "side", "method", "preset")
@@ -42,6 +43,8 @@ def _row(finished: Finished, settings: Settings) -> Row:
         "source": cell.source.facts,
         "seed": settings.seed,
         "definition": settings.definition,
+        "fingers_driven": settings.fingers,
+        "operator": settings.operator,
         "cell": None,
         "seconds": None,
         "versions": None,

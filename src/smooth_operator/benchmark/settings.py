@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.hands.catalogue import hand_names, load_hand
+from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.metrics import Definition
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.presets import PRESETS, method_config
@@ -35,6 +37,8 @@ class Settings:
         latency_frames: frames to measure latency over; 0 measures none.
         workers: processes for the quality of cells; None for one per core, 0 for none.
         cluster: address of a Ray cluster instead of processes on this machine.
+        fingers: robot finger -> human finger that drives it; None for all fingers of each hand.
+        operator: the calibrated operator of the recordings; None for none.
 
     Raises:
         ConfigError: a number is negative.
@@ -53,6 +57,8 @@ class Settings:
     latency_frames: int = LATENCY_FRAMES
     workers: int | None = None
     cluster: str | None = None
+    fingers: Mapping[str, str] | None = None
+    operator: OperatorProfile | None = None
 
     def __post_init__(self) -> None:
         for name in ("latency_frames", "workers"):

@@ -139,7 +139,7 @@ def _task(cell: Cell, settings: Settings) -> Task:
     assert cell.source.recording is not None  # those without are not begun
     return Task(
         cell.source.recording, cell.hand, cell.method, cell.preset, cell.config, settings.seed,
-        settings.definition,
+        settings.definition, cell.fingers,
     )  # fmt: skip
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import io
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from smooth_operator.cli.options import Command, parse
@@ -35,6 +38,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     _never_fail_on_a_character()
+    with _no_interrupt_lost():
+        return _run(arguments)
+
+
+def _run(arguments: list[str]) -> int:
     command: Command | None = None
     try:
         try:
@@ -67,6 +75,35 @@ def package_version() -> str:
         return version("smooth-operator")
     except PackageNotFoundError:  # run from a source tree that was never installed
         return "unknown"
+
+
+@contextlib.contextmanager
+def _no_interrupt_lost() -> Iterator[None]:
+    """Have Ctrl-C come again where it was swallowed.
+
+    JAX has the garbage collector call it back, and Python drops whatever is raised in there: a
+    Ctrl-C at such a moment would go unheard.
+    """
+    before = sys.unraisablehook
+
+    def again(what: sys.UnraisableHookArgs) -> None:
+        if what.exc_type is KeyboardInterrupt:
+            threading.Timer(0.02, _interrupt).start()
+        else:
+            before(what)
+
+    sys.unraisablehook = again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _interrupt() -> None:
+    if hasattr(signal, "pthread_kill"):  # a real signal ends a sleep, too
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
 
 
 def _debugging(command: Command | None) -> bool:

@@ -29,6 +29,8 @@ from smooth_operator.benchmark.suite import Advance
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.outputs import folder_for
+from smooth_operator.hands.selection import parse_fingers
+from smooth_operator.human.operator_file import read_operator
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
 
@@ -60,6 +62,8 @@ def bench(options: Bench) -> None:
         latency_frames=options.latency_frames,
         workers=options.workers,
         cluster=options.cluster,
+        fingers=None if options.fingers is None else parse_fingers(options.fingers),
+        operator=None if options.operator is None else read_operator(options.operator),
     )
     others = None if options.compare is None else read_results(options.compare)
     cells = plan_cells(settings)

@@ -65,6 +65,14 @@ Examples:
     seed: int = 0
     """Of the methods' random numbers."""
 
+    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
+    """Robot fingers to drive, two to five with the thumb among them, each by its own human finger
+    or by another: thumb,index,pinky=ring has the ring finger drive the robot's pinky. All if left
+    out."""
+
+    operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
+    """The operator's calibration, as calibrate writes it, of a benchmark on one hand."""
+
     definition: Literal["sound", "paper"] = "sound"
     """How the metrics are defined; paper is as published."""
 

@@ -18,11 +18,12 @@ from rich.table import Table
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.session import requested
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
 from smooth_operator.offline.environment import environment
 from smooth_operator.offline.finished import claimed, read_configuration
-from smooth_operator.offline.jobs import Entry, request
+from smooth_operator.offline.jobs import Entry, checked
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import atomic_write, to_json
 
@@ -50,16 +51,7 @@ def retarget_folder(options: Retarget) -> None:
             f"can't write {str(account)!r}, the account of the run: it holds something else; give "
             "another folder, or remove it first"
         )
-    asked = request(
-        hand=options.hand,
-        method=options.method,
-        preset=options.preset,
-        seed=options.seed,
-        scale=options.scale,
-        side=options.side,
-        rate=options.rate,
-        frames=options.frames,
-    )
+    asked = checked(requested(options, side=options.side, rate=options.rate, frames=options.frames))
     with folder_for(output), claimed(output):
         with progress.waiting(f"looking through {folder}"):
             todo = survey(folder, output, asked, overwrite=options.overwrite)

@@ -8,10 +8,14 @@ from typing import Final, TypeAlias
 import tyro
 
 from smooth_operator.cli.bench_options import Bench
+from smooth_operator.cli.calibrate_options import Calibrate
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.demo_options import Demo
+from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.hands_options import Hands
+from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.view_options import View
 
@@ -20,14 +24,20 @@ _EXAMPLES = """Examples:
       a built-in operator, retargeted, measured and played in the browser
   smooth-operator retarget glove.npz --output out.npz
       a recording into joint commands, with a table of what was measured
+  smooth-operator teleop --source webcam --sink mujoco record:take.mcap
+      a live tracker drives a hand, within limits, with a page to watch
   smooth-operator view out.npz glove.npz
       the two side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
       both into one file of another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
       which method, and how good? a table, results.json and a report
+  smooth-operator calibrate glove.npz --output operator.json
+      the operator's hand on the robot's, for --operator; with a report
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
+  smooth-operator glove-simulator
+      a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
 
@@ -35,16 +45,32 @@ Each command has its own help: smooth-operator retarget --help
 """
 
 
-Command: TypeAlias = Bench | Convert | Demo | Hands | Retarget | Train | View
+Command: TypeAlias = (
+    Bench
+    | Calibrate
+    | Convert
+    | Demo
+    | GloveSimulate
+    | Hands
+    | Latency
+    | Retarget
+    | Teleop
+    | Train
+    | View
+)
 
 _COMMANDS: Final[dict[str, type[Command]]] = {
     "demo": Demo,
     "retarget": Retarget,
+    "teleop": Teleop,
+    "latency": Latency,
     "view": View,
     "convert": Convert,
     "bench": Bench,
     "train": Train,
     "hands": Hands,
+    "calibrate": Calibrate,
+    "glove-simulator": GloveSimulate,
 }
 
 

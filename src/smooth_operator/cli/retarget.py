@@ -5,7 +5,7 @@ from __future__ import annotations
 from smooth_operator.cli.console import Progressing, print_metrics
 from smooth_operator.cli.outputs import check_commands_path, folder_for
 from smooth_operator.cli.retarget_options import Retarget
-from smooth_operator.cli.session import execute_shown, measure_shown
+from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline import configuration, plan
 from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
@@ -31,6 +31,7 @@ def retarget(options: Retarget) -> None:
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording)
+    asked = requested(options, side=options.side, rate=options.rate, frames=options.frames)
     recording = read_recording(options.recording, rate=options.rate, side=options.side)
     if recording.meta.get("side_assumed"):
         progress.note(
@@ -40,14 +41,7 @@ def retarget(options: Retarget) -> None:
         )
     total = len(recording)
     frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
-    todo = plan(
-        recording[frames],
-        hand=options.hand,
-        method=options.method,
-        preset=options.preset,
-        seed=options.seed,
-        scale=options.scale,
-    )
+    todo = plan(recording[frames], asked)
     with folder_for(options.output.parent):
         outcome = execute_shown(todo, progress)
         _, metrics = measure_shown(todo, outcome, options.definition, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.geometry import AnyKind, Similarity, umeyama
 from smooth_operator.hands.hand import Hand
+from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import HandRecording
 
@@ -28,9 +29,12 @@ class AlignmentConfig:
     Attributes:
         scale: robot size over human size. None estimates it in every frame, as published; a number
             holds it fixed, as calibrated once for an operator by :func:`calibrate_scale`.
+        operator: the calibrated operator, whose landmarks are corrected after the alignment. Its
+            own scale holds where ``scale`` is None. None changes nothing.
     """
 
     scale: float | None = None
+    operator: OperatorProfile | None = None
 
     def __post_init__(self) -> None:
         if self.scale is not None and not 0.1 < self.scale < 10:
@@ -38,6 +42,13 @@ class AlignmentConfig:
                 f"alignment scale must be between 0.1 and 10 (robot size over human size), "
                 f"not {self.scale}"
             )
+
+    @property
+    def fixed_scale(self) -> float | None:
+        """The scale that is held; None where each frame has its own."""
+        if self.scale is None and self.operator is not None and self.operator.has("scale"):
+            return self.operator.scale
+        return self.scale
 
 
 def palm_alignment(
@@ -56,13 +67,16 @@ def palm_alignment(
     """
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
-    return umeyama(source, np.broadcast_to(target, source.shape), config.scale)
+    return umeyama(source, np.broadcast_to(target, source.shape), config.fixed_scale)
 
 
 def align_recording(
     recording: HandRecording, hand: Hand, config: AlignmentConfig = AlignmentConfig()
 ) -> Float[np.ndarray, "T 21 3"]:
-    """All frames of a recording in the palm frame.
+    """All frames of a recording in the palm frame, as they were tracked.
+
+    An operator in ``config`` is left out, its scale and its corrections: what is measured is
+    measured against the hand that was tracked, and not against one that was corrected.
 
     Returns:
         (T, 21, 3) landmarks [m]; NaN where a landmark is invalid, and everywhere in frames whose
@@ -72,7 +86,7 @@ def align_recording(
     landmarks = np.where(valid[..., None], recording.landmarks, np.nan)
     palm = np.all(valid[:, list(hand.align_indices)], axis=1)  # a valid landmark is finite
     safe = np.where(palm[:, None, None], landmarks, reference_landmarks(hand))
-    fit = palm_alignment(safe, hand, config)
+    fit = palm_alignment(safe, hand, replace(config, operator=None))
     usable = palm & (np.asarray(fit.condition) >= MIN_CONDITION)
     aligned: np.ndarray = np.where(usable[:, None, None], fit.apply(safe), np.nan)
     return aligned

@@ -12,12 +12,13 @@ import hashlib
 import os
 import platform
 import secrets
-import sys
 import warnings
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
+
+from smooth_operator.recording.user_cache import user_cache
 
 SWITCH: Final = "SMOOTH_OPERATOR_CACHE"
 """Environment variable: a folder for the cache, or ``off``."""
@@ -42,7 +43,7 @@ def enable_cache() -> Path | None:
     if config.jax_compilation_cache_dir:
         return None
     # Compiled code fits one kind of processor: a home on a network disk serves several.
-    folder = (Path(wanted).expanduser() if wanted else _user_cache()) / _machine()
+    folder = (Path(wanted).expanduser() if wanted else user_cache()) / _machine()
     if not _writable(folder):
         return None
     config.update("jax_compilation_cache_dir", str(folder))
@@ -70,17 +71,6 @@ def healing(folder: Path | None) -> Iterator[None]:
             warnings.warn_explicit(
                 warning.message, warning.category, warning.filename, warning.lineno
             )
-
-
-def _user_cache() -> Path:
-    home = Path.home()
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return base / "smooth-operator"
 
 
 def _machine() -> str:

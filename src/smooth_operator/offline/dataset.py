@@ -12,7 +12,8 @@ from typing import Any, Final
 from smooth_operator.errors import OutputError
 from smooth_operator.offline.discovery import Found, clashes, find_recordings
 from smooth_operator.offline.finished import finished, foreign, remove_leftovers
-from smooth_operator.offline.jobs import Entry, Job, Request, retarget_one
+from smooth_operator.offline.jobs import Entry, Job, retarget_one
+from smooth_operator.offline.plan import Request
 from smooth_operator.parallel import run_tasks
 from smooth_operator.recording import config_path, to_json
 

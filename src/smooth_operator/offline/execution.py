@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.hands.hand import Hand
 from smooth_operator.metrics import Definition, Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.offline.cache import enable_cache, healing
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.plan import Plan
+from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory
 
@@ -45,10 +47,15 @@ def build(todo: Plan) -> tuple[Retargeter, float]:
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
+    return build_retargeter(todo.hand, todo.config, todo.seed)
+
+
+def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retargeter, float]:
+    """The same without a plan."""
     started = time.perf_counter()
     dispatch_here()
     with healing(enable_cache()):
-        retargeter = Retargeter(todo.hand, config=todo.config, seed=todo.seed)
+        retargeter = Retargeter(hand, config=config, seed=seed)
         retargeter.warm_up()
     return retargeter, time.perf_counter() - started
 

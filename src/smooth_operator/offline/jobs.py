@@ -15,13 +15,11 @@ from smooth_operator.offline.discovery import Found
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.execution import build
 from smooth_operator.offline.finished import digest, identity
-from smooth_operator.offline.plan import Plan, Scale, configuration, plan
+from smooth_operator.offline.plan import Plan, Request, configuration, plan
 from smooth_operator.offline.scan import Scan, find_scan
 from smooth_operator.recording import frame_slice, read_recording, to_json
 from smooth_operator.recording.checks import stamps_from_rate
 from smooth_operator.recording.results import encode_commands, write_encoded_commands
-from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.retargeters.presets import PRESETS, method_config
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.types import HandRecording, Side, Status
 
@@ -29,69 +27,36 @@ State: TypeAlias = Literal["done", "kept", "failed"]
 """Made now, found whole from an earlier run, or not there."""
 
 
-@dataclass(frozen=True)
-class Request:
-    """What is to be done to each recording; :func:`request` makes one.
-
-    Attributes:
-        hand: name of the robot hand.
-        method: name of the method.
-        preset: name of its preset.
-        config: its configuration; that of the preset, so that workers need not know the name.
-        seed: of the random numbers; each recording starts from it.
-        scale: robot size over human size; None for the configuration's own.
-        side: which hand; None for what each recording says.
-        rate: frames a second of recordings without stamps [Hz].
-        frames: only these of each recording, as text.
-    """
-
-    hand: str
-    method: str
-    preset: str
-    config: MethodConfig
-    seed: int = 0
-    scale: Scale | None = None
-    side: Side | None = None
-    rate: float | None = None
-    frames: str | None = None
-
-
-def request(
-    *,
-    hand: str = "mimic_p050",
-    method: str = "sbr",
-    preset: str | None = None,
-    seed: int = 0,
-    scale: Scale | None = None,
-    side: Side | None = None,
-    rate: float | None = None,
-    frames: str | None = None,
-) -> Request:
+def checked(asked: Request) -> Request:
     """A request whose every part is possible, so that it does not fail once per recording.
 
     As :func:`smooth_operator.offline.execution.build`, it lets JAX run on the calling thread.
 
     Raises:
-        UnknownNameError: there is no such hand, method or preset.
+        UnknownNameError: there is no such hand or finger.
         SmoothOperatorError: the method can't serve the hand.
-        ConfigError: scale, rate or frames can't be.
+        ConfigError: scale, rate, frames or operator can't be.
     """
     dispatch_here()
-    config = method_config(method, preset)
-    config.build(load_hand(hand, side or "right"))
-    if isinstance(scale, float | int):
-        replace(config.alignment, scale=float(scale))  # refuses what is none
-    stamps_from_rate(0, rate, "--rate")  # refuses one that can't be
-    if frames is not None:
+    operator = asked.operator
+    side = asked.side or ("right" if operator is None else operator.side)
+    hand = load_hand(asked.hand, side, fingers=asked.fingers)
+    if operator is not None:
+        operator.check(hand)
+    config = asked.config
+    config.build(hand)
+    if isinstance(asked.scale, float | int):
+        replace(config.alignment, scale=float(asked.scale))  # refuses what is none
+    stamps_from_rate(0, asked.rate, "--rate")  # refuses one that can't be
+    if asked.frames is not None:
         try:
-            frame_slice(frames, 10**9)
+            frame_slice(asked.frames, 10**9)
         except ConfigError as error:
             raise ConfigError(
                 f"frames must be a range A:B with something in it, such as ':500', '2600:3100' or "
-                f"'-500:', not {frames!r}"
+                f"'-500:', not {asked.frames!r}"
             ) from error
-    name = next(iter(PRESETS[method])) if preset is None else preset
-    return Request(hand, method, name, config, seed, scale, side, rate, frames)
+    return asked
 
 
 @dataclass(frozen=True)
@@ -151,15 +116,7 @@ def retarget_one(job: Job) -> Entry:
     recording, rate = _read(job.found.path, asked)
     total = len(recording)
     frames = slice(0, total) if asked.frames is None else frame_slice(asked.frames, total)
-    todo = plan(
-        recording[frames],
-        hand=asked.hand,
-        method=asked.method,
-        preset=asked.preset,
-        seed=asked.seed,
-        scale=asked.scale,
-        config=asked.config,
-    )
+    todo = plan(recording[frames], asked)
     tools = _tools(todo, reuse=asked.scale != "calibrate")
     if tools.scan is None:
         commands, loss = tools.retargeter.run(todo.recording)
@@ -213,7 +170,7 @@ class _Tools:
     scan: Scan | None
 
 
-_SHELF: Final[OrderedDict[tuple[str, str, str, int], _Tools]] = OrderedDict()
+_SHELF: Final[OrderedDict[tuple[str, str, int], _Tools]] = OrderedDict()
 """The tools of this process: compiled once, used for every recording that they fit."""
 
 _SHELF_SIZE: Final = 4
@@ -222,7 +179,7 @@ _SHELF_SIZE: Final = 4
 def _tools(todo: Plan, *, reuse: bool) -> _Tools:
     if not reuse:  # a scale of its own is a program of its own, not worth a second, longer one
         return _Tools(build(todo)[0], None)
-    key = (todo.hand.name, todo.hand.spec.side, to_json(todo.config), todo.seed)
+    key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
     if key not in _SHELF:
         retargeter, _ = build(todo)
         _SHELF[key] = _Tools(retargeter, find_scan(retargeter))

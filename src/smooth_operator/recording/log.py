@@ -23,10 +23,12 @@ from mcap.writer import CompressionType, Writer
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.recording.atomic import output_error
 from smooth_operator.recording.jsonable import to_json
+from smooth_operator.recording.loop_state import LoopState
 from smooth_operator.recording.schemas import (
     COMMAND,
     CONFIG,
     HAND,
+    LOOP,
     ORIGIN,
     SCHEMAS,
     STATUS,
@@ -111,13 +113,9 @@ class LogWriter:
                 self._stream, chunk_size=_UNLIMITED, compression=_COMPRESSION[compression]
             )
             self._writer.start(library="smooth-operator")
-            for topic, (name, schema) in SCHEMAS.items():
-                schema_id = self._writer.register_schema(
-                    name, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
-                )
-                self._channels[topic] = self._writer.register_channel(
-                    topic, MessageEncoding.JSON, schema_id, {"version": VERSION}
-                )
+            for topic in SCHEMAS:
+                if topic != LOOP:  # which only the logs of a live loop have
+                    self._register(topic)
             self._writer.flush()  # a log that is killed now is an empty log, not an empty file
 
     def write_hand(self, frame: HandFrame) -> None:
@@ -159,6 +157,7 @@ class LogWriter:
         status: Status,
         latency_ms: float,
         stages: Mapping[str, float] | None = None,
+        loop: LoopState | None = None,
     ) -> None:
         """Append a command and how long it took.
 
@@ -167,6 +166,7 @@ class LogWriter:
             status: why it is what it is.
             latency_ms: from landmarks to command [ms].
             stages: parts of that time [ms] by name.
+            loop: what the live loop did, where one sent it.
 
         Raises:
             RecordingError: the joints differ from those of the command before, their number from
@@ -201,7 +201,10 @@ class LogWriter:
             "positions": [_number(x) for x in positions.tolist()],
         }
         # The command last, so that in a log that is cut off it never lacks its timing and status.
-        self._append((TIMING, timing), (STATUS, why), (COMMAND, message))
+        beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
+        if loop is not None:
+            beside.append((LOOP, loop.message(stamp)))
+        self._append(*beside, (COMMAND, message))
         self._names = names
 
     def write_config(self, config: Mapping[str, Any]) -> None:
@@ -302,13 +305,24 @@ class LogWriter:
 
     def _message(self, topic: str, message: dict[str, Any]) -> None:
         data = _ENCODER.encode(message).encode()
-        # Timing and status have the number of their command, by which the reader joins them.
-        number = self._sequence[COMMAND if topic in (TIMING, STATUS) else topic]
+        if topic not in self._channels:
+            self._register(topic)
+        # What is said of a command has its number, by which the reader joins them.
+        number = self._sequence[COMMAND if topic in (TIMING, STATUS, LOOP) else topic]
         self._writer.add_message(
             self._channels[topic], self._log_time, data, self._log_time, number
         )
         self._sequence[topic] += 1
         self._pending_bytes += len(data)
+
+    def _register(self, topic: str) -> None:
+        name, schema = SCHEMAS[topic]
+        schema_id = self._writer.register_schema(
+            name, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
+        )
+        self._channels[topic] = self._writer.register_channel(
+            topic, MessageEncoding.JSON, schema_id, {"version": VERSION}
+        )
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:

@@ -41,6 +41,8 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
     notes: tuple[str, ...] = ()
     if log.truncated:
         notes = (f"{path}: the end of the log is missing; what came before is converted",)
+    if log.loop is not None:
+        notes += (f"{path}: mode and events of the live loop stay behind, in the log",)
     task = log.origin.get("task")
     return Episode(recording, log.commands, log.config, log.stages_ms, task, name, notes)
 

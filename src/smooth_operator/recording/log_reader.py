@@ -21,10 +21,12 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from smooth_operator.errors import RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.recording.checks import check_side
+from smooth_operator.recording.loop_state import LoopTrack, read_loop_track
 from smooth_operator.recording.schemas import (
     COMMAND,
     CONFIG,
     HAND,
+    LOOP,
     ORIGIN,
     READABLE_VERSIONS,
     SCHEMAS,
@@ -63,6 +65,7 @@ class Log:
         stages_ms: (T,) time of each stage of the loop [ms] by name, one value per command, NaN
             where a command did not have the stage.
         origin: what the log says of where it came from: ``name``, ``task``, ``meta`` (JSON).
+        loop: mode, events and more of each command, where a live loop wrote the log.
     """
 
     recording: HandRecording | None
@@ -71,6 +74,7 @@ class Log:
     truncated: bool
     stages_ms: dict[str, Float[np.ndarray, " T"]] = field(default_factory=dict)
     origin: dict[str, str] = field(default_factory=dict)
+    loop: LoopTrack | None = None
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
@@ -97,6 +101,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     messages, origin, truncated = _read_messages(path)
     try:
         trajectory, stages = _commands(messages[COMMAND], messages[TIMING], messages[STATUS])
+        loop = read_loop_track([n for n, _ in messages[COMMAND]], dict(messages[LOOP]))
         configs = [json.loads(message["configuration"]) for _, message in messages[CONFIG]]
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
     except RecordingError:
@@ -106,7 +111,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
             f"{path}: a message of the log lacks a field or has a wrong one "
             f"({type(error).__name__}: {error}); it was not written by this program's LogWriter"
         ) from error
-    return Log(recording, trajectory, configs[0] if configs else None, truncated, stages, origin)
+    config = configs[0] if configs else None
+    return Log(recording, trajectory, config, truncated, stages, origin, loop)
 
 
 class _DamagedError(Exception):

@@ -22,6 +22,8 @@ HAND: Final = "/hand"
 COMMAND: Final = "/command"
 STATUS: Final = "/status"
 TIMING: Final = "/timing"
+LOOP: Final = "/loop"
+"""Only in logs of a live loop; readers that do not know it pass over it."""
 CONFIG: Final = "/config"
 
 ORIGIN: Final = "smooth_operator.origin"
@@ -93,6 +95,23 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
             stamp=_STAMP,
             latency_ms={"type": "number", "description": "from landmarks to command [ms]"},
             stages=_array(_STAGE, "its parts [ms]"),
+        ),
+    ),
+    LOOP: (
+        "smooth_operator.Loop",
+        _object(
+            "What the live loop did when it sent the command with the same stamp.",
+            ("stamp", "number", "mode", "time", "events"),
+            stamp=_STAMP,
+            number={"type": "integer", "description": "of the tick, counted from 0"},
+            mode={"type": "string", "description": "waiting, tracking, holding, ..."},
+            time={"type": "number", "description": "when the command was ready [s], loop's clock"},
+            received={"type": "number", "description": "of the frame [s], loop's clock; or null"},
+            tracker_stamp={"type": "number", "description": "the frame's own [s]; or null"},
+            session={"type": "integer", "description": "which start of the tracker; or null"},
+            tracking_loss={"type": "number", "description": "of the frame; or null"},
+            scale={"type": "number", "description": "robot over human size; or null"},
+            events=_array({"type": "string"}, "what happened, a sentence each"),
         ),
     ),
     CONFIG: (

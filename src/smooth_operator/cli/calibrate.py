@@ -1,0 +1,152 @@
+"""``smooth-operator calibrate``: an operator's poses into a profile, with a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from smooth_operator.cli.calibrate_options import Calibrate
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.errors import ConfigError, OutputError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.selection import parse_fingers
+from smooth_operator.human.calibration.estimate import calibrate
+from smooth_operator.human.calibration.report import report
+from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
+from smooth_operator.human.operator_file import read_operator, write_operator
+from smooth_operator.offline.calibration_picture import draw_calibration
+from smooth_operator.offline.environment import environment
+from smooth_operator.offline.plan import PROGRAM
+from smooth_operator.recording import atomic_write, frame_slice, read_recording, to_json
+
+_WIDTH_OF_A_FILE = 120
+
+
+def calibrate_recording(options: Calibrate) -> None:
+    """Reads, calibrates, writes three files, prints what was found.
+
+    Raises:
+        SmoothOperatorError: with the reason; nothing is then written.
+    """
+    progress = Progressing(options.quiet)
+    picture, figures = _check_output(options.output, options.recording)
+    apply = _components(options.apply)
+    fingers = None if options.fingers is None else parse_fingers(options.fingers)
+    recording = read_recording(options.recording, rate=options.rate, side=options.side)
+    if recording.meta.get("side_assumed"):
+        progress.note(
+            f"{options.recording} does not say which hand it is: taken for a right one; "
+            "say --side left if it is not",
+            matters=True,
+        )
+    if options.frames is not None:
+        recording = recording[frame_slice(options.frames, len(recording))]
+    hand = load_hand(options.hand, recording.side, fingers=fingers)
+    with progress.waiting("looking for poses"):
+        found = calibrate(recording, hand, apply=apply)
+    content = {
+        "program": PROGRAM,
+        "command": "calibrate",
+        "source": {"path": options.recording, "frames": options.frames},
+        **report(found, recording),
+        **environment(),
+    }
+    with folder_for(options.output.parent):
+        with progress.waiting("drawing the report"):
+            draw_calibration(found, recording, picture)
+        with atomic_write(figures) as file:
+            file.write(to_json(content, indent=2).encode() + b"\n")
+        write_operator(options.output, found.operator)
+    progress.note(f"wrote {options.output}, {picture.name} and {figures.name}")
+    if options.json:
+        print(to_json(content))
+    else:
+        _print(content)
+
+
+def _check_output(output: Path, recording: Path) -> tuple[Path, Path]:
+    """Where the picture and the figures go.
+
+    Raises:
+        OutputError: the name does not end in .json, or something other than a calibration has it.
+    """
+    if output.suffix != ".json":
+        raise OutputError(f"can't write {str(output)!r}: the name must end in .json")
+    if output.exists():
+        try:
+            read_operator(output)
+        except ConfigError:
+            raise OutputError(
+                f"can't write {str(output)!r}: it holds something other than a calibration; choose "
+                "another name, or remove it first"
+            ) from None
+    return output.with_suffix(".png"), output.with_suffix(".report.json")
+
+
+def _components(text: str | None) -> tuple[Component, ...]:
+    if text is None:
+        return DEFAULT_COMPONENTS
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if words == ["all"]:
+        return COMPONENTS
+    if words == ["none"]:
+        return ()
+    return tuple(cast(Component, word) for word in words)  # the profile refuses what is none
+
+
+def _print(content: dict[str, Any]) -> None:
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDTH_OF_A_FILE
+    console.print(
+        f"{content['recording']} on {content['hand']} {content['side']}: "
+        f"{content['frames_used']} of {content['frames']} frames used",
+        markup=False,
+    )
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for header in ("pose", "found", "sure", "note"):
+        table.add_column(header)
+    for pose, found in content["poses"].items():
+        times = len(found["segments"])
+        sure = f"{found['confidence']:.2f}" if times else "–"
+        table.add_row(pose, f"{times} ×" if times else "no", sure, found["note"])
+    console.print(table)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("finger")
+    for header in (
+        "reach [mm]", "robot's [mm]", "scale", "tip along, to pad [mm]", "gap in pinch [mm]",
+        "corrected [mm]",
+    ):  # fmt: skip
+        table.add_column(header, justify="right")
+    for name, finger in content["fingers"].items():
+        gap, after = finger["pinch_gap_mm"], finger["pinch_gap_corrected_mm"]
+        table.add_row(
+            name,
+            f"{finger['reach_mm']:.1f}",
+            f"{finger['robot_reach_mm']:.1f}",
+            f"{finger['scale']:.3f}",
+            f"{finger['tip_along_mm']:.1f}, {finger['tip_pad_mm']:.1f}",
+            "–" if gap is None else f"{gap['median']:.1f} (90 %: {gap['p90']:.1f})",
+            "–" if after is None else f"{after['median']:.1f} (90 %: {after['p90']:.1f})",
+        )
+    console.print(table)
+    angle, project = content["palm_rotation_deg"], content["project_mm"]
+    console.print(
+        f"palm {content['palm_width_mm']:.1f} mm wide, {content['palm_length_mm']:.1f} mm long, "
+        f"scale {content['palm_scale']:.3f}; flat hand and robot's fingers "
+        + ("not compared" if angle is None else f"{angle:.0f}° apart")
+        + "; latch "
+        + (
+            "as the method has it"
+            if project is None
+            else f"closes at {project:.1f} mm, opens at {content['escape_mm']:.1f} mm"
+        ),
+        markup=False,
+        soft_wrap=True,
+    )
+    console.print(f"in use: {', '.join(content['apply']) or 'nothing'}", markup=False)

@@ -1,0 +1,94 @@
+"""What the poses of a calibration are told by: sizes, straightness, spread, distances of tips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.human.joint_angles import palm_axes
+from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.types import HandRecording
+
+BONE_TOLERANCE: Final = 0.3
+"""A bone that is further off its median in a frame, as a share of it, was not seen rightly."""
+MIN_FRAMES: Final = 10
+_CURLED: Final = 0.85  # straightness under which a finger tells which side its palm is on
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """A recording, measured frame by frame; NaN in frames that can't be used.
+
+    Attributes:
+        good: (T,) which frames are used: all landmarks valid and bones of their usual length.
+        bones: (5, 3) median lengths, base to tip [m].
+        palm_width: index MCP to pinky MCP [m].
+        palm_length: wrist to middle MCP [m].
+        straightness: (T, 5) base to tip over the length of the finger, 1 if straight.
+        spread: (T,) index tip to pinky tip over the palm's width.
+        gaps: (T, 4) thumb tip to each other tip [m].
+    """
+
+    good: Bool[np.ndarray, " T"]
+    bones: Float[np.ndarray, "5 3"]
+    palm_width: float
+    palm_length: float
+    straightness: Float[np.ndarray, "T 5"]
+    spread: Float[np.ndarray, " T"]
+    gaps: Float[np.ndarray, "T 4"]
+
+
+def measure_features(recording: HandRecording) -> Features:
+    """Measures a recording.
+
+    Raises:
+        RecordingError: hardly a frame can be used, or it is the other hand's.
+    """
+    assert recording.valid is not None  # filled in on construction
+    points = recording.landmarks
+    whole = np.asarray(recording.valid.all(axis=1))
+    good = whole
+    with np.errstate(invalid="ignore"):
+        lengths = np.linalg.norm(np.diff(points[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=-1)
+        palm = np.linalg.norm(points[:, BASES] - points[:, :1], axis=-1)
+        sizes = np.concatenate([lengths.reshape(-1, 15), palm], axis=1)
+        if whole.any():
+            usual = np.median(sizes[whole], axis=0)
+            good = whole & (np.abs(sizes - usual) <= BONE_TOLERANCE * usual).all(axis=1)
+    if good.sum() < MIN_FRAMES:
+        raise RecordingError(
+            f"{recording.name}: {int(good.sum())} of {len(recording)} frames show a whole hand; a "
+            f"calibration needs {MIN_FRAMES} at least, and better two minutes of them"
+        )
+    points = np.where(good[:, None, None], points, np.nan)
+    bones = np.median(lengths[good], axis=0)
+    width = float(np.nanmedian(np.linalg.norm(points[:, 5] - points[:, 17], axis=-1)))
+    reach = np.linalg.norm(points[:, TIPS] - points[:, BASES], axis=-1)
+    features = Features(
+        good=good,
+        bones=bones,
+        palm_width=width,
+        palm_length=float(np.median(palm[good, 2])),
+        straightness=reach / bones.sum(axis=1),
+        spread=np.linalg.norm(points[:, 8] - points[:, 20], axis=-1) / width,
+        gaps=np.linalg.norm(points[:, TIPS[1:]] - points[:, TIPS[:1]], axis=-1),
+    )
+    _check_side(recording, points, features)
+    return features
+
+
+def _check_side(recording: HandRecording, points: np.ndarray, features: Features) -> None:
+    """Fingers flex to the palm; those of a hand of the other side seem to flex to its back."""
+    palmar = palm_axes(points, recording.side).palmar
+    towards = ((points[:, TIPS[1:]] - points[:, BASES[1:]]) * palmar[:, None]).sum(axis=-1)
+    curled = towards[features.straightness[:, 1:] < _CURLED]  # NaN compares as False
+    if len(curled) >= MIN_FRAMES and np.median(curled) < 0:
+        other = "left" if recording.side == "right" else "right"
+        raise RecordingError(
+            f"{recording.name}: its fingers bend to the back of a {recording.side} hand, so it is "
+            f"a {other} one; say --side {other}"
+        )

@@ -1,0 +1,57 @@
+"""The robot's side of a calibration: how far its fingers reach, and where they then point."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
+
+_STEPS: Final = 33
+_ROUNDS: Final = 3
+_GAIN: Final = 1e-6  # [m]; less is no reason to leave the neutral position
+
+
+class StraightPose(NamedTuple):
+    """A hand with its fingers straight.
+
+    Attributes:
+        q: (m,) the pose [rad].
+        reach: (F,) base to tip [m].
+        rays: (F, 3) from base to tip, palm frame [m].
+    """
+
+    q: Float[np.ndarray, " m"]
+    reach: Float[np.ndarray, " F"]
+    rays: Float[np.ndarray, "F 3"]
+
+
+def straight_pose(hand: Hand) -> StraightPose:
+    """The pose in which all fingers reach furthest from their bases, nearest to neutral.
+
+    Joint by joint over its range, some times over: each moves few fingers, and what does not reach
+    further (a spread) stays where it is.
+    """
+    names = hand.tree.names
+    fingers = [FINGERS.index(name) for name in hand.fingers]
+    tips = [names.index(LANDMARKS[TIPS[i]]) for i in fingers]
+    bases = [names.index(LANDMARKS[BASES[i]]) for i in fingers]
+
+    def rays(q: np.ndarray) -> np.ndarray:
+        points = hand.landmark_positions(q)
+        return np.asarray(points[..., tips, :] - points[..., bases, :])
+
+    q = hand.neutral.copy()
+    for _ in range(_ROUNDS):
+        for joint, (low, high) in enumerate(hand.limits):
+            trial = np.tile(q, (_STEPS + 1, 1))
+            trial[1:, joint] = np.linspace(low, high, _STEPS)
+            total = np.linalg.norm(rays(trial), axis=-1).sum(axis=-1)
+            best = int(np.argmax(total))
+            if total[best] > total[0] + _GAIN:
+                q = trial[best]
+    found = rays(q)
+    return StraightPose(q, np.linalg.norm(found, axis=-1), found)

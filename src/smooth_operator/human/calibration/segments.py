@@ -1,0 +1,140 @@
+"""Poses found in a recording: flat, spread, fist, and a pinch per finger.
+
+The finder and the estimator share nothing but :class:`Segment`: frames that prompts mark go to
+the estimator in the same way (:mod:`smooth_operator.human.calibration.prompts`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.human.calibration.features import Features
+from smooth_operator.landmarks import FINGERS
+
+FLAT: Final = 0.97
+"""Straightness of all long fingers, relative to each one's straightest, of a flat hand."""
+FIST: Final = 0.65
+"""And of a fist, at most."""
+PINCH_REACH: Final = 0.025
+"""Thumb-to-tip distance over which nothing is looked at for a pinch [m]; trackers put the tips of
+pads that touch up to 2 cm apart."""
+PINCH_DEPTH: Final = 0.018
+"""A pinch comes nearer than this at some time [m]."""
+CORE: Final = 0.004
+"""A pinch is held while the distance is within this of its least [m]."""
+
+_BRIDGE_S: Final = 0.08  # gaps of a pose that are no end of it
+_POSE_S: Final = 0.15  # shortest pose
+_PINCH_S: Final = 0.1  # shortest pinch
+_SURE_S: Final = {"pose": 1.0, "pinch": 0.5}  # long enough to be sure
+_SPREAD_RANGE: Final = 0.2  # of the spread over flat frames: less shows one pose only
+_OTHER_NEAR: Final = 0.006  # a second tip as near as this makes a pinch doubtful [m]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Frames in which an operator holds a pose.
+
+    Attributes:
+        pose: ``flat``, ``spread``, ``fist`` or ``pinch_FINGER``.
+        start: first frame.
+        stop: one past the last.
+        confidence: how sure it is the pose, 0 to 1.
+    """
+
+    pose: str
+    start: int
+    stop: int
+    confidence: float
+
+
+def poses(fingers: Sequence[str] = FINGERS) -> tuple[str, ...]:
+    """The poses of a calibration of these fingers, thumb first."""
+    return ("flat", "spread", "fist", *(f"pinch_{name}" for name in fingers if name != "thumb"))
+
+
+def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[Segment]:
+    """Poses in a recording, by time.
+
+    Args:
+        features: of the recording.
+        stamps: (T,) of its frames [s].
+    """
+    found = [*_flat_and_spread(features, stamps), *_fists(features, stamps)]
+    for i, finger in enumerate(FINGERS[1:]):
+        found += _pinches(features, stamps, i, f"pinch_{finger}")
+    return sorted(found, key=lambda segment: segment.start)
+
+
+def _relative(features: Features) -> Float[np.ndarray, "T 4"]:
+    """Straightness of the long fingers, relative to the straightest they get (noise shortens)."""
+    straight = features.straightness[:, 1:]
+    return np.asarray(straight / np.clip(np.nanpercentile(straight, 98, axis=0), 0.9, 1.0))
+
+
+def _flat_and_spread(features: Features, stamps: np.ndarray) -> Iterator[Segment]:
+    worst = _relative(features).min(axis=1)
+    flat = worst >= FLAT
+    if not flat.any():
+        return
+    low, high = np.percentile(features.spread[flat], [5, 95])
+    together, apart = flat, np.zeros_like(flat)
+    if high - low > _SPREAD_RANGE:
+        together = flat & (features.spread < low + 0.5 * (high - low))
+        apart = flat & (features.spread > low + 0.7 * (high - low))
+    for pose, frames in (("flat", together), ("spread", apart)):
+        for start, stop in _runs(frames, stamps, _POSE_S):
+            held = np.nanmedian(worst[start:stop])
+            yield _segment(pose, start, stop, stamps, (held - FLAT) / (1 - FLAT) + 0.5)
+
+
+def _fists(features: Features, stamps: np.ndarray) -> Iterator[Segment]:
+    best = _relative(features).max(axis=1)
+    for start, stop in _runs(best <= FIST, stamps, _POSE_S):
+        held = float(np.nanmedian(best[start:stop]))
+        yield _segment("fist", start, stop, stamps, (FIST - held) / 0.15 + 0.4)
+
+
+def _pinches(features: Features, stamps: np.ndarray, i: int, pose: str) -> Iterator[Segment]:
+    gaps = features.gaps
+    others = np.delete(gaps, i, axis=1).min(axis=1)
+    fist = _relative(features).max(axis=1) <= FIST + 0.1
+    near = (gaps[:, i] < PINCH_REACH) & (gaps[:, i] <= others) & ~fist
+    for start, stop in _runs(near, stamps, _PINCH_S):
+        gap = gaps[start:stop, i]
+        depth = float(np.nanpercentile(gap, 5))
+        if depth > PINCH_DEPTH:
+            continue
+        for first, last in _runs(gap <= depth + CORE, stamps[start:stop], _PINCH_S):
+            held = slice(start + first, start + last)
+            alone = float(np.nanmedian(others[held] - gaps[held, i]))
+            sure = min((1.25 * PINCH_REACH - depth) / PINCH_REACH, alone / _OTHER_NEAR)
+            yield _segment(pose, held.start, held.stop, stamps, sure)
+
+
+def _segment(pose: str, start: int, stop: int, stamps: np.ndarray, quality: float) -> Segment:
+    enough = _SURE_S["pinch" if pose.startswith("pinch") else "pose"]
+    held = min(1.0, float(stamps[stop - 1] - stamps[start]) / enough)
+    confidence = float(np.clip(quality, 0.05, 1.0)) * (0.3 + 0.7 * held)
+    return Segment(pose, int(start), int(stop), round(confidence, 3))
+
+
+def _runs(
+    frames: Bool[np.ndarray, " T"], stamps: np.ndarray, shortest: float
+) -> Iterator[tuple[int, int]]:
+    """Stretches of true frames, short breaks bridged, that last long enough."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], frames.astype(np.int8), [0]])))
+    merged: list[list[int]] = []
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if merged and stamps[start] - stamps[merged[-1][1] - 1] <= _BRIDGE_S:
+            merged[-1][1] = stop
+        else:
+            merged.append([start, stop])
+    for start, stop in merged:
+        if stamps[stop - 1] - stamps[start] >= shortest:
+            yield start, stop

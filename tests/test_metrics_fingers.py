@@ -1,0 +1,147 @@
+"""Metrics follow the fingers that a hand has: three, four, and others than the first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from metrics_cases import WRIST, human_motion, make_trace
+
+from smooth_operator import HandRecording, load_hand
+from smooth_operator.benchmark.per_finger import PER_FINGER, finger_metrics
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS
+from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.types import CommandTrajectory
+
+THREE = ("thumb", "index", "middle")
+FOUR = ("thumb", "index", "middle", "ring")
+CHOICES = [THREE, FOUR, ("thumb", "middle", "pinky")]
+FRAMES = 50
+
+
+@pytest.mark.parametrize("fingers", CHOICES)
+@pytest.mark.parametrize("definition", ["sound", "paper"])
+def test_fingers_that_the_robot_lacks_do_not_count(
+    fingers: tuple[str, ...], definition: str
+) -> None:
+    human = human_motion(60)
+    tips = human[:, [TIPS[FINGERS.index(f)] for f in fingers]] + 0.003
+    wild = human.copy()
+    for finger in set(FINGERS) - set(fingers):
+        last = TIPS[FINGERS.index(finger)]
+        wild[:, last - 3 : last + 1] = np.nan
+    results = [evaluate(make_trace(h, tips, fingers), definition) for h in (human, wild)]
+    assert results[0] == results[1]
+    assert results[1]["cosine_similarity_all"] is not None
+
+
+@pytest.mark.parametrize("fingers", CHOICES)
+def test_means_are_over_the_vectors_that_there_are(fingers: tuple[str, ...]) -> None:
+    human, count = human_motion(30), len(fingers)
+    own = [TIPS[FINGERS.index(f)] for f in fingers]
+    tips = human[:, own].copy()
+    tips[:, -1] = 2 * tips[:, 0] - tips[:, -1]  # the last finger on the thumb's other side
+    result = evaluate(make_trace(human, tips, fingers))
+    # F - 1 vectors from the thumb, of which one is turned round, at its full length
+    assert result["cosine_similarity"] == pytest.approx((count - 3) / (count - 1))
+    assert result["scale_ratio"] == pytest.approx(1)
+
+    longer = human[:, own].copy()
+    longer[:, 1] = WRIST + 1.5 * (longer[:, 1] - WRIST)
+    pairs = [(None, i) for i in range(count)]
+    pairs += [(i, j) for i in range(count) for j in range(i + 1, count)]
+    assert len(pairs) == count * (count + 1) // 2
+
+    def vectors(points: np.ndarray) -> np.ndarray:
+        return np.stack([points[:, j] - (WRIST if i is None else points[:, i]) for i, j in pairs])
+
+    a, b = vectors(human[:, own]), vectors(longer)
+    cosine = (a * b).sum(-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    result = evaluate(make_trace(human, longer, fingers))
+    assert result["cosine_similarity_all"] == pytest.approx(cosine.mean())
+
+
+def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its() -> None:
+    human = human_motion(20)
+    human[:, TIPS[0]] = WRIST + 0.06
+    for k, tip in enumerate(TIPS[1:], 1):
+        human[:, tip] = WRIST - 0.05 * k
+    human[:10, TIPS[3]] = human[:10, TIPS[0]] + (0.005, 0, 0)  # thumb and ring
+    human[10:, TIPS[1]] = human[10:, TIPS[0]] + (0.005, 0, 0)  # thumb and index
+    three, four = (evaluate(make_trace(human, fingers=fingers)) for fingers in (THREE, FOUR))
+    assert three["pinch_error_per_finger_mm"] == {"index": pytest.approx(5), "middle": None}
+    assert four["pinch_error_per_finger_mm"] == {
+        "index": pytest.approx(5), "middle": None, "ring": pytest.approx(5),
+    }  # fmt: skip
+
+
+def played_back(hand: Hand, off: float = 0.0) -> tuple[Trace, HandRecording]:
+    """A human whose landmarks are the robot's own, without those that the robot lacks; the last
+    actuated joint of the robot is ``off`` [rad] from where it should be."""
+    low, high = hand.limits.T
+    rng = np.random.default_rng(0)
+    rate, phase = rng.uniform(0.02, 0.06, len(low)), rng.uniform(0, 2 * np.pi, len(low))
+    wave = np.sin(phase + rate * np.arange(FRAMES)[:, None])
+    q = (low + high) / 2 + 0.3 * (high - low) * wave
+    landmarks = np.full((FRAMES, NUM_LANDMARKS, 3), np.nan)
+    landmarks[:, [LANDMARKS.index(n) for n in hand.tree.names]] = hand.landmark_positions(q)
+    landmarks = 1.3 * landmarks @ np.array([[0, 1.0, 0], [0, 0, 1], [1, 0, 0]]) + 0.2
+    stamps = np.arange(FRAMES) / 50
+    valid = np.isfinite(landmarks).all(axis=-1)
+    recording = HandRecording(landmarks, stamps, hand.spec.side, valid)
+    q = q + off * (np.arange(len(low)) == len(low) - 1)
+    commands = CommandTrajectory(
+        hand.expand(q), hand.joint_names, stamps, np.ones(FRAMES), np.zeros(FRAMES, np.int8)
+    )
+    return assemble_trace(recording, commands, hand, reach_samples=500), recording
+
+
+HANDS = [
+    ("shadow_dexee", None), ("allegro_hand", None), ("leap_hand", None),
+    ("shadow_hand", ("thumb", "middle", "pinky")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("name", "fingers"), HANDS)
+def test_a_hand_that_does_what_the_human_does_is_perfect(
+    name: str, fingers: tuple[str, ...] | None, side: str
+) -> None:
+    hand = load_hand(name, side, fingers=fingers)
+    trace, _ = played_back(hand)
+    count = len(hand.fingers)
+    assert count == (len(fingers) if fingers else {"shadow_dexee": 3}.get(name, 4))
+    assert trace.human_keyvectors.shape == (FRAMES, count * (count + 1) // 2, 3)
+    for definition in ("sound", "paper"):
+        result = evaluate(trace, definition)
+        for figure in ("cosine_similarity", "cosine_similarity_all", "scale_ratio"):
+            assert result[figure] == pytest.approx(1, abs=1e-6), (definition, figure)
+    result = evaluate(trace)
+    assert result["motion_preservation"] == pytest.approx(1, abs=1e-6)
+    assert result["frozen_share"] == 0
+    assert result["limit_violation_share"] == 0
+    assert tuple(result["pinch_error_per_finger_mm"]) == hand.fingers[1:]
+    assert tuple(result["workspace_utilisation_per_finger"]) == hand.fingers
+    assert None not in result["workspace_utilisation_per_finger"].values()
+
+
+@pytest.mark.parametrize(("name", "fingers"), HANDS)
+def test_figures_finger_by_finger(name: str, fingers: tuple[str, ...] | None) -> None:
+    hand = load_hand(name, fingers=fingers)
+    moved = [n for n, change in zip(hand.fingers, tip_shift(hand), strict=True) if change > 1e-9]
+    assert len(moved) == 1  # the last joint moves one finger
+    trace, _ = played_back(hand, off=0.1)
+    table = finger_metrics(trace, evaluate(trace))
+    assert tuple(table) == hand.fingers
+    for finger, row in table.items():
+        assert set(row) == {metric.name for metric in PER_FINGER}
+        assert (row["tip_error_mm"] > 1) == (finger in moved), (finger, row)
+        assert (row["reach_cosine"] < 1 - 1e-7) == (finger in moved), (finger, row)
+        assert (row["thumb_cosine"] is None) == (finger == "thumb")
+
+
+def tip_shift(hand: Hand) -> np.ndarray:
+    """(F,) how far the last actuated joint moves each fingertip [m]."""
+    q = hand.neutral + 0.1 * (np.arange(len(hand.neutral)) == len(hand.neutral) - 1)
+    return np.linalg.norm(hand.tips(hand.expand(q)) - hand.tips(hand.expand(hand.neutral)), axis=-1)
