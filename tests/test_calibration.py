@@ -471,3 +471,58 @@ def test_the_demo_drives_some_fingers_and_says_so(tmp_path: Path, run: Run) -> N
     assert config["fingers"] == CHOSEN
     metrics = json.loads((tmp_path / "demo" / "metrics.json").read_text(encoding="utf-8"))
     assert metrics["pinch_error_per_finger_mm"].keys() == {"index", "ring"}
+
+
+# With the operator in front of it
+
+
+def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held() -> None:
+    from smooth_operator.human.calibration.prompts import Prompt
+    from smooth_operator.runtime.calibration_session import CalibrationSession
+    from smooth_operator.sources.live import Arrival
+    from smooth_operator.types import HandFrame
+
+    asked = (Prompt("flat", "flat", 0.5, 1.0), Prompt("fist", "fist", 0.5, 1.0))
+    session = CalibrationSession("right", asked)
+    shape = np.arange(63.0).reshape(21, 3)
+    phases, now = [], 10.0
+    for step in range(1000):
+        now += 0.01
+        lost = 100 <= step < 200  # in the middle of the first pose
+        if not lost and step > 20:
+            session.see(Arrival(HandFrame(shape + step, stamp=0.0), now))
+            session.see(Arrival(HandFrame(shape, stamp=0.0, side="left"), now))
+        moment = session.at(now)
+        if moment is None:
+            break
+        if not phases or phases[-1] != (moment.number, moment.phase):
+            phases.append((moment.number, moment.phase))
+    else:
+        pytest.fail("it never ends")
+    assert phases == [
+        (0, "wait"), (0, "settle"), (0, "hold"), (0, "wait"), (0, "hold"),
+        (1, "settle"), (1, "hold"),
+    ]  # fmt: skip
+    recording, segments = session.recording(), session.segments()
+    assert [s.pose for s in segments] == ["flat", "fist"]
+    held = [np.ptp(recording.stamps[s.start : s.stop]) for s in segments]
+    assert held[1] == pytest.approx(1.0, abs=0.05)
+    assert 0.95 < held[0] - 0.7 < 1.05  # 0.3 s of the second without a hand still count as seen
+
+
+def test_calibrate_asks_a_live_operator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from smooth_operator.cli import main, prompting
+    from smooth_operator.human.calibration.prompts import Prompt
+
+    monkeypatch.setattr(
+        prompting, "prompts", lambda fingers: (Prompt("flat", "hold it flat", 0.2, 1.0),)
+    )
+    output = tmp_path / "operator.json"
+    source = "synthetic:gestures=spread,seed=1"
+    assert main(["calibrate", "--source", source, "--output", str(output)]) == 0
+    assert "hold it flat" in capsys.readouterr().err
+    assert 0.5 < read_operator(output).scale < 2
+    assert main(["calibrate", "--output", str(output)]) == 2
+    assert "--source" in capsys.readouterr().err

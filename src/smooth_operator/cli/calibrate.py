@@ -12,17 +12,21 @@ from rich.table import Table
 from smooth_operator.cli.calibrate_options import Calibrate
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.prompting import ask
 from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.calibration.estimate import calibrate
 from smooth_operator.human.calibration.report import report
+from smooth_operator.human.calibration.segments import Segment
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
 from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.offline.calibration_picture import draw_calibration
 from smooth_operator.offline.environment import environment
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import atomic_write, frame_slice, read_recording, to_json
+from smooth_operator.sources.catalogue import build_source
+from smooth_operator.types import HandRecording
 
 _WIDTH_OF_A_FILE = 120
 
@@ -34,25 +38,24 @@ def calibrate_recording(options: Calibrate) -> None:
         SmoothOperatorError: with the reason; nothing is then written.
     """
     progress = Progressing(options.quiet)
-    picture, figures = _check_output(options.output, options.recording)
+    if options.source is not None and options.recording is not None:
+        raise ConfigError("give a recording or a live source, not both")
+    picture, figures = _check_output(options.output)
     apply = _components(options.apply)
     fingers = None if options.fingers is None else parse_fingers(options.fingers)
-    recording = read_recording(options.recording, rate=options.rate, side=options.side)
-    if recording.meta.get("side_assumed"):
-        progress.note(
-            f"{options.recording} does not say which hand it is: taken for a right one; "
-            "say --side left if it is not",
-            matters=True,
-        )
-    if options.frames is not None:
-        recording = recording[frame_slice(options.frames, len(recording))]
-    hand = load_hand(options.hand, recording.side, fingers=fingers)
+    segments: list[Segment] | None = None
+    if options.source is None:
+        recording = _read(options, progress)
+        hand = load_hand(options.hand, recording.side, fingers=fingers)
+    else:
+        hand = load_hand(options.hand, options.side or "right", fingers=fingers)
+        recording, segments = ask(build_source(options.source), hand, progress)
     with progress.waiting("looking for poses"):
-        found = calibrate(recording, hand, apply=apply)
+        found = calibrate(recording, hand, segments, apply=apply)
     content = {
         "program": PROGRAM,
         "command": "calibrate",
-        "source": {"path": options.recording, "frames": options.frames},
+        "source": options.source or {"path": options.recording, "frames": options.frames},
         **report(found, recording),
         **environment(),
     }
@@ -69,7 +72,24 @@ def calibrate_recording(options: Calibrate) -> None:
         _print(content)
 
 
-def _check_output(output: Path, recording: Path) -> tuple[Path, Path]:
+def _read(options: Calibrate, progress: Progressing) -> HandRecording:
+    if options.recording is None:
+        raise ConfigError(
+            "there is nothing to calibrate on: name a recording, or a live source with --source"
+        )
+    recording = read_recording(options.recording, rate=options.rate, side=options.side)
+    if recording.meta.get("side_assumed"):
+        progress.note(
+            f"{options.recording} does not say which hand it is: taken for a right one; "
+            "say --side left if it is not",
+            matters=True,
+        )
+    if options.frames is not None:
+        recording = recording[frame_slice(options.frames, len(recording))]
+    return recording
+
+
+def _check_output(output: Path) -> tuple[Path, Path]:
     """Where the picture and the figures go.
 
     Raises:

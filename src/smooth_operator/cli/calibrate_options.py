@@ -17,10 +17,9 @@ class Calibrate(Common):
 
     details: ClassVar[
         str
-    ] = """The recording should show, for some seconds each and in any order, a flat
-hand, the fingers spread, a fist, and a pinch of the thumb with each finger. What is not in it
-is said, and the rest is calibrated all the same. Beside OPERATOR.json come
-OPERATOR.png (the poses on a time line; reach and pinches before and after) and
+    ] = """With --source the operator is asked for the poses, one after the other.
+A recording should show, for some seconds each and in any order, a flat hand, the fingers
+spread, a fist, and a pinch of the thumb with each finger. What is not in it and the rest is calibrated all the same. Beside OPERATOR.json come OPERATOR.png (the poses on a time line; reach and pinches before and after) and
 OPERATOR.report.json (the same as figures).
 
 Parts of a calibration, of which --apply names those that the file shall use:
@@ -33,12 +32,18 @@ All are found and written in any case.
 
 Examples:
   smooth-operator calibrate glove.npz --output operator.json
+  smooth-operator calibrate --source webcam --output operator.json
   smooth-operator retarget glove.npz --operator operator.json --output out.npz
   smooth-operator calibrate glove.npz --hand shadow_hand --frames :2500 --output operator.json
 """
 
-    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
-    """The operator's hand: MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or .mcap."""
+    recording: Annotated[Positional[Path | None], arg(metavar="RECORDING")] = None
+    """The operator's hand: MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or .mcap; not with
+    --source."""
+
+    source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
+    """A live source instead of a recording, as for teleop: poses are asked for one after the
+    other, under a minute in all."""
 
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
     """File to write; an earlier calibration there is replaced."""
@@ -47,7 +52,7 @@ Examples:
     """Robot hand, by its catalogue name."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as the recording says if left out."""
+    """Which hand; as the recording says if left out, and right for a source."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
     """Robot fingers that will be driven, as for retarget; all if left out."""

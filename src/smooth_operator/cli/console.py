@@ -54,6 +54,26 @@ class Progressing:
             self.note(text)
             yield
 
+    @contextlib.contextmanager
+    def bar(self, text: str) -> Iterator[Callable[[str, float], None]]:
+        """A bar whose text changes; yields what sets text and share done, 0 to 1."""
+        if self._quiet or not self._console.is_terminal:
+            told = ""
+
+            def note(now: str, done: float) -> None:
+                nonlocal told
+                what = now.split(" (")[0]  # without the seconds that are left
+                if what != told:
+                    self.note(what)
+                    told = what
+
+            yield note
+            return
+        bar = Progress(BarColumn(), TextColumn("{task.description}"), console=self._console)
+        with bar:
+            task = bar.add_task(text, total=1.0)
+            yield lambda now, done: bar.update(task, description=now, completed=done)
+
     def frames(self, text: str) -> Callable[[Iterable[int]], Iterator[int]]:
         """Wraps an iteration over frames in a bar.
 

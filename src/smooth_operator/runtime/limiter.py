@@ -86,13 +86,19 @@ class Limiter:
         slower = np.abs(self.velocity) - self._acceleration * dt
         return self._go(np.sign(self.velocity) * np.maximum(slower, 0.0), dt)
 
+    def succeed(self, other: Limiter) -> None:
+        """Go on from where another one of the same hand has brought it."""
+        self.q, self.velocity = other.q, other.velocity
+
     def halt(self) -> Float[np.ndarray, " m"]:
         """Stand still at the last command."""
         self.velocity = np.zeros_like(self.q)
         return self.q
 
     def _go(self, velocity: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
-        q = np.clip(self.q + velocity * dt, self._low, self._high)
+        # Margins may have been widened around a hand at rest: it goes inside, but doesn't jump.
+        low, high = np.minimum(self._low, self.q), np.maximum(self._high, self.q)
+        q = np.clip(self.q + velocity * dt, low, high)
         self.velocity = (q - self.q) / dt
         self.q = q
         return q

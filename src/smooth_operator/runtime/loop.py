@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from smooth_operator.runtime.controls import Controls
+from smooth_operator.runtime.limiter import Limiter
 from smooth_operator.runtime.pipeline import HandPipeline
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.runtime.statistics import LoopStatistics
@@ -89,6 +90,18 @@ class TeleopLoop:
         finally:
             self.sinks.close()
 
+    def configure(self, config: LoopConfig) -> None:
+        """Change policies and limits, before the next command; the pace stays as it is.
+
+        Raises:
+            ConfigError: the limits don't fit a hand; then nothing changes.
+        """
+        config = replace(config, rate=self.config.rate)
+        for pipeline in self.pipelines.values():
+            Limiter(pipeline.retargeter.hand, config.limits)
+        self.config = config
+        self.controls.change(lambda hand: hand.configure(config))
+
     def _loop(self, duration: float | None) -> None:
         clock, sides = self.mailbox.clock, tuple(self.pipelines)
         start = clock()
@@ -157,13 +170,13 @@ class TeleopLoop:
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:
         """A thread that tells the sinks when the loop has fallen silent."""
-        limit, done = self.config.safety.watchdog_s, threading.Event()
+        done = threading.Event()
         self._beat = self.mailbox.clock()
 
         def watch() -> None:
-            while not done.wait(limit / 2):
+            while not done.wait(self.config.safety.watchdog_s / 2):
                 silence = self.mailbox.clock() - self._beat
-                if silence > limit:
+                if silence > self.config.safety.watchdog_s:
                     self.sinks.stalled(silence)
 
         thread = threading.Thread(target=watch, name="watchdog", daemon=True)

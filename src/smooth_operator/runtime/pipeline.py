@@ -63,6 +63,26 @@ class HandPipeline:
         self.supervisor.restart_blend(self._last)
         self._from = self.limiter.q
 
+    def configure(self, config: LoopConfig) -> None:
+        """Go on with other policies and limits, from the last command.
+
+        Raises:
+            ConfigError: the limits leave nothing of a joint's range; then nothing has changed.
+        """
+        limiter = Limiter(self.retargeter.hand, config.limits)
+        limiter.succeed(self.limiter)
+        self.config, self.limiter, self.supervisor.config = config, limiter, config.safety
+
+    @property
+    def latched(self) -> tuple[str, ...]:
+        """Fingers that the method holds to the thumb; safe from any thread, and costs the loop
+        nothing, since a state is replaced and never changed."""
+        latched = getattr(self._state.method, "latched", None)
+        if latched is None:
+            return ()
+        fingers = self.retargeter.hand.fingers[1:]
+        return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
+
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """The next command.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -61,9 +62,20 @@ class LoopStatistics:
     def recent(self, count: int = 500) -> dict[str, dict[str, float]]:
         """Percentiles of the last frames [ms]: ``total`` (received to sent) and the stages."""
         return {
-            name: percentiles(list(values)[-count:])
+            # from its end: of a long run, a copy of all would keep the loop waiting
+            name: percentiles(list(islice(reversed(values), count)))
             for name, values in {"total": self._added, **self._stages}.items()
         }
+
+    @property
+    def missed_share(self) -> float:
+        """Share of commands that left more than a period after they were due."""
+        return self._missed / max(self._due, 1)
+
+    @property
+    def unusable(self) -> int:
+        """Frames that the method could not use."""
+        return self._unusable
 
     @property
     def rate_hz(self) -> float:
@@ -81,7 +93,7 @@ class LoopStatistics:
             "frames_answered": self._answered,
             "frames_unusable": self._unusable,
             "deadlines_missed": self._missed,
-            "deadlines_missed_share": self._missed / max(self._due, 1),
+            "deadlines_missed_share": self.missed_share,
             "added_latency_ms": percentiles(self._added),
             "stages_ms": {name: percentiles(values) for name, values in self._stages.items()},
             "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},

@@ -1,0 +1,74 @@
+"""Asking an operator in the terminal for the poses of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.errors import SourceError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.calibration.prompts import prompts
+from smooth_operator.human.calibration.segments import Segment
+from smooth_operator.runtime.calibration_session import CalibrationSession, Moment
+from smooth_operator.sources.live import LiveSource, Mailbox
+from smooth_operator.types import HandRecording
+
+_TURN_S: Final = 0.05
+_PATIENCE_S: Final = 30.0
+"""How long a tracker may stay silent before it is given up [s]."""
+
+
+def ask(
+    source: LiveSource, hand: Hand, progress: Progressing
+) -> tuple[HandRecording, list[Segment]]:
+    """Goes through the prompts, with a bar.
+
+    Args:
+        source: where frames come from; started and stopped here.
+        hand: the robot hand, whose side and fingers are asked for.
+        progress: what is shown, and whether.
+
+    Returns:
+        what was seen, and where each pose was held.
+
+    Raises:
+        SourceError: no hand was seen for half a minute, or the source gave up.
+    """
+    mailbox = Mailbox()
+    session = CalibrationSession(hand.spec.side, prompts(hand.fingers))
+    source.start(mailbox)
+    try:
+        with progress.bar("calibrating") as show:
+            _go_through(session, source, mailbox, show)
+    finally:
+        source.stop()
+    return session.recording(), session.segments()
+
+
+def _go_through(
+    session: CalibrationSession,
+    source: LiveSource,
+    mailbox: Mailbox,
+    show: Callable[[str, float], None],
+) -> None:
+    seen = mailbox.clock()
+    while (moment := session.at(mailbox.clock())) is not None:
+        show(_told(moment), moment.done)
+        mailbox.wait((session.side,), _TURN_S)
+        if (arrival := mailbox.take(session.side)) is not None:
+            session.see(arrival)
+            seen = mailbox.clock()
+        health = source.health()
+        if health.state in ("failed", "ended") or mailbox.clock() - seen > _PATIENCE_S:
+            raise SourceError(
+                f"{source.label}: no {session.side} hand any more "
+                f"({100 * moment.done:.0f} % was done); {health.detail or health.state}"
+            )
+
+
+def _told(moment: Moment) -> str:
+    if moment.phase == "wait":
+        return f"no hand in sight; next: {moment.prompt.text}"
+    verb = "get ready" if moment.phase == "settle" else "hold"
+    return f"{moment.prompt.text} ({verb}, {moment.left_s:.0f} s)"
