@@ -109,7 +109,7 @@ class HandPipeline:
                     events.append(f"frame not used: {result.status.reason}")
         mode = self.supervisor.update(now)
         guarded = self._clock()
-        q = self._follow(mode, now)
+        q = self._follow(mode, now, guarded)
         velocity = self.limiter.velocity
         if mode is not before:
             events.append(f"{before.value} -> {mode.value}")
@@ -128,7 +128,7 @@ class HandPipeline:
             command,
             hand.expansion[0] @ velocity,
             mode,
-            ready,
+            guarded,
             self._number,
             None if result is None else result.status,
             arrival,
@@ -137,7 +137,8 @@ class HandPipeline:
             float("nan") if result is None else result.scale,
             tuple(events),
         )
-        self._last, self._number = now, self._number + 1
+        # Times of commands, not of the frames that they answer: solving takes longer now and then.
+        self._last, self._number = guarded, self._number + 1
         return tick
 
     def _answer(self, arrival: Arrival, now: float) -> tuple[Result, dict[str, float]]:
@@ -159,9 +160,9 @@ class HandPipeline:
             "solve": (solved - start) * 1e3,
         }
 
-    def _follow(self, mode: Mode, now: float) -> np.ndarray:
-        """What the limits let the robot do in this mode."""
-        dt = self.config.period if self._last is None else now - self._last
+    def _follow(self, mode: Mode, now: float, at: float) -> np.ndarray:
+        """What the limits let the robot do in this mode by the time of the command."""
+        dt = self.config.period if self._last is None else at - self._last
         if mode is Mode.TRACKING:
             return self.limiter.step(self._wanted, dt)
         if mode is Mode.BLENDING:

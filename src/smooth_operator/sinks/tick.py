@@ -48,7 +48,8 @@ class Tick:
             tracker's clock, or the time of the tick where no frame is answered.
         velocity: (n,) velocity of all joints [rad/s], for drivers that feed it forward.
         mode: what the loop is doing.
-        time: when the command was ready, by the loop's clock [s].
+        time: of the command, by the loop's clock [s]; the limits hold from one such time to the
+            next.
         number: of the tick, counted from 0 for each hand.
         status: of the frame that it answers; None where it answers none.
         arrival: that frame.

@@ -25,6 +25,8 @@ def checklist(
     tips: Mapping[int, Tip],
     coupled: Finding,
     wrist: tuple[Point, float, tuple[str, ...]],
+    bases: Finding,
+    neutral: tuple[str, ...],
     spec: HandSpec,
     palm_given: bool,
     hands: int,
@@ -42,6 +44,8 @@ def checklist(
         tips: chain -> tip.
         coupled: finding about joints that follow another.
         wrist: point, confidence, reasons.
+        bases: finding about the fingers' bases.
+        neutral: the neutral pose in words.
         spec: the description.
         palm_given: whether a person named the palm.
         hands: how many the file holds.
@@ -107,12 +111,13 @@ def checklist(
             "--wrist BODY:x,y,z (metres)",
         )
     )
+    out.append(bases)
     out.append(
         Finding(
             "neutral",
             f"{len(spec.neutral)} joints",
             0.8,
-            ("fingers bent by a fifth of their range, the thumb turned towards them",),
+            neutral,
             "edit [neutral] in the spec file",
         )
     )

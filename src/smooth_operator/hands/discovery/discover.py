@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hands.discovery.bases import bases_finding, fix_bases
 from smooth_operator.hands.discovery.branches import Branches, Chain, HandTree, holds
 from smooth_operator.hands.discovery.checklist import checklist
 from smooth_operator.hands.discovery.couplings import coupling_notes, find_couplings
@@ -154,6 +155,10 @@ def _described(
         )
         for i, finger in zip(order, names, strict=True)
     )
+    neutral, neutral_said = find_neutral(skeleton, chains, analysis.bends, analysis.reach, order)
+    fingers, moved_bases = fix_bases(
+        skeleton, tree.palm, fingers, analysis.reach, skeleton.place(skeleton.posed(neutral))
+    )
     wrist, wrist_sure, wrist_why = find_wrist(skeleton, tree.palm, chains, layout, at)
     if overrules.wrist is not None:
         _body(skeleton, overrules.wrist.body)
@@ -167,7 +172,7 @@ def _described(
         fingers=fingers,
         align=_align(names),
         source=f"worked out from {path.name}",
-        neutral=find_neutral(skeleton, chains, analysis.bends, analysis.reach, order),
+        neutral=neutral,
     )
     moved = frozenset(j for chain in chains for j in chain.joints)
     coupled, coupled_finding = find_couplings(skeleton, moved)
@@ -196,6 +201,8 @@ def _described(
         tips=tips,
         coupled=coupled_finding,
         wrist=(wrist, wrist_sure, wrist_why),
+        bases=bases_finding(moved_bases),
+        neutral=neutral_said,
         spec=spec,
         palm_given=overrules.palm is not None,
         hands=hands,

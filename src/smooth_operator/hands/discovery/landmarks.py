@@ -15,6 +15,7 @@ from smooth_operator.hands.spec import Point
 
 _BESIDE: Final = 0.09  # of a finger's length: a joint this close to the knuckle is part of it
 _APART: Final = 0.06  # of a finger's length, between two landmarks of a finger
+_CLEAR: Final = 0.2  # of a finger's length: a frame this close to a finger's base is that base
 _WRIST: Final = 0.95  # wrist to knuckles, in finger lengths, of a human hand
 
 
@@ -133,9 +134,17 @@ def find_wrist(
             place = (near.min(axis=0) + near.max(axis=0)) / 2
             why = "the heel of the palm's shape, opposite the fingers"
             return _fixed(skeleton, at, palm, place), 0.65, (why,)
-    origin = at.bodies[palm]
-    if 0.5 * length < behind(origin) < 2.2 * length:
-        why = "origin of the palm, about as far behind the knuckles as a human wrist"
-        return _fixed(skeleton, at, palm, origin), 0.6, (why,)
+    starts = np.array([at.anchors[c.own[0]] for c in chains])
+    for body in (b for b in reversed(skeleton.path(palm) or (palm,)) if b in rigid):
+        origin = at.bodies[body]
+        clear = float(np.linalg.norm(starts - origin, axis=1).min())
+        if clear > _CLEAR * length and 0.5 * length < behind(origin) < 2.2 * length:
+            what = (
+                "origin of the palm"
+                if body == palm
+                else (f"origin of {skeleton.body_name(body)!r}, which the palm is mounted on")
+            )
+            why = f"{what}, about as far behind the knuckles as a human wrist"
+            return _fixed(skeleton, at, palm, origin), 0.6, (why,)
     why = "nothing marks it: as far behind the knuckles as a human wrist"
     return _fixed(skeleton, at, palm, expected), 0.35, (why,)

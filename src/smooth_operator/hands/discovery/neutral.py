@@ -8,11 +8,14 @@ import numpy as np
 
 from smooth_operator.hands.discovery.branches import Chain
 from smooth_operator.hands.discovery.motion import Bending, Reach
+from smooth_operator.hands.discovery.room import finger_overlap
 from smooth_operator.hands.discovery.skeleton import Skeleton
 
 _BENT: Final = 0.22  # share of its closing range by which a joint is bent at rest
 _TURNED: Final = 0.7  # how far the thumb is turned to where it pinches
 _BEST: Final = 40  # pairs of poses that show where it pinches
+_DEEP: Final = 3e-3  # fingers farther inside each other than this are opened [m]
+_OPENED: Final = (0.2, 0.4, 0.6)  # shares of the way to an open knuckle that are tried
 
 
 def find_neutral(
@@ -21,8 +24,11 @@ def find_neutral(
     bends: tuple[Bending, ...],
     reach: Reach,
     order: tuple[int, ...],
-) -> dict[str, float]:
+) -> tuple[dict[str, float], tuple[str, ...]]:
     """The pose, within limits.
+
+    Fingers that would be inside each other, as those that stand in a ring may be, are opened at
+    their knuckles.
 
     Args:
         skeleton: the model.
@@ -32,7 +38,8 @@ def find_neutral(
         order: chains, thumb first, then from its side.
 
     Returns:
-        joint name -> position [rad] of the hand's joints that follow no other.
+        joint name -> position [rad] of the hand's joints that follow no other; and the pose in
+        words.
     """
     q = skeleton.reference.copy()
     named: list[int] = []
@@ -54,7 +61,41 @@ def find_neutral(
         for j in turning:
             start = skeleton.reference[j]
             q[j] = start + _TURNED * (turned[j] - start)
-    return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}
+    said = ["fingers bent by a fifth of their range, the thumb turned towards them"]
+    depth = finger_overlap(skeleton, chains, skeleton.coupled(q))
+    if depth > _DEEP:
+        knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
+        q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
+        said.append(
+            f"fingers would be {1e3 * depth:.0f} mm inside each other so; with their knuckles "
+            f"opened it is {1e3 * less:.0f} mm"
+        )
+    return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(said)
+
+
+def _opened(
+    skeleton: Skeleton, chains: tuple[Chain, ...], knuckles: dict[int, int], q: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The pose with its knuckles opened no farther than needed, and the overlap that is left [m].
+
+    Args:
+        skeleton: the model.
+        chains: the fingers.
+        knuckles: joint -> sign of the motion that closes its finger.
+        q: the pose.
+    """
+    best, least = q, finger_overlap(skeleton, chains, skeleton.coupled(q))
+    for share in _OPENED:
+        trial = q.copy()
+        for j, sense in knuckles.items():
+            low, high = skeleton.limits[j]
+            trial[j] += share * ((low if sense > 0 else high) - q[j])
+        depth = finger_overlap(skeleton, chains, skeleton.coupled(trial))
+        if depth < least:
+            best, least = trial, depth
+        if least < _DEEP:
+            break
+    return best, least
 
 
 def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -> np.ndarray | None:

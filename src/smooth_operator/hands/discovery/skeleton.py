@@ -130,6 +130,12 @@ class Skeleton:
             out[joint] = np.clip(gain * q[leader] + offset, *self.limits[joint])
         return out
 
+    def posed(self, named: Mapping[str, float]) -> Float[np.ndarray, " n"]:
+        """The reference pose with some joints elsewhere, and those that follow them."""
+        q = self.reference.copy()
+        q[[self.joint_names.index(name) for name in named]] = list(named.values())
+        return self.coupled(q)
+
     def free(self, joints: tuple[int, ...]) -> tuple[int, ...]:
         """The joints that decide about these: followers replaced by their leaders, each once."""
         leaders = [self.leaders[j][0] if j in self.leaders else j for j in joints]

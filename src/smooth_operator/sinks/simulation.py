@@ -1,0 +1,180 @@
+"""A simulated robot hand that follows the commands: MuJoCo physics in real time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.sinks.physics import HandPhysics
+from smooth_operator.sinks.tick import Tick
+from smooth_operator.types import Side
+
+_WAKE_S: Final = 0.004
+"""How often the thread wakes for some steps at once; waking costs more than a step."""
+
+_BEHIND_S: Final = 0.1
+"""Time that is given up, rather than made up for, when the machine is too slow [s]."""
+
+
+class SimulatedHand(NamedTuple):
+    """Where a simulated hand is.
+
+    Attributes:
+        positions: (n,) positions of all joints [rad], in the order of ``hand.joint_names``.
+        time: for which moment, by the loop's clock [s].
+    """
+
+    positions: Float[np.ndarray, " n"]
+    time: float
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Each hand on a fixture in MuJoCo, its joints driven by position servos, in real time.
+
+    The physics runs on a thread of its own. When commands stop, the hands stay where they are. The
+    page draws :meth:`state` beside the command.
+
+    Attributes:
+        rate: steps of the physics per second [Hz].
+        bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
+        gravity: pull along -z of the model's world, wherever that points in it.
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    rate: float = 500.0
+    """Steps of the physics per second [Hz]."""
+    bandwidth: float = 20.0
+    """Bandwidth of the servos [Hz]; higher follows faster and pushes harder."""
+    gravity: bool = False
+    """Pull along -z of the model's world, wherever that points in it."""
+    _world: _World | None = field(default=None, init=False, repr=False, compare=False)
+    _events: list[str] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 200.0 <= self.rate <= 2000.0:
+            raise ConfigError(f"mujoco: rate must be 200 to 2000 Hz, not {self.rate}")
+        if not 0.5 <= self.bandwidth <= 0.05 * self.rate:
+            raise ConfigError(
+                f"mujoco: bandwidth must be 0.5 Hz to a twentieth of the rate, "
+                f"{0.05 * self.rate:g} Hz, not {self.bandwidth}"
+            )
+
+    @property
+    def label(self) -> str:
+        """``mujoco``."""
+        return "mujoco"
+
+    @property
+    def note(self) -> str:
+        """What went wrong in the physics, if anything did."""
+        return "; ".join(self._events)
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Build the models and start; see :class:`~smooth_operator.sinks.sink.Sink`."""
+        if self._world is not None:
+            raise SinkError("mujoco: it is open already")
+        physics = {
+            side: HandPhysics(hand, 1.0 / self.rate, self.bandwidth, self.gravity)
+            for side, hand in hands.items()
+        }
+        object.__setattr__(self, "_world", _World(physics, self._events))
+
+    def send(self, tick: Tick) -> None:
+        """Set the targets of the servos.
+
+        Raises:
+            SinkError: the simulation has ended.
+        """
+        if self._world is None:
+            raise SinkError("mujoco: it is not open")
+        self._world.command(tick.side, tick.command.positions)
+
+    def stalled(self, seconds: float) -> None:
+        """Have the hands stay where they are."""
+        if self._world is not None:
+            self._world.hold()
+
+    def state(self, side: Side) -> SimulatedHand | None:
+        """Where a hand is now; safe from any thread.
+
+        Returns:
+            None while the simulation is closed, or if it has no such hand.
+        """
+        world = self._world
+        return None if world is None else world.seen.get(side)
+
+    def close(self) -> None:
+        """Stop; a second call does nothing."""
+        world = self._world
+        object.__setattr__(self, "_world", None)
+        if world is not None:
+            world.end()
+
+
+class _World:
+    """The thread that steps the physics of all hands."""
+
+    def __init__(self, physics: Mapping[Side, HandPhysics], events: list[str]) -> None:
+        now = time.perf_counter()
+        self.seen = {side: SimulatedHand(p.positions, now) for side, p in physics.items()}
+        self._physics, self._events = physics, events
+        self._targets: dict[Side, Float[np.ndarray, " n"] | None] = {}
+        self._changed = threading.Lock()
+        self._error: Exception | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mujoco", daemon=True)
+        self._thread.start()
+
+    def command(self, side: Side, positions: Float[np.ndarray, " n"]) -> None:
+        if self._error is not None:
+            raise SinkError(f"mujoco: the simulation ended: {self._error}") from self._error
+        with self._changed:
+            self._targets[side] = positions
+
+    def hold(self) -> None:
+        with self._changed:
+            for side in self._physics:
+                self._targets[side] = None  # stands for: where it is
+
+    def end(self) -> None:
+        self._ending.set()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        try:
+            last = time.perf_counter()
+            held: set[Side] = set()
+            while not self._ending.wait(_WAKE_S):
+                now = time.perf_counter()
+                with self._changed:
+                    targets, self._targets = self._targets, {}
+                for side, target in targets.items():
+                    if target is not None:
+                        self._physics[side].command(target)
+                        held.discard(side)
+                    elif side not in held:  # once: a hand that is held again and again would creep
+                        self._physics[side].hold()
+                        held.add(side)
+                self._step(min(now - last, _BEHIND_S), now)
+                last = now
+        except Exception as error:  # reaches the loop with its next command
+            self._error = error
+
+    def _step(self, seconds: float, now: float) -> None:
+        for side, physics in self._physics.items():
+            if not physics.advance(seconds):
+                text = f"the physics of the {side} hand came apart and was set back"
+                resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
+                self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
+            self.seen[side] = SimulatedHand(physics.positions, now)

@@ -1,0 +1,365 @@
+"""The recording of a session: whole, of all ticks, and left readable by whatever ends it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ticks import make_tick
+
+from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.recording import LogWriter, read_episode, read_log, read_recording
+from smooth_operator.recording.log_episode import write_log_episode
+from smooth_operator.sinks.catalogue import build_sink
+from smooth_operator.sinks.record import RecordSink
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.tick import Mode
+from smooth_operator.types import Side
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module")
+def hands(hand: Hand) -> dict[Side, Hand]:
+    return {"right": hand, "left": load_hand("mimic_p050", "left")}
+
+
+def test_all_of_a_session_comes_back(hand: Hand, tmp_path: Path) -> None:
+    sink = RecordSink(tmp_path / "a.mcap")
+    sink.open({"right": hand}, {"method": "sbr", "rate": 100})
+    ticks = [make_tick(hand, i, stamp=0.01 * i, at=50.0 + 0.01 * i) for i in range(30)]
+    ticks += [
+        make_tick(hand, 30 + i, at=50.3 + 0.01 * i, mode=Mode.HOLDING, frame=False)
+        for i in range(20)
+    ]
+    ticks[30] = make_tick(
+        hand, 30, at=50.3, mode=Mode.HOLDING, frame=False, events=("tracking -> holding",)
+    )
+    ticks += [  # the tracker is started again, and its stamps with it
+        make_tick(hand, 50 + i, stamp=0.01 * i, session=1, at=50.5 + 0.01 * i) for i in range(10)
+    ]
+    for tick in ticks:
+        sink.send(tick)
+    sink.close()
+    sink.close()
+    assert sink.note == ""
+
+    log = read_log(tmp_path / "a.mcap")
+    assert log.truncated is False
+    assert log.config == {"method": "sbr", "rate": 100}
+    assert log.commands is not None
+    assert log.recording is not None
+    assert log.loop is not None
+    np.testing.assert_array_equal(
+        log.commands.joint_positions, [t.command.positions for t in ticks]
+    )
+    np.testing.assert_array_equal(log.loop.numbers, np.arange(60))
+    assert log.loop.modes == tuple(t.mode.value for t in ticks)
+    assert log.loop.events == {30: ("tracking -> holding",)}
+    np.testing.assert_array_equal(log.loop.answers, [t.arrival is not None for t in ticks])
+    np.testing.assert_array_equal(log.loop.times, [t.time for t in ticks])
+    assert set(log.stages_ms) == {"tracker", "receive", "solve", "limit"}
+    np.testing.assert_allclose(log.stages_ms["solve"], np.where(log.loop.answers, 1.25, np.nan))
+    np.testing.assert_allclose(
+        log.commands.latency_ms, np.where(log.loop.answers, 2.0, np.nan), atol=1e-9
+    )
+    # One clock for all: increasing, frames paired with their commands, differences the tracker's.
+    assert (np.diff(log.commands.stamps) > 0).all()
+    np.testing.assert_array_equal(log.recording.stamps, log.commands.stamps[log.loop.answers])
+    np.testing.assert_allclose(np.diff(log.recording.stamps)[:29], 0.01, atol=1e-9)
+    own = [t.arrival.frame.stamp for t in ticks if t.arrival is not None]
+    np.testing.assert_array_equal(log.loop.tracker_stamps[log.loop.answers], own)
+
+
+def test_late_frames_keep_their_distances(hand: Hand, tmp_path: Path) -> None:
+    """Ticks without a frame give way to frames that were measured before them."""
+    rng = np.random.default_rng(3)
+    path = tmp_path / "a.mcap"
+    sink = RecordSink(path)
+    sink.open({"right": hand}, {})
+    stamps = []
+    for i in range(300):
+        at = 7.0 + 0.01 * i
+        sink.send(make_tick(hand, 2 * i, at=at - 0.003, frame=False))
+        stamps.append(0.01 * i - float(rng.uniform(0, 0.006)))
+        sink.send(make_tick(hand, 2 * i + 1, at=at, stamp=stamps[-1]))
+    sink.close()
+    log = read_log(path)
+    assert log.recording is not None
+    assert log.commands is not None
+    assert (np.diff(log.commands.stamps) > 0).all()
+    off = np.abs(np.diff(log.recording.stamps) - np.diff(stamps))
+    assert (off < 1e-9).mean() > 0.95
+    assert off.max() < 0.006
+
+
+def test_the_other_readers_take_a_live_log(hand: Hand, tmp_path: Path) -> None:
+    sink = RecordSink(tmp_path / "a.mcap")
+    sink.open({"right": hand}, {})
+    for i in range(40):
+        sink.send(make_tick(hand, i, at=9.0 + 0.01 * i, frame=i % 4 != 0))
+    sink.close()
+    assert len(read_recording(tmp_path / "a.mcap")) == 30
+    episode = read_episode(tmp_path / "a.mcap")
+    assert episode.commands is not None
+    assert len(episode.commands) == 40
+    assert (episode.answered() >= 0).sum() == 30
+    write_log_episode(tmp_path / "b.mcap", episode)
+    again = read_log(tmp_path / "b.mcap")
+    assert again.loop is None
+    assert again.commands is not None
+    np.testing.assert_array_equal(again.commands.joint_positions, episode.commands.joint_positions)
+
+
+def test_damaged_loop_messages_are_named(tmp_path: Path, hand: Hand) -> None:
+    class Odd:
+        def message(self, stamp: float) -> dict[str, object]:
+            return {"stamp": stamp, "mode": "tracking"}
+
+    from smooth_operator.types import Status
+
+    with LogWriter(tmp_path / "a.mcap") as log:
+        tick = make_tick(hand, 0)
+        log.write_command(tick.command, Status.OK, 1.0, {}, Odd())  # type: ignore[arg-type]
+    with pytest.raises(RecordingError, match="lacks a field"):
+        read_log(tmp_path / "a.mcap")
+
+
+def test_two_hands_and_numbered_takes(hands: dict[Side, Hand], tmp_path: Path) -> None:
+    folder = tmp_path / "takes"
+    names = []
+    for _ in range(3):
+        sink = build_sink(f"record:{folder}")
+        sink.open(hands, {})
+        for side in hands:
+            sink.send(make_tick(hands[side], 0))
+        sink.close()
+        names += [p.name for p in sink.paths]  # type: ignore[attr-defined]
+    assert names == [f"take-00{n}.{s}.mcap" for n in (1, 2, 3) for s in ("right", "left")]
+    for side in hands:
+        recording = read_log(folder / f"take-002.{side}.mcap").recording
+        assert recording is not None
+        assert recording.side == side
+    one = RecordSink(folder)
+    one.open({"right": hands["right"]}, {})
+    one.close()
+    assert [p.name for p in one.paths] == ["take-004.mcap"]
+
+
+def test_a_file_that_stands_there(hand: Hand, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(OutputError, match="overwrite=true"):
+        RecordSink(path).open({"right": hand}, {})
+    assert path.read_bytes() == b"precious"
+    sink = RecordSink(path, overwrite=True)
+    sink.open({"right": hand}, {})
+    sink.send(make_tick(hand, 0))
+    sink.close()
+    sink.open({"right": hand}, {})  # again, as after a failure: its own first part stays
+    sink.send(make_tick(hand, 1))
+    with pytest.raises(SinkError, match="open already"):
+        sink.open({"right": hand}, {})
+    sink.close()
+    assert [p.name for p in sink.paths] == ["a.mcap", "a.part2.mcap"]
+    for part, number in zip(sink.paths, (0, 1), strict=True):
+        loop = read_log(part).loop
+        assert loop is not None
+        assert loop.numbers.tolist() == [number]
+
+
+@pytest.mark.parametrize("text", ["record:a.txt", "record:a.mcap,flush_s=0", "record:a,buffer=0"])
+def test_bad_settings(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"record|MCAP"):
+        build_sink(text)
+
+
+def _slow_log(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    write = LogWriter.write_command
+
+    def slow(self: LogWriter, *args: object, **more: object) -> None:
+        time.sleep(seconds)
+        write(self, *args, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(LogWriter, "write_command", slow)
+
+
+def test_a_slow_disk_never_stops_the_loop_and_losses_are_told(
+    hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _slow_log(monkeypatch, 0.02)
+    sink = RecordSink(tmp_path / "a.mcap", buffer=10)
+    sink.open({"right": hand}, {})
+    longest = 0.0
+    for i in range(60):
+        tick = make_tick(hand, i)
+        start = time.thread_time()
+        sink.send(tick)
+        longest = max(longest, time.thread_time() - start)
+        time.sleep(0.002)
+    time.sleep(0.5)
+    sink.send(make_tick(hand, 60))
+    sink.close()
+    assert longest < 0.005
+    loop = read_log(tmp_path / "a.mcap").loop
+    assert loop is not None
+    lost = 61 - len(loop.numbers)
+    assert 10 < lost < 51
+    assert sink.note.startswith(f"{lost} ticks are not recorded")
+    told = [event for events in loop.events.values() for event in events]
+    assert sum(int(event.split()[0]) for event in told) == lost
+
+
+def test_disk_full_reaches_the_loop_once_and_recording_goes_on_in_another_file(
+    hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = [False]
+    flush = LogWriter.flush
+
+    def may_fail(self: LogWriter, *, sync: bool = False) -> None:
+        if full[0]:
+            with self._writing():
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        flush(self, sync=sync)
+
+    monkeypatch.setattr(LogWriter, "flush", may_fail)
+    sink = RecordSink(tmp_path / "a.mcap", flush_s=0.05)
+    runner = SinkRunner([sink], retry_s=0.2)
+    runner.open({"right": hand}, {"a": 1})
+    number = 0
+
+    def send_for(seconds: float) -> None:
+        nonlocal number
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            runner.observe(make_tick(hand, number))
+            number += 1
+            time.sleep(0.005)
+
+    send_for(0.4)
+    full[0] = True
+    send_for(0.3)
+    (health,) = runner.health()
+    assert health.failed >= 1
+    assert "no space is left" in health.detail
+    full[0] = False
+    send_for(0.8)
+    runner.close()
+    first, *more = sink.paths
+    assert first.name == "a.mcap"
+    assert more
+    assert sorted(tmp_path.iterdir()) == sorted(sink.paths)  # what broke off empty is gone
+    early, late = read_log(first).loop, read_log(more[-1]).loop
+    assert early is not None
+    assert late is not None
+    assert len(early.numbers) > 40
+    assert early.numbers.tolist() == list(range(len(early.numbers)))
+    assert late.numbers[-1] == number - 1
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs to mount a tmpfs")
+def test_a_disk_that_is_really_full(hand: Hand, tmp_path: Path) -> None:
+    mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(tmp_path)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no right to mount here")
+    try:
+        sink = RecordSink(tmp_path / "a.mcap", flush_s=0.02)
+        sink.open({"right": hand}, {})
+        errors = []
+        number = 0
+        end = time.perf_counter() + 10.0
+        while not errors and time.perf_counter() < end:
+            try:
+                sink.send(make_tick(hand, number))
+            except OutputError as error:
+                errors.append(error)
+            number += 1
+            time.sleep(0.0005)
+        sink.send(make_tick(hand, number))  # said once
+        sink.close()
+        assert errors
+        assert errors[0].errno == errno.ENOSPC
+        log = read_log(tmp_path / "a.mcap")
+        assert log.truncated
+        assert log.loop is not None
+        assert len(log.loop.numbers) > 100
+        assert sink.note
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
+    tmp_path: Path,
+) -> None:
+    """Processes that record at 200 Hz, five at a time, each killed at its own moment."""
+    child = """
+        import os, sys, time
+        from pathlib import Path
+        sys.path.insert(0, sys.argv[2])
+        from ticks import make_tick
+        from smooth_operator.hands.catalogue import load_hand
+        from smooth_operator.sinks.record import RecordSink
+        hand = load_hand("mimic_p050")
+        for name in range(20):
+            if os.fork() == 0:
+                path = Path(sys.argv[1]) / f"{name}.mcap"
+                sink = RecordSink(path)
+                sink.open({"right": hand}, {})
+                path.with_suffix(".new").write_text(f"{os.getpid()} {time.perf_counter()}")
+                path.with_suffix(".new").rename(path.with_suffix(".pid"))
+                number, due = 0, time.perf_counter()
+                while True:
+                    sink.send(make_tick(hand, number))
+                    number, due = number + 1, due + 0.005
+                    time.sleep(max(due - time.perf_counter(), 0.0))
+            if name % 5 == 4:
+                for _ in range(5):
+                    os.wait()
+    """
+    parent = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(child), str(tmp_path), str(Path(__file__).parent)],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    rng = random.Random(0)
+    kill_at: dict[Path, float] = {}  # by perf_counter, one clock for all processes of the machine
+    lives: dict[Path, tuple[float, float]] = {}
+    give_up = time.perf_counter() + 60.0
+    while len(lives) < 20:
+        assert time.perf_counter() < give_up
+        assert parent.poll() is None or len(kill_at) == 20, parent.communicate()[1]
+        for note in set(tmp_path.glob("*.pid")) - set(lives):
+            pid, began = note.read_text().split()
+            at = kill_at.setdefault(note, float(began) + rng.uniform(0.0, 1.6))
+            if time.perf_counter() >= at:
+                os.kill(int(pid), signal.SIGKILL)
+                lives[note] = float(began), time.perf_counter()
+        time.sleep(0.002)
+    _, errors = parent.communicate(timeout=30)
+    assert parent.returncode == 0, errors
+    with_ticks = 0
+    for note, (began, died) in lives.items():
+        log = read_log(note.with_suffix(".mcap"))
+        assert log.truncated
+        last = began
+        if log.loop is not None:
+            last = float(log.loop.times[-1])
+            np.testing.assert_array_equal(log.loop.numbers, np.arange(len(log.loop.numbers)))
+            with_ticks += 1
+        assert died - last < 1.0, (note, died - began)
+    assert with_ticks >= 8

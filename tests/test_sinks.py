@@ -1,0 +1,539 @@
+"""Sinks side by side: one that fails harms nobody, and each says what it is told to say."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+import types
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from ticks import make_tick
+
+from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.sinks.catalogue import SINKS, build_sink
+from smooth_operator.sinks.ros2 import Ros2Sink
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.table import HandPanel, TableSink
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sinks.zmq_sink import ZmqSink
+from smooth_operator.types import Side
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module")
+def hands(hand: Hand) -> dict[Side, Hand]:
+    return {"right": hand, "left": load_hand("mimic_p050", "left")}
+
+
+def until(done: Callable[[], object], seconds: float = 5.0) -> None:
+    end = time.perf_counter() + seconds
+    while not done():
+        assert time.perf_counter() < end, "it did not happen in time"
+        time.sleep(0.005)
+
+
+class Fake:
+    """A sink that keeps what it gets, and raises when told to."""
+
+    def __init__(self, label: str = "fake") -> None:
+        self.label = label
+        self.raises: dict[str, Exception] = {}
+        self.calls: list[str] = []
+        self.ticks: list[Tick] = []
+        self.is_open = False
+
+    def _call(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self.raises:
+            raise self.raises[name]
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        assert not self.is_open
+        self._call("open")
+        self.is_open = True
+
+    def send(self, tick: Tick) -> None:
+        assert self.is_open
+        self._call("send")
+        self.ticks.append(tick)
+
+    def stalled(self, seconds: float) -> None:
+        assert self.is_open
+        self._call("stalled")
+
+    def close(self) -> None:
+        self.is_open = False
+        self._call("close")
+
+
+def test_runner_opens_all_or_none(hand: Hand) -> None:
+    good, bad, never = Fake("good"), Fake("bad"), Fake("never")
+    bad.raises["open"] = SinkError("no such port")
+    runner = SinkRunner([good, bad, never])
+    with pytest.raises(SinkError, match="no such port"):
+        runner.open({"right": hand}, {})
+    assert good.calls == ["open", "close"]
+    assert never.calls == []
+    del bad.raises["open"]
+    runner.open({"right": hand}, {})
+    with pytest.raises(ConfigError, match="open already"):
+        runner.open({"right": hand}, {})
+    runner.close()
+    runner.close()
+    assert [s.calls[-2:] for s in (good, bad, never)] == [["open", "close"]] * 3
+
+
+def test_runner_isolates_a_failure_and_mends_it_in_its_time(hand: Hand) -> None:
+    now = [100.0]
+    good, bad = Fake("good"), Fake("bad")
+    runner = SinkRunner([bad, good], retry_s=1.0, clock=lambda: now[0])
+    runner.open({"right": hand}, {})
+    bad.raises["send"] = ZeroDivisionError("odd")
+    for i in range(5):
+        runner.send(make_tick(hand, i))
+    assert len(good.ticks) == 5
+    until(lambda: bad.calls == ["open", "send", "close"])
+    time.sleep(0.15)
+    assert bad.calls == ["open", "send", "close"]  # not before its time
+    first, second = runner.health()
+    assert (first.state, first.sent, first.failed, first.missed) == ("failed", 0, 1, 5)
+    assert first.detail == "ZeroDivisionError: odd"
+    assert (second.state, second.sent, second.failed, second.detail) == ("open", 5, 0, "")
+    bad.raises = {"open": SinkError("still away")}
+    now[0] += 1.01
+    until(lambda: runner.health()[0].detail == "still away")
+    bad.raises = {}
+    now[0] += 1.01
+    until(lambda: runner.health()[0].state == "open")
+    runner.send(make_tick(hand, 6))
+    assert [t.number for t in bad.ticks] == [6]
+    runner.close()
+    report = runner.report()
+    assert [h.state for h in report] == ["closed", "closed"]
+    assert [h.failed for h in report] == [2, 0]
+    assert report[0].detail == "still away"
+
+
+def test_runner_closes_all_even_when_one_fails_in_closing(hand: Hand) -> None:
+    bad, good = Fake("bad"), Fake("good")
+    bad.raises["close"] = OSError("disk gone")
+    runner = SinkRunner([bad, good])
+    runner.open({"right": hand}, {})
+    runner.close()
+    assert good.calls[-1] == "close"
+    assert "disk gone" in runner.report()[0].detail
+
+
+def test_runner_takes_in_and_lets_go_while_running(hand: Hand) -> None:
+    base = Fake("base")
+    runner = SinkRunner([base], retry_s=0.05)
+    runner.open({"right": hand}, {})
+    stop = threading.Event()
+    sent = [0]
+
+    def loop() -> None:
+        while not stop.is_set():
+            runner.send(make_tick(hand, sent[0]))
+            sent[0] += 1
+
+    thread = threading.Thread(target=loop)
+    thread.start()
+    for i in range(60):
+        extra = Fake(f"extra {i}")
+        if i % 3 == 0:
+            extra.raises["send"] = SinkError("bad")
+        runner.add(extra)
+        time.sleep(0.002)
+        runner.remove(extra)
+        assert not extra.is_open
+    stop.set()
+    thread.join()
+    refused = Fake("refused")
+    refused.raises["open"] = SinkError("taken")
+    with pytest.raises(SinkError, match="taken"):
+        runner.add(refused)
+    runner.remove(refused)
+    assert [h.label for h in runner.health()] == ["base"]
+    runner.close()
+    assert len(base.ticks) == sent[0] == runner.health()[0].sent
+    report = runner.report()
+    assert len(report) == 61
+    assert all("AssertionError" not in h.detail for h in report)
+
+
+def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand: Hand) -> None:
+    class Hanging(Fake):
+        def send(self, tick: Tick) -> None:
+            gate.wait(5.0)
+
+    gate = threading.Event()
+    stuck, other = Hanging("stuck"), Fake("other")
+    runner = SinkRunner([stuck, other])
+    runner.open({"right": hand}, {})
+    loop = threading.Thread(target=runner.send, args=(make_tick(hand),))
+    loop.start()
+    start = time.perf_counter()
+    runner.stalled(0.3)
+    assert time.perf_counter() - start < 1.0
+    assert other.calls == ["open", "stalled"]
+    assert stuck.calls == ["open", "stalled"]
+    gate.set()
+    loop.join()
+    runner.close()
+
+
+def test_every_word_of_the_catalogue_is_a_sink(tmp_path: Any) -> None:
+    for word in SINKS:
+        sink = build_sink(f"record:{tmp_path}/a.mcap" if word == "record" else word)
+        assert sink.label.startswith(word)
+        sink.close()  # never opened: nothing to do
+        sink.stalled(1.0)
+
+
+# --- ZeroMQ
+
+
+@pytest.fixture
+def listen() -> Iterator[Callable[[str, bytes], Any]]:
+    import zmq
+
+    context = zmq.Context()
+    sockets = []
+
+    def subscribe(address: str, prefix: bytes = b"") -> Any:
+        socket = context.socket(zmq.SUB)
+        socket.setsockopt(zmq.SUBSCRIBE, prefix)
+        socket.setsockopt(zmq.RCVTIMEO, 3000)
+        socket.connect(address)
+        sockets.append(socket)
+        return socket
+
+    yield subscribe
+    for socket in sockets:
+        socket.close(0)
+    context.term()
+
+
+def _free_address() -> str:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+
+
+def _until_heard(sink: ZmqSink, socket: Any, tick: Tick) -> dict[str, Any]:
+    """Send until a message is there: a subscriber needs a moment to connect."""
+    end = time.perf_counter() + 5.0
+    while time.perf_counter() < end:
+        sink.send(tick)
+        if socket.poll(20):
+            return dict(json.loads(socket.recv()))
+    raise AssertionError("nothing was heard")
+
+
+def test_zmq_says_all_of_a_command(hands: dict[Side, Hand], listen: Any) -> None:
+    sink = ZmqSink(_free_address(), valid_for_s=0.15)
+    sink.open(hands, {})
+    socket = listen(sink.address, b'{"side":"left"')
+    tick = make_tick(hands["left"], 3, mode=Mode.BLENDING)
+    _until_heard(sink, socket, make_tick(hands["left"], 2))
+    sink.send(make_tick(hands["right"], 9))  # not subscribed to
+    sink.send(tick)
+    while (message := json.loads(socket.recv()))["number"] != 3:
+        pass
+    assert message.pop("unix_time") == pytest.approx(time.time(), abs=5.0)
+    assert message == {
+        "side": "left",
+        "type": "command",
+        "format": 1,
+        "hand": "mimic_p050",
+        "number": 3,
+        "mode": "blending",
+        "names": list(hands["left"].joint_names),
+        "positions": tick.command.positions.tolist(),
+        "velocities": [0.0] * len(tick.command.names),
+        "stamp": tick.command.stamp,
+        "time": tick.time,
+        "valid_for_s": 0.15,
+    }
+    sink.stalled(0.25)
+    stalled = json.loads(socket.recv())
+    assert (stalled["type"], stalled["side"], stalled["seconds"]) == ("stalled", "left", 0.25)
+    sink.close()
+    assert json.loads(socket.recv())["type"] == "end"
+    sink.close()
+    with pytest.raises(SinkError, match="not open"):
+        sink.send(tick)
+
+
+def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand: Hand, listen: Any) -> None:
+    sink = ZmqSink(_free_address())
+    sink.open({"right": hand}, {})
+    child = """
+        import sys, zmq
+        socket = zmq.Context().socket(zmq.SUB)
+        socket.setsockopt(zmq.SUBSCRIBE, b"")
+        socket.connect(sys.argv[1])
+        socket.recv()
+        print("heard", flush=True)
+        while True:
+            socket.recv()
+    """
+    for _ in range(2):
+        process = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(child), sink.address], stdout=subprocess.PIPE
+        )
+        assert process.stdout is not None
+        said: list[bytes] = []
+        heard = threading.Thread(target=said.extend, args=(iter(process.stdout.readline, b""),))
+        heard.start()
+        longest = 0.0
+        while not said:
+            tick = make_tick(hand)
+            start = time.thread_time()
+            sink.send(tick)
+            longest = max(longest, time.thread_time() - start)
+            time.sleep(0.005)
+        process.kill()
+        process.wait()
+        heard.join()
+        process.stdout.close()
+        assert said == [b"heard\n"]
+        assert longest < 0.005
+    for i in range(200):  # nobody listens
+        sink.send(make_tick(hand, i))
+    time.sleep(0.1)
+    message = _until_heard(sink, listen(sink.address), make_tick(hand, 500))
+    assert message["number"] == 500  # no queue of old ones
+    sink.close()
+
+
+def test_zmq_address_in_use_and_reopened(hand: Hand, listen: Any) -> None:
+    sink = ZmqSink(_free_address())
+    other = ZmqSink(sink.address)
+    sink.open({"right": hand}, {})
+    with pytest.raises(SinkError, match="choose another address"):
+        other.open({"right": hand}, {})
+    sink.close()
+    other.open({"right": hand}, {})  # as it is given back
+    assert _until_heard(other, listen(other.address), make_tick(hand, 1))["number"] == 1
+    other.close()
+
+
+def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
+    sink = ZmqSink(_free_address())
+    sink.open({"right": hand}, {})
+    tick = make_tick(hand)
+    tick.command.positions[2] = np.nan
+
+    def raises() -> bool:
+        try:
+            sink.send(tick)
+        except SinkError as error:
+            return "not finite" in str(error)
+        return False
+
+    until(raises)
+    sink.close()
+
+
+@pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0", "ros2:a b", "ros2:/{foot}/x",
+                                  "ros2:node=a-b", "table:0"])  # fmt: skip
+def test_bad_settings(text: str) -> None:
+    with pytest.raises(ConfigError):
+        build_sink(text)
+
+
+def test_missing_extra(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zmq", None)
+    with pytest.raises(MissingExtraError, match=r"smooth-operator\[zmq\]"):
+        ZmqSink().open({"right": hand}, {})
+
+
+# --- ROS 2
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
+    """Modules with the part of ROS 2's interface that is used; topic -> messages."""
+    published: dict[str, list[Any]] = {}
+    log: list[Any] = published.setdefault("", [])
+
+    class Context:
+        pass
+
+    class Time:
+        def to_msg(self) -> str:
+            return "now"
+
+    class Clock:
+        def now(self) -> Time:
+            return Time()
+
+    class Publisher:
+        def __init__(self, kind: type, topic: str) -> None:
+            self.kind, self.topic = kind, topic
+
+        def publish(self, message: Any) -> None:
+            assert type(message) is self.kind
+            published.setdefault(self.topic, []).append(message)
+
+    class Node:
+        def create_publisher(self, kind: type, topic: str, depth: int) -> Publisher:
+            return Publisher(kind, topic)
+
+        def get_clock(self) -> Clock:
+            return Clock()
+
+        def destroy_node(self) -> None:
+            log.append("destroyed")
+
+    class JointState:
+        def __init__(self) -> None:
+            self.header = types.SimpleNamespace(stamp=None)
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            assert name in ("header", "name", "position", "velocity", "effort")
+            if name != "header":
+                assert isinstance(value, list)
+            object.__setattr__(self, name, value)
+
+    class String:
+        def __init__(self, *, data: str = "") -> None:
+            self.data = data
+
+    def init(*, context: Context) -> None:
+        log.append("init")
+
+    def create_node(name: str, *, context: Context) -> Node:
+        log.append(name)
+        return Node()
+
+    def shutdown(*, context: Context) -> None:
+        log.append("shutdown")
+
+    for name, content in {
+        "rclpy": {"init": init, "create_node": create_node, "shutdown": shutdown},
+        "rclpy.context": {"Context": Context},
+        "sensor_msgs": {},
+        "sensor_msgs.msg": {"JointState": JointState},
+        "std_msgs": {},
+        "std_msgs.msg": {"String": String},
+    }.items():
+        module = types.ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    return published
+
+
+def test_ros2_publishes_joint_states_and_modes(
+    hands: dict[Side, Hand], ros: dict[str, list[Any]]
+) -> None:
+    sink = Ros2Sink()
+    sink.open(hands, {})
+    topic = "/mimic_p050/left/joint_commands"
+    ticks = [
+        make_tick(hands["left"], i, mode=Mode.TRACKING if i < 3 else Mode.HOLDING) for i in range(6)
+    ]
+    for i, tick in enumerate(ticks):
+        sink.send(tick)
+        until(lambda i=i: len(ros.get(topic, [])) == i + 1)  # type: ignore[misc]
+    sink.stalled(0.3)
+    sink.stalled(0.4)
+    until(lambda: ros[f"{topic}_mode"][-1].data == "stalled")
+    sink.close()
+    for tick, message in zip(ticks, ros[topic], strict=True):
+        assert message.name == list(tick.command.names)
+        assert message.position == tick.command.positions.tolist()
+        assert message.velocity == tick.velocity.tolist()
+        assert message.header.stamp == "now"
+    modes = [message.data for message in ros[f"{topic}_mode"]]
+    assert modes == ["tracking", "holding", "stalled", "ended"]
+    assert ros[""] == ["init", "smooth_operator", "destroyed", "shutdown"]
+    with pytest.raises(SinkError, match="two hands on one topic"):
+        Ros2Sink("/joints").open(hands, {})
+
+
+def test_ros2_without_rclpy_says_how(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    with pytest.raises(SinkError, match=r"pip can't install.*setup\.bash.*" + version):
+        Ros2Sink().open({"right": hand}, {})
+
+
+# --- table
+
+
+def test_table_shows_joints_mode_and_latency(hand: Hand) -> None:
+    panel = HandPanel("right", hand)
+    console = Console(file=io.StringIO(), width=100)
+    console.print(panel.table())
+    assert "no command yet" in console.file.getvalue()  # type: ignore[attr-defined]
+    for i in range(200):
+        panel.see(make_tick(hand, i, at=10.0 + 0.01 * i))
+    line = panel.line()
+    assert "tracking, 100 Hz, latency p50 2.00 ms, p99 2.00 ms" in line
+    console.print(panel.table())
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    last = make_tick(hand, 199)
+    for name, q in zip(hand.joint_names, last.command.positions, strict=True):
+        (row,) = [row for row in text.splitlines() if f"│{name} " in row]
+        assert f"{q:+.3f}" in row
+        low, high = hand.joint_limits[hand.joint_names.index(name)]
+        assert row.count("█") == round(24 * (q - low) / (high - low))
+    panel.silence = 1.5
+    assert "stalled" in panel.line()
+
+
+def test_table_writes_lines_where_no_terminal_is(
+    hands: dict[Side, Hand], capfd: pytest.CaptureFixture[str]
+) -> None:
+    sink = TableSink()
+    sink.open(hands, {})
+    for i in range(50):
+        for hand in hands.values():
+            sink.send(make_tick(hand, i, at=10.0 + 0.01 * i))
+    sink.stalled(0.5)
+    sink.close()
+    out, err = capfd.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert [line.split(",")[0] for line in lines] == [
+        "mimic_p050 right: stalled",
+        "mimic_p050 left: stalled",
+    ]
+
+
+def test_table_draws_in_a_terminal(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Screen(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    sink = TableSink(rate=20)
+    sink.open({"right": hand}, {})
+    for i in range(30):
+        sink.send(make_tick(hand, i, at=10.0 + 0.01 * i))
+        time.sleep(0.01)
+    sink.close()
+    text = screen.getvalue()
+    assert text.count("index_mcp2pp") >= 3
+    assert "█" in text

@@ -1,0 +1,54 @@
+"""Ticks as the loop makes them, for the tests of sinks."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources.live import Arrival
+from smooth_operator.types import HandFrame, JointCommand, Status
+
+
+def landmarks(number: int = 0) -> np.ndarray:
+    """A hand-sized cloud of 21 points that moves [m]."""
+    points = 0.02 * np.random.default_rng(7).normal(size=(21, 3))
+    points[0], points[9] = 0.0, (0.0, 0.0, 0.095)  # wrist and middle finger: a palm's length
+    return points + 0.01 * np.sin(0.1 * number)
+
+
+def make_tick(
+    hand: Hand,
+    number: int = 0,
+    *,
+    stamp: float | None = None,
+    session: int = 0,
+    mode: Mode = Mode.TRACKING,
+    at: float | None = None,
+    events: tuple[str, ...] = (),
+    frame: bool = True,
+) -> Tick:
+    """A tick of a hand, by default one that answers a frame received 2 ms ago."""
+    now = time.perf_counter() if at is None else at
+    side = hand.spec.side
+    low, high = hand.limits.T
+    q = low + (high - low) * (0.5 + 0.4 * np.sin(0.05 * number))
+    own = number * 0.01 if stamp is None else stamp
+    arrival = Arrival(HandFrame(landmarks(number), own, side), now - 0.002, session)
+    return Tick(
+        side,
+        hand.name,
+        JointCommand(hand.expand(q), hand.joint_names, own if frame else now),
+        np.zeros(len(hand.joint_names)),
+        mode,
+        now,
+        number,
+        Status.OK if frame else None,
+        arrival if frame else None,
+        {"tracker": 0.5, "receive": 0.2, "solve": 1.25, "limit": 0.1} if frame else {},
+        0.01 if frame else float("nan"),
+        1.1 if frame else float("nan"),
+        events,
+    )
