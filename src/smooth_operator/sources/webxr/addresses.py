@@ -1,0 +1,73 @@
+"""Under which names and addresses a headset may reach this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import socket
+from typing import Final
+
+LOCAL: Final = ("localhost", "127.0.0.1", "::1")
+"""This machine to itself."""
+
+# Reserved for documentation (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, but has
+# the system choose the interface that leads out.
+_ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1"))
+
+
+def is_local(host: str) -> bool:
+    """Whether only this machine reaches what listens on ``host``."""
+    if host == "localhost":
+        return True
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return False
+
+
+def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
+    """Addresses of this machine on its networks, the one that leads out first; empty if none.
+
+    Args:
+        host: ``0.0.0.0`` for those of IPv4, ``::`` for both kinds. IPv6 only where it was asked
+            for: such addresses may change every day, and the certificate with them.
+    """
+    families = _ELSEWHERE if host == "::" else _ELSEWHERE[:1]
+    found: list[str] = []
+    for family, elsewhere in families:
+        with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((elsewhere, 9))
+            found.append(str(probe.getsockname()[0]))
+        with contextlib.suppress(OSError):
+            own = socket.getaddrinfo(socket.gethostname(), None, family)
+            found += [str(entry[4][0]) for entry in own]
+    return tuple(dict.fromkeys(address for address in found if _reachable(address)))
+
+
+def names_of(host: str) -> tuple[str, ...]:
+    """The names that stand in the certificate of a server that listens on ``host``."""
+    if is_local(host):
+        return LOCAL
+    if host not in ("0.0.0.0", "::"):
+        return (*LOCAL, host)
+    name = socket.gethostname().split(".")[0].lower()
+    own = (f"{name}.local",) if name and name != "localhost" else ()
+    return (*LOCAL, *lan_addresses(host), *own)
+
+
+def page_addresses(host: str, port: int) -> tuple[str, ...]:
+    """Addresses of the page, the one to type first."""
+    if is_local(host):
+        names: tuple[str, ...] = ("localhost",)
+    elif host in ("0.0.0.0", "::"):
+        names = lan_addresses(host) or ("localhost",)
+    else:
+        names = (host,)
+    return tuple(f"https://[{n}]:{port}" if ":" in n else f"https://{n}:{port}" for n in names)
+
+
+def _reachable(address: str) -> bool:
+    try:
+        parsed = ipaddress.ip_address(address)
+    except ValueError:  # IPv6 with a zone, which no browser takes
+        return False
+    return not (parsed.is_loopback or parsed.is_link_local or parsed.is_unspecified)

@@ -1,0 +1,84 @@
+// Reading the hands of an XR frame into the message that packet.py documents.
+
+const FINGERS = ['index', 'middle', 'ring', 'pinky'];
+const BONES = ['metacarpal', 'phalanx-proximal', 'phalanx-intermediate', 'phalanx-distal', 'tip'];
+
+/** The 25 joints in WebXR's order. */
+export const JOINTS = [
+  'wrist',
+  ...['metacarpal', 'phalanx-proximal', 'phalanx-distal', 'tip'].map((bone) => `thumb-${bone}`),
+  ...FINGERS.flatMap((finger) => BONES.map((bone) => `${finger}-finger-${bone}`)),
+];
+
+const HEADER = 24;
+const VALUES = 8; // x, y, z, quaternion x, y, z, w, radius
+const HAND = JOINTS.length * VALUES;
+const MAGIC = 0x31485258; // "XRH1", little-endian
+
+/** Reuses its buffers: what it returns holds until the next moment. */
+export class Hands {
+  constructor() {
+    this.buffer = new ArrayBuffer(HEADER + 2 * HAND * 4);
+    this.header = new DataView(this.buffer);
+    this.values = new Float32Array(this.buffer, HEADER);
+    this.number = 0;
+    /** Joints of each hand in this moment, as [x, y, z, ..., radius] x 25, or null. */
+    this.left = null;
+    this.right = null;
+  }
+
+  /**
+   * Take in a moment.
+   * @param {XRFrame} frame
+   * @param {XRReferenceSpace} space
+   * @param {number} stamp seconds
+   * @returns {Uint8Array} the message
+   */
+  read(frame, space, stamp) {
+    const sources = { left: null, right: null };
+    for (const source of frame.session.inputSources) {
+      if (source.hand && source.handedness in sources) sources[source.handedness] = source.hand;
+    }
+    let mask = 0;
+    let at = 0;
+    for (const [side, bit] of [['left', 1], ['right', 2]]) {
+      this[side] = null;
+      if (!sources[side]) continue;
+      const values = this.values.subarray(at, at + HAND);
+      if (fill(values, frame, sources[side], space)) this[side] = values;
+      mask |= bit;
+      at += HAND;
+    }
+    this.header.setUint32(0, MAGIC, true);
+    this.header.setUint32(4, this.number++, true);
+    this.header.setFloat64(8, stamp, true);
+    this.header.setUint32(16, mask, true);
+    this.header.setUint32(20, 0, true);
+    return new Uint8Array(this.buffer, 0, HEADER + at * 4);
+  }
+}
+
+/** Write the joints of a hand; says whether any of them is there. */
+function fill(values, frame, hand, space) {
+  let any = false;
+  JOINTS.forEach((name, joint) => {
+    const at = joint * VALUES;
+    const jointSpace = hand.get(name);
+    const pose = jointSpace ? frame.getJointPose(jointSpace, space) : null;
+    if (!pose) {
+      values.fill(NaN, at, at + VALUES);
+      return;
+    }
+    any = true;
+    const { position: p, orientation: q } = pose.transform;
+    values[at] = p.x;
+    values[at + 1] = p.y;
+    values[at + 2] = p.z;
+    values[at + 3] = q.x;
+    values[at + 4] = q.y;
+    values[at + 5] = q.z;
+    values[at + 6] = q.w;
+    values[at + 7] = pose.radius ?? NaN;
+  });
+  return any;
+}

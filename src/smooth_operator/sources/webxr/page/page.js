@@ -1,0 +1,103 @@
+// The page itself: what is pressed, and what is shown.
+
+import { Link } from './link.js';
+import { supportedModes, Tracking, Trouble } from './tracking.js';
+
+const SHOW_EVERY = 250; // ms
+const part = (id) => document.getElementById(id);
+const link = new Link();
+const tracking = new Tracking(link);
+let modes = [];
+let trouble = ''; // of the headset; that of the link is told by its state
+
+const STATES = {
+  idle: ['not paired', 'idle'],
+  connecting: ['connecting', 'idle'],
+  linked: ['linked', 'good'],
+  lost: ['link lost', 'bad'],
+  refused: ['refused', 'bad'],
+};
+
+const REFUSALS = {
+  4401: 'That pairing code is not the one in the terminal.',
+  4409: 'Another headset took over. Pair again to take it back.',
+  4429: 'Too many wrong codes: wait a minute, then pair again.',
+};
+
+function linkTrouble() {
+  if (link.state === 'refused') {
+    return REFUSALS[link.refusal.code] ?? `The program refused this page: ${link.refusal.reason}. Reload the page.`;
+  }
+  if (link.state === 'lost' && !link.everOpened && link.tries > 1) {
+    return 'The page is here, but the link is not let through. On a Vision Pro the certificate must be installed and trusted first: see below.';
+  }
+  if (link.state === 'lost' && link.tries > 3) {
+    return 'No link. Is smooth-operator still running, and are both on the same network? Trying on.';
+  }
+  return '';
+}
+
+function show() {
+  const [words, kind] = STATES[link.state];
+  part('state').textContent = words;
+  part('state').dataset.kind = kind;
+  part('pairing').hidden = !['idle', 'refused'].includes(link.state);
+  const running = tracking.session !== null;
+  part('start').disabled = !running && (!modes.length || link.state !== 'linked');
+  part('start').textContent = running ? 'Stop' : 'Start';
+  part('hint').textContent = running
+    ? 'Your hands are on their way. The robot holds when you stop.'
+    : link.state === 'linked' ? 'Put the controllers down, then press Start.' : 'Pair first.';
+  part('mode').hidden = running || modes.length < 2;
+  part('rate').textContent = running ? link.rate : '–';
+  part('arrived').textContent = link.arrived === null ? '–' : Math.round(link.arrived);
+  part('trip').textContent = link.lastTrip === null ? '–' : (1000 * link.lastTrip).toFixed(1);
+  part('skipped').textContent = link.skipped;
+  for (const side of ['left', 'right']) {
+    const seen = tracking.hands[side] !== null;
+    part(side).textContent = !running ? '–' : seen ? 'seen' : 'not seen';
+    part(side).dataset.kind = !running ? 'idle' : seen ? 'good' : 'bad';
+  }
+  const said = [trouble, linkTrouble()].filter(Boolean).join(' ');
+  if (part('trouble').textContent !== said) part('trouble').textContent = said;
+  part('trouble').hidden = !said;
+}
+
+part('pairing').addEventListener('submit', (event) => {
+  event.preventDefault();
+  link.pair(part('code').value);
+});
+
+part('start').addEventListener('click', async () => {
+  if (tracking.session) {
+    await tracking.stop();
+    return;
+  }
+  trouble = '';
+  try {
+    await tracking.start(modes.length > 1 ? part('mode').value : modes[0]);
+  } catch (error) {
+    trouble = error instanceof Trouble ? error.message : `The session did not start: ${error.message}`;
+  }
+  show();
+});
+
+link.addEventListener('change', show);
+tracking.addEventListener('end', show);
+setInterval(show, SHOW_EVERY);
+addEventListener('pagehide', () => link.close());
+
+// A code in the address (https://...#123456) stays in the browser: it is never sent as an address.
+const given = decodeURIComponent(location.hash.slice(1));
+if (given) {
+  history.replaceState(null, '', location.pathname);
+  part('code').value = given;
+  link.pair(given);
+}
+
+try {
+  modes = await supportedModes();
+} catch (error) {
+  trouble = error.message;
+}
+show();

@@ -1,0 +1,104 @@
+// The immersive session: asked for, run frame by frame, ended.
+
+import { Hands } from './hands.js';
+import { Scene } from './scene.js';
+
+const MODES = ['immersive-ar', 'immersive-vr'];
+
+/** Trouble that a person can do something about. */
+export class Trouble extends Error {}
+
+/** The kinds of session that this browser has, the room around first. */
+export async function supportedModes() {
+  if (!window.isSecureContext) {
+    throw new Trouble('This page is not secure, so the browser keeps WebXR from it. Its address must begin with https://.');
+  }
+  if (!navigator.xr) {
+    throw new Trouble("This browser has no WebXR. Open the page in the headset's own browser: Meta Quest Browser, Safari on Vision Pro, PICO Browser. On a Vision Pro see that WebXR is on under Settings › Apps › Safari › Advanced › Feature Flags.");
+  }
+  const there = await Promise.all(
+    MODES.map((mode) => navigator.xr.isSessionSupported(mode).catch(() => false)),
+  );
+  const modes = MODES.filter((_, place) => there[place]);
+  if (!modes.length) {
+    throw new Trouble('This browser has WebXR, but no headset. Open the page on the headset itself.');
+  }
+  return modes;
+}
+
+/** Events: "end". One session at a time. */
+export class Tracking extends EventTarget {
+  /** @param {import('./link.js').Link} link */
+  constructor(link) {
+    super();
+    this.link = link;
+    this.hands = new Hands();
+    this.session = null;
+    this.since = 0;
+    this.lastSeen = 0;
+  }
+
+  /** Start; must be called from a click. */
+  async start(mode) {
+    let session;
+    try {
+      session = await navigator.xr.requestSession(mode, { requiredFeatures: ['hand-tracking'] });
+    } catch (error) {
+      throw new Trouble(`The headset gave no hands (${error.message || error.name}). Turn hand tracking on in its settings, allow it when the browser asks, and press Start again.`);
+    }
+    try {
+      const gl = document.createElement('canvas').getContext('webgl2', { xrCompatible: true, alpha: true });
+      if (!gl) throw new Trouble('The browser gave no WebGL 2, which an immersive session needs.');
+      await gl.makeXRCompatible();
+      this.scene = new Scene(gl);
+      this.layer = new XRWebGLLayer(session, gl);
+      session.updateRenderState({ baseLayer: this.layer });
+      this.space = await session.requestReferenceSpace('local');
+    } catch (error) {
+      session.end().catch(() => {});
+      throw error;
+    }
+    this.session = session;
+    this.dark = mode !== 'immersive-ar';
+    this.since = performance.now();
+    this.link.tracking = true;
+    session.addEventListener('end', () => {
+      this.session = null;
+      this.hands.left = this.hands.right = null;
+      this.link.tracking = false;
+      this.dispatchEvent(new Event('end'));
+    });
+    const step = (_, frame) => {
+      session.requestAnimationFrame(step);
+      this.step(frame);
+    };
+    session.requestAnimationFrame(step);
+  }
+
+  stop() {
+    return this.session?.end();
+  }
+
+  step(frame) {
+    // Hands first: drawing must not make them late.
+    const message = this.hands.read(frame, this.space, performance.now() / 1000);
+    this.link.send(message);
+    const seen = [this.hands.left, this.hands.right].filter(Boolean);
+    if (seen.length) this.lastSeen = performance.now();
+    this.scene.draw(this.layer, frame.getViewerPose(this.space), seen, {
+      dark: this.dark,
+      good: this.link.state === 'linked',
+      lines: () => this.lines(),
+    });
+  }
+
+  lines() {
+    const { link } = this;
+    if (link.state !== 'linked') return ['No link: the robot holds', link.refusal?.reason ?? 'connecting again'];
+    if (performance.now() - Math.max(this.lastSeen, this.since) > 2000) {
+      return ['No hands', 'put the controllers down, hold your hands in view'];
+    }
+    const trip = link.lastTrip === null ? '–' : (1000 * link.lastTrip).toFixed(0);
+    return ['Linked', `${link.rate} Hz · round trip ${trip} ms`];
+  }
+}
