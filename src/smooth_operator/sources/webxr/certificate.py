@@ -14,7 +14,6 @@ import hashlib
 import ipaddress
 import os
 import secrets
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,15 +21,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from smooth_operator.errors import MissingExtraError, SourceError
+from smooth_operator.recording.user_cache import OFF, SWITCH, user_cache
 
 if TYPE_CHECKING:
     from cryptography import x509
 
-SWITCH: Final = "SMOOTH_OPERATOR_CACHE"
-"""Environment variable: another cache folder, or ``off``: then every start makes a certificate."""
 VALID: Final = datetime.timedelta(days=365)  # Apple allows 825 days at most
 _SPARE: Final = datetime.timedelta(days=1)  # one that runs out today would do so while it is used
-_OFF: Final = ("off", "0", "no", "false", "none")
 
 
 @dataclass(frozen=True)
@@ -52,19 +49,9 @@ class Certificate:
 
 def certificate_folder() -> Path | None:
     """Where certificates are kept; None if :data:`SWITCH` turns that off."""
-    wanted = os.environ.get(SWITCH, "").strip()
-    if wanted.lower() in _OFF:
+    if os.environ.get(SWITCH, "").strip().lower() in OFF:
         return None
-    if wanted:
-        return Path(wanted).expanduser() / "webxr"
-    home = Path.home()
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return base / "smooth-operator" / "webxr"
+    return user_cache() / "webxr"
 
 
 def get_certificate(
