@@ -24,7 +24,7 @@ from smooth_operator.human.one_euro import OneEuroConfig, OneEuroState, one_euro
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.sources import SyntheticOperator, TrackerModel
+from smooth_operator.sources import SyntheticOperator
 from smooth_operator.sources.camera import opencv
 from smooth_operator.sources.live import Mailbox
 from smooth_operator.sources.picture_tracker import PictureConfig, PictureTracker, Points
@@ -183,9 +183,7 @@ def filtered(
         report.add(f"cutoff/{cutoff:g}", figures)
         rows.append([f"{cutoff:g} Hz" if cutoff else "none", *(figures.get(n) for n in QUALITY)])
     report.table("The filter, before the commands", ("cutoff", *QUALITY.values()), rows)
-    truth = SyntheticOperator(
-        side=settings.side, tracker=TrackerModel(rate=30.0), seed=settings.seed
-    ).record(20.0)
+    truth = SyntheticOperator(side=settings.side, rate_hz=30.0, seed=settings.seed).record(20.0)
     noise = np.random.default_rng(settings.seed).normal(scale=1e-3, size=truth.landmarks.shape)
     noisy = replace(truth, landmarks=truth.landmarks + noise)
     velocity = np.gradient(truth.landmarks, truth.stamps, axis=0)

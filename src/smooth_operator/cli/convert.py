@@ -12,6 +12,7 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.outputs import folder_for, read_configuration
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording.checks import check_rate
 from smooth_operator.recording.convert import (
     SUFFIXES,
     Format,
@@ -27,6 +28,9 @@ from smooth_operator.recording.convert import (
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.frames import frame_slice
 from smooth_operator.recording.lerobot import write_dataset
+from smooth_operator.sources.picture_tracker import PictureConfig
+from smooth_operator.sources.video_file import is_video
+from smooth_operator.sources.video_recording import track_video
 
 _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 
@@ -45,7 +49,10 @@ def convert(options: Convert) -> None:
     if not options.inputs:
         raise ConfigError("give at least one INPUT to convert")
     apart = [options.output, *([] if options.commands is None else [options.commands])]
-    sources, notes = find_sources(options.inputs, episode=options.episode, leave=apart)
+    videos = [path for path in options.inputs if is_video(path)]
+    others = [path for path in options.inputs if not is_video(path)]
+    sources, notes = find_sources(others, episode=options.episode, leave=apart)
+    sources += [Source(path, Path(path.name)) for path in videos]
     for note in notes:
         progress.note(note)
     beside = _commands_of(options.commands, sources)
@@ -175,7 +182,10 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
 
 
 def _load(source: Source, commands: Path | None, options: Convert) -> Episode:
-    episode = source.read(rate=options.rate, side=options.side)
+    if is_video(source.path):
+        episode = _track(source.path, options)
+    else:
+        episode = source.read(rate=options.rate, side=options.side)
     if commands is not None:
         episode = episode.joined(read_episode(commands), str(commands))
         answered = len(set(episode.answered().tolist()))
@@ -187,6 +197,17 @@ def _load(source: Source, commands: Path | None, options: Convert) -> Episode:
     if options.task is not None:
         episode = replace(episode, task=options.task)
     return episode
+
+
+def _track(path: Path, options: Convert) -> Episode:
+    """The hand in a video."""
+    config = PictureConfig(mirrored=options.mirrored)
+    recording = track_video(path, side=options.side, config=config)
+    check_rate(recording.stamps, options.rate, str(path))
+    assert recording.valid is not None  # filled in by HandRecording
+    seen = int(recording.valid.any(axis=1).sum())
+    note = f"{path}: a {recording.side} hand on {seen} of {len(recording)} pictures"
+    return Episode(recording, name=recording.name, notes=(note,))
 
 
 def _described(episode: Episode) -> str:

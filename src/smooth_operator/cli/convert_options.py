@@ -20,6 +20,7 @@ class Convert(Common):
   .npz         plain arrays, for NumPy
   .h5, .hdf5   HDF5, with units (extra hdf5)
   a folder     a LeRobot dataset, v3.0 (extra lerobot)
+A video (.mp4, .mov, .avi, .mkv, .webm), as input only, is tracked (extra webcam).
 
 All hold everything: hand, flags, commands, status, timing, configuration. What a
 format can't hold is said on standard error.
@@ -33,6 +34,7 @@ Examples:
   smooth-operator convert recordings --commands results --task "pinch" --output dataset
   smooth-operator convert dataset --episode 3 --output demo.h5
   smooth-operator convert dataset --to npz --output episodes
+  smooth-operator convert clip.mp4 --side right --output clip.npz
 """
 
     inputs: Annotated[Positional[tuple[Path, ...]], arg(metavar="INPUT...")]
@@ -54,7 +56,10 @@ Examples:
     """Frames a second of a recording that holds no time stamps [Hz]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as the recording says if left out."""
+    """Which hand; as the recording says if left out, and in a video the one seen more often."""
+
+    mirrored: bool = False
+    """Of a video: it is mirrored, as selfie views are."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of each episode, as a Python slice: :500, 2600:3100, -500:"""

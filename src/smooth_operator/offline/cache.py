@@ -18,12 +18,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.recording.user_cache import user_cache
+from smooth_operator.recording.user_cache import OFF, SWITCH, user_cache
 
-SWITCH: Final = "SMOOTH_OPERATOR_CACHE"
-"""Environment variable: a folder for the cache, or ``off``."""
-
-_OFF: Final = ("off", "0", "no", "false", "none")
 _DAMAGED: Final = "Error reading persistent compilation cache"
 
 
@@ -35,7 +31,7 @@ def enable_cache() -> Path | None:
         told JAX of a folder already.
     """
     wanted = os.environ.get(SWITCH, "").strip()
-    if wanted.lower() in _OFF:
+    if wanted.lower() in OFF:
         return None
     import jax
 
@@ -43,7 +39,7 @@ def enable_cache() -> Path | None:
     if config.jax_compilation_cache_dir:
         return None
     # Compiled code fits one kind of processor: a home on a network disk serves several.
-    folder = (Path(wanted).expanduser() if wanted else user_cache()) / _machine()
+    folder = user_cache() / _machine()
     if not _writable(folder):
         return None
     config.update("jax_compilation_cache_dir", str(folder))

@@ -45,7 +45,7 @@ def fix_bases(
         return at.local(palm, np.array(points))
 
     seen = np.array([places(skeleton.place(q)) for q in reach.poses])  # (s, f, 3)
-    travel = np.linalg.norm(np.ptp(seen, axis=0), axis=-1)
+    travel = np.linalg.norm(seen[:, None] - seen[None], axis=-1).max(axis=(0, 1))
     out, moved = [], {}
     for finger, place, path in zip(fingers, places(neutral), travel, strict=True):
         if path > _STILL:

@@ -139,12 +139,10 @@ def find_wrist(
         origin = at.bodies[body]
         clear = float(np.linalg.norm(starts - origin, axis=1).min())
         if clear > _CLEAR * length and 0.5 * length < behind(origin) < 2.2 * length:
-            what = (
-                "origin of the palm"
-                if body == palm
-                else (f"origin of {skeleton.body_name(body)!r}, which the palm is mounted on")
-            )
-            why = f"{what}, about as far behind the knuckles as a human wrist"
+            what = "the palm"
+            if body != palm:
+                what = f"{skeleton.body_name(body)!r}, which the palm is mounted on"
+            why = f"origin of {what}, about as far behind the knuckles as a human wrist"
             return _fixed(skeleton, at, palm, origin), 0.6, (why,)
     why = "nothing marks it: as far behind the knuckles as a human wrist"
     return _fixed(skeleton, at, palm, expected), 0.35, (why,)

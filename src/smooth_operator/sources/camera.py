@@ -1,0 +1,177 @@
+"""A camera: its newest picture, and only that; opened again when it goes away."""
+
+from __future__ import annotations
+
+import glob
+import os
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from smooth_operator.errors import MissingExtraError, SourceError
+
+RETRY_S: Final = 1.0
+"""Pause between attempts to open a camera again [s]."""
+
+# OpenCV comes without types that mypy may rely on.
+Capture: TypeAlias = Any
+
+
+@dataclass(frozen=True)
+class CameraMode:
+    """What a camera is asked for; it may give something else.
+
+    Attributes:
+        width: [pixels].
+        height: [pixels].
+        rate: [Hz].
+    """
+
+    width: int = 640
+    height: int = 480
+    rate: float = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture.
+
+    Attributes:
+        pixels: blue, green, red.
+        time: when it was read, by the loop's clock [s].
+        session: how often the camera had been opened again.
+    """
+
+    pixels: UInt8[ndarray, "h w 3"]
+    time: float
+    session: int
+
+
+class Camera:
+    """Reads a camera on a thread of its own, so that none of its pictures grows old in a queue.
+
+    Args:
+        name: number, device or address of the camera.
+        mode: what it is asked for.
+
+    Raises:
+        MissingExtraError: OpenCV is not installed.
+        SourceError: there is no such camera, or it gives no picture.
+
+    Attributes:
+        lost: it went away, and is being opened again and again.
+    """
+
+    def __init__(self, name: int | str, mode: CameraMode) -> None:
+        self.lost = False
+        self._name, self._mode = name, mode
+        self._stopping = threading.Event()
+        self._came = threading.Condition()
+        self._newest: Picture | None = None
+        capture = open_camera(name, mode)
+        self._thread = threading.Thread(
+            target=self._read, args=(capture,), name=f"camera {name}", daemon=True
+        )
+        self._thread.start()
+
+    def newest(self, timeout: float) -> Picture | None:
+        """The newest picture, once; None if none comes within so many seconds."""
+        with self._came:
+            self._came.wait_for(lambda: self._newest is not None, timeout)
+            picture, self._newest = self._newest, None
+            return picture
+
+    def close(self) -> None:
+        """Let go of the camera; a second call does nothing."""
+        self._stopping.set()
+        self._thread.join(5.0)
+
+    def _read(self, capture: Capture) -> None:
+        session = 0
+        while not self._stopping.is_set():
+            there, pixels = capture.read()
+            if there:
+                picture = Picture(pixels, time.perf_counter(), session)
+                with self._came:
+                    self._newest = picture
+                    self._came.notify_all()
+                continue
+            capture.release()
+            self.lost = True
+            while not self._stopping.wait(RETRY_S):
+                try:
+                    capture = open_camera(self._name, self._mode)
+                except SourceError:
+                    continue
+                session += 1
+                self.lost = False
+                break
+        capture.release()
+
+
+def open_camera(name: int | str, mode: CameraMode) -> Capture:
+    """A camera that gives pictures.
+
+    Raises:
+        MissingExtraError: OpenCV is not installed.
+        SourceError: there is none, or it gives no picture; with what was tried.
+    """
+    cv2 = opencv()
+    capture = cv2.VideoCapture(name)
+    if capture.isOpened():
+        for key, value in (
+            (cv2.CAP_PROP_FRAME_WIDTH, mode.width),
+            (cv2.CAP_PROP_FRAME_HEIGHT, mode.height),
+            (cv2.CAP_PROP_FPS, mode.rate),
+            (cv2.CAP_PROP_BUFFERSIZE, 1),
+        ):
+            capture.set(key, value)
+        there, _ = capture.read()
+        if there:
+            return capture
+        trouble = "it opens, but gives no picture; does another program use it?"
+    else:
+        trouble = "it can't be opened"
+    capture.release()
+    raise SourceError(f"camera {name!r}: {trouble}. {_advice(cv2, name)}")
+
+
+def _advice(cv2: Any, name: int | str) -> str:
+    """What was tried, and what there is."""
+    backends = cv2.videoio_registry.getCameraBackends()
+    tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
+    said = f"Tried through {tried or 'no interface at all'}."
+    if sys.platform.startswith("linux"):
+        devices = sorted(glob.glob("/dev/video*"))
+        shut = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
+        there = f"of these: {', '.join(devices)}" if devices else "no camera: /dev/video* is empty"
+        said += f" This machine has {there}."
+        if shut:
+            said += f" You may not use {', '.join(shut)}: join the group 'video' and log in again."
+    elif sys.platform == "darwin":
+        said += " Allow this terminal the camera: System Settings, Privacy & Security, Camera."
+    elif sys.platform == "win32":
+        said += " Allow desktop apps the camera: Settings, Privacy & security, Camera."
+    if name == 0:
+        said += " Another camera is webcam:1 and so on; without one there is video:FILE."
+    return said
+
+
+def opencv() -> Any:
+    """OpenCV's module, told to keep quiet about what is said here better.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtraError("reading a camera or a video", "webcam") from error
+    getattr(cv2.utils, "logging", cv2).setLogLevel(0)  # moved there in OpenCV 5; 0 is silent
+    return cv2

@@ -1,0 +1,202 @@
+"""Landmarks and the pose at rest of a hand that was found: what the alignment goes by stays put."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from discovery_hands import Part, make_hand, urdf
+from real_hands import REAL
+
+from smooth_operator.checkup.palm import check_palm
+from smooth_operator.checkup.samples import Samples
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.collision import neutral_overlaps
+from smooth_operator.hands.discovery import Discovery, discover
+from smooth_operator.hands.hand import Hand, load_hand_spec
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings to a log in the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def found_in(folder: Path, parts: tuple[Part, ...]) -> Discovery:
+    path = folder / "model.urdf"
+    path.write_text(urdf(parts), encoding="utf-8")
+    return discover(path)
+
+
+def because(found: Discovery, subject: str) -> str:
+    return " ".join(next(f.evidence for f in found.findings if f.subject == subject))
+
+
+def base_travel(hand: Hand) -> np.ndarray:
+    """(fingers,) how far random poses move each finger's base in the palm [m]."""
+    travel: np.ndarray = np.ptp(Samples(hand).bases, axis=0).max(axis=-1)
+    return travel
+
+
+# Bases.
+
+
+def with_moving_knuckle(shift: float) -> tuple[tuple[Part, ...], str]:
+    """A hand whose last finger's knuckle is beyond its spreading joint; and that knuckle's body."""
+    hand = make_hand(3, turned=False)
+    tip = hand.truth.tips[-1][0]
+    parent = {p.name: p.parent for p in hand.parts}
+    chain = [tip]
+    while (above := parent[chain[-1]]) != "palm":
+        assert above is not None
+        chain.append(above)
+    knuckle = chain[-2]  # the last of the chain spreads
+    step = np.array([0.0, 0.0, shift])
+    parts = tuple(replace(p, position=p.position + step) if p.name == knuckle else p
+                  for p in hand.parts)  # fmt: skip
+    return parts, knuckle
+
+
+def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts, knuckle = with_moving_knuckle(0.02)
+    found = found_in(tmp_path, parts)
+    assert found.spec.fingers[-1].base.body == "palm"
+    assert all(finger.base.body != "palm" for finger in found.spec.fingers[:-1])
+    # the arc of 0.6 rad about a joint that is 20 mm below and somewhat beside
+    assert "joints move that of pinky, by up to 13 mm" in because(found, "bases")
+    hand = load_hand_spec(found.spec)
+    assert base_travel(hand).max() < 1e-4
+    # left on its link it swings, but at rest it is at the same place
+    module = sys.modules["smooth_operator.hands.discovery.discover"]
+    monkeypatch.setattr(module, "fix_bases", lambda s, palm, fingers, reach, at: (fingers, {}))
+    loose = found_in(tmp_path, parts)
+    assert loose.spec.fingers[-1].base.body == knuckle
+    moving = load_hand_spec(loose.spec)
+    assert base_travel(moving)[-1] > 5e-3
+    index = hand.tree.names.index("pinky_mcp")
+    ours, theirs = (h.landmark_positions(h.neutral)[index] for h in (hand, moving))
+    np.testing.assert_allclose(ours, theirs, atol=2e-6)
+
+
+def test_a_knuckle_that_no_joint_moves_stays_on_its_link(tmp_path: Path) -> None:
+    found = found_in(tmp_path, make_hand(3, turned=False).parts)
+    assert all(finger.base.body != "palm" for finger in found.spec.fingers)
+    assert "no joint moves them" in because(found, "bases")
+    assert base_travel(load_hand_spec(found.spec)).max() < 1e-4
+
+
+def test_a_base_on_a_slide_stays_too(tmp_path: Path) -> None:
+    claw = [Part("hand", None, np.zeros(3), end=np.array([0.0, 0.0, 0.05]))]
+    for name, sign in (("a", 1.0), ("b", -1.0)):
+        claw.append(Part(name, "hand", np.array([0, 0.01 * sign, 0.06]), slide=True, joint=name,
+                         axis=np.array([0.0, sign, 0.0]), limits=(0.0, 0.04),
+                         end=np.array([0.0, 0.0, 0.05])))  # fmt: skip
+    found = found_in(tmp_path, tuple(claw))
+    assert base_travel(load_hand_spec(found.spec)).max() < 1e-6
+    assert "thumb, index, by up to 4" in because(found, "bases")
+
+
+MOVING = {
+    f"{name} {side}": (real.file, real.moving, name, side)
+    for (name, side), real in REAL.items()
+    if real.moving
+}
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("model", MOVING)
+def test_bases_of_real_hands_stay_as_in_the_catalogue(shared: Path, model: str) -> None:
+    file, moving, name, side = MOVING[model]
+    found = discover(shared / file)
+    hand, ours = load_hand_spec(found.spec), load_hand(name, side)
+    assert base_travel(hand).max() < 2e-4
+    check = check_palm(Samples(hand))
+    assert check.verdict == "ok", check
+    said = because(found, "bases")
+    assert all(finger in said for finger in moving if finger != "thumb")
+    # the distances between the bases are the catalogue's, whatever the palm's frame is
+    gaps = []
+    for h in (hand, ours):
+        at = dict(zip(h.tree.names, h.landmark_positions(h.neutral), strict=True))
+        bases = [at[f"{finger}_mcp"] for finger in h.fingers[1:]]
+        gaps.append([np.linalg.norm(b - bases[0]) for b in bases])
+    np.testing.assert_allclose(gaps[0], gaps[1], atol=4e-3)
+
+
+# The wrist.
+
+
+def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path: Path) -> None:
+    """What the palm is mounted on is, where nothing better is known."""
+    hand = make_hand(2, shapes=False, turned=False)
+    thumb = next(p for p in hand.parts if p.parent == "palm" and p.position[0] > 0)
+    start = thumb.position
+    parts = [Part("mount", None, np.zeros(3))]
+    for p in hand.parts:
+        if p.name == "palm":
+            p = replace(p, parent="mount", position=start)
+        elif p.parent == "palm":
+            p = replace(p, position=p.position - start)
+        parts.append(p)
+    found = found_in(tmp_path, tuple(parts))
+    assert found.spec.palm == "palm"
+    np.testing.assert_allclose(found.spec.wrist.offset, -start, atol=1e-6)
+    assert "'mount', which the palm is mounted on" in because(found, "wrist")
+    plain = found_in(tmp_path, hand.parts)
+    assert plain.spec.wrist.offset == (0.0, 0.0, 0.0)
+    assert "origin of the palm" in because(plain, "wrist")
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_wrist_of_a_palm_that_is_the_thumbs_base(shared: Path, side: str) -> None:
+    found = discover(shared / f"hands_urdf/ability_hand/ability_hand_{side}.urdf")
+    hand, ours = load_hand_spec(found.spec), load_hand("ability_hand", side)
+    reach = [np.linalg.norm(Samples(h).tips - h.wrist, axis=-1).max() for h in (hand, ours)]
+    assert abs(reach[0] - reach[1]) < 1e-4
+    assert next(f.confidence for f in found.findings if f.subject == "wrist") < 0.8
+
+
+# The neutral pose.
+
+
+def ring_of_fingers(radius: float) -> tuple[Part, ...]:
+    """Three fingers in a ring that close on its middle."""
+    parts = [Part("base", None, np.zeros(3))]
+    up = np.array([0.0, 0.0, 0.05])
+    for k in range(3):
+        out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
+        axis = np.array([-out[1], out[0], 0.0])
+        for name, parent, at in ((f"a{k}", "base", radius * out), (f"b{k}", f"a{k}", up)):
+            parts.append(Part(name, parent, at, axis=axis, joint=f"j{name}", end=up,
+                              limits=(-1.3, 0.9)))  # fmt: skip
+    return tuple(parts)
+
+
+def test_fingers_that_would_rest_in_each_other_are_opened(tmp_path: Path) -> None:
+    wide = found_in(tmp_path, ring_of_fingers(0.06))
+    assert "inside" not in because(wide, "neutral")
+    found = found_in(tmp_path, ring_of_fingers(0.025))
+    assert "inside each other" in because(found, "neutral")
+    bent = replace(found.spec, neutral=wide.spec.neutral)
+    before, after = (
+        max(neutral_overlaps(load_hand_spec(spec)).values(), default=0.0)
+        for spec in (bent, found.spec)
+    )
+    assert after < 3e-3 < before
+    knuckles = [found.spec.neutral[f"ja{k}"] - wide.spec.neutral[f"ja{k}"] for k in range(3)]
+    assert min(knuckles) > 0.1  # outwards
+    assert found.spec.neutral["jb0"] == wide.spec.neutral["jb0"]
+
+
+@pytest.mark.shared
+def test_three_fingers_round_a_base_rest_apart(shared: Path) -> None:
+    hand = load_hand_spec(discover(shared / "hands/shadow_dexee_hand/shadow_dexee.xml").spec)
+    assert max(neutral_overlaps(hand).values(), default=0.0) < 3e-3
+    low, high = hand.limits.T
+    assert ((low < hand.neutral) & (hand.neutral < high)).all()

@@ -1,0 +1,480 @@
+"""Camera and video: what reaches the mailbox, what happens when the camera goes, real pictures."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
+from smooth_operator.geometry import umeyama
+from smooth_operator.landmarks import TIPS
+from smooth_operator.recording import read_recording
+from smooth_operator.recording.checks import PALM_RANGE_M
+from smooth_operator.sources import camera as camera_module
+from smooth_operator.sources import picture_tracker
+from smooth_operator.sources.camera import Camera, CameraMode
+from smooth_operator.sources.catalogue import build_source
+from smooth_operator.sources.hand_labels import SeenHand
+from smooth_operator.sources.live import LiveSource, Mailbox
+from smooth_operator.sources.mediapipe_hands import HandLandmarker
+from smooth_operator.sources.model_file import SWITCH
+from smooth_operator.sources.picture_tracker import PictureConfig, PictureTracker
+from smooth_operator.sources.video_recording import track_video
+from smooth_operator.sources.webcam import Video, Webcam
+
+cv2 = pytest.importorskip("cv2", reason="the extra webcam is not installed")
+PINCHES = {"index": 8, "middle": 12, "ring": 16, "little": 20}
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.01)
+
+
+# With a tracker that sees what a test wants.
+
+
+class Fake:
+    """Stands in for the landmarker: a right hand wherever a picture is not black."""
+
+    pictures: list[np.ndarray]
+
+    def __init__(self, *_: object, **__: object) -> None:
+        Fake.pictures = []
+
+    def find(self, picture: np.ndarray, time: float) -> list[SeenHand]:
+        Fake.pictures.append(picture)
+        if picture.max() < 30:
+            return []
+        points = np.random.default_rng(0).normal(scale=0.04, size=(21, 3))
+        inside = np.ones(21, bool)
+        inside[8] = False
+        return [SeenHand("right", 0.9, points, points + 0.5, inside)]
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> type[Fake]:
+    monkeypatch.setattr(picture_tracker, "HandLandmarker", Fake)
+    monkeypatch.setattr(picture_tracker, "hand_model", lambda given: given)
+    return Fake
+
+
+def write_video(path: Path, pictures: list[np.ndarray], rate: float = 30.0) -> Path:
+    height, width = pictures[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate, (width, height))
+    assert writer.isOpened()
+    for picture in pictures:
+        writer.write(picture)
+    writer.release()
+    return path
+
+
+def plain(level: int) -> np.ndarray:
+    return np.full((64, 96, 3), level, np.uint8)
+
+
+def test_a_landmark_outside_the_picture_is_not_valid(fake: type[Fake]) -> None:
+    (frame,) = PictureTracker(PictureConfig()).frames(plain(200), 1.5)
+    assert frame.valid is not None
+    assert frame.valid.sum() == 20
+    assert not frame.valid[8]
+    assert (frame.stamp, frame.side) == (1.5, "right")
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_mirrored_picture_is_turned_back_before_it_is_looked_at(
+    fake: type[Fake], mirrored: bool
+) -> None:
+    picture = plain(0)
+    picture[:, :10] = (200, 100, 50)  # blue, green, red at the left edge
+    PictureTracker(PictureConfig(mirrored=mirrored)).frames(picture, 0.0)
+    (looked_at,) = fake.pictures
+    np.testing.assert_array_equal(looked_at[0, -1 if mirrored else 0], (50, 100, 200))
+    np.testing.assert_array_equal(looked_at[0, 0 if mirrored else -1], (0, 0, 0))
+
+
+def test_smoothing_is_of_each_hand_and_off_by_default(fake: type[Fake]) -> None:
+    jumps = [np.zeros((21, 3)), np.full((21, 3), 0.01)]
+
+    def last(smoothing: float) -> np.ndarray:
+        tracker = PictureTracker(PictureConfig(smoothing=smoothing))
+        tracker._landmarker.find = lambda _, time: [  # type: ignore[method-assign]
+            SeenHand("right", 0.9, jumps[round(time * 30)], np.eye(21, 3), np.ones(21, bool))
+        ]
+        return [tracker.frames(plain(9), k / 30)[0].landmarks for k in range(2)][-1]
+
+    np.testing.assert_array_equal(last(0.0), 0.01)
+    assert (last(4.0) < 0.009).all()
+
+
+def test_a_video_is_played_at_its_own_pace(fake: type[Fake], tmp_path: Path) -> None:
+    path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20, rate=20.0)
+    source, mailbox = build_source(f"video:{path},speed=2"), Mailbox()
+    began = time.perf_counter()
+    source.start(mailbox)
+    wait_for(lambda: source.health().state == "ended")
+    assert time.perf_counter() - began > 0.95 * 19 / 40
+    arrival = mailbox.take("right")
+    assert arrival is not None
+    assert arrival.frame.stamp > 0.5
+    assert arrival.session == 0
+    assert "a hand on" in source.health().detail
+
+
+def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(
+    fake: type[Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20)
+    find = Fake.find
+    monkeypatch.setattr(
+        Fake, "find", lambda self, *given: (time.sleep(0.04), find(self, *given))[1]
+    )
+    received = {}
+    for every in (True, False):
+        source, mailbox = Video(path, speed=4.0, every=every), Mailbox()
+        source.start(mailbox)
+        wait_for(lambda s=source: s.health().state == "ended")  # type: ignore[misc]
+        received[every] = mailbox.received
+    assert received[True] == 20
+    assert 1 <= received[False] <= 12
+    assert "left out since they were late" in source.health().detail
+
+
+def test_a_video_that_loops_begins_a_new_session(fake: type[Fake], tmp_path: Path) -> None:
+    path = write_video(tmp_path / "clip.mp4", [plain(200)] * 4)
+    source, mailbox = Video(path, speed=2.0, loop=True), Mailbox()
+    source.start(mailbox)
+    sessions = set()
+
+    def third() -> bool:
+        arrival = mailbox.take("right")
+        if arrival is not None:
+            sessions.add(arrival.session)
+        return 2 in sessions
+
+    wait_for(third)
+    source.stop()
+    assert source.health().state == "ended"
+
+
+@pytest.mark.parametrize("name", ["missing.mp4", "text.mp4"])
+def test_what_is_no_video_is_refused_with_its_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / "text.mp4").write_text("no video")
+    with pytest.raises(SourceError, match=name):
+        Video(tmp_path / name).start(Mailbox())
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["webcam:0,max_hands=3", "webcam:0,confidence=1.5", "webcam:-1", "webcam:0,rate=0",
+     "video:a.mp4,speed=0", "video:a.mp4,points=depth", "webcam:0,smoothing=-2", "video"],
+)  # fmt: skip
+def test_settings_are_checked_before_anything_starts(text: str) -> None:
+    with pytest.raises(ConfigError):
+        build_source(text)
+
+
+def test_a_camera_is_a_number_or_an_address() -> None:
+    assert build_source("webcam") == Webcam(0)
+    assert build_source("webcam:2") == Webcam(2)
+    address = build_source("webcam:rtsp://10.0.0.2/live?a=1,mirrored=true")
+    assert address == Webcam("rtsp://10.0.0.2/live?a=1", mirrored=True)
+
+
+@pytest.mark.parametrize("module", ["cv2", "mediapipe"])
+def test_without_the_extra_one_line_says_so(
+    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip = write_video(tmp_path / "clip.mp4", [plain(0)])
+    monkeypatch.setattr(picture_tracker, "hand_model", lambda given: clip)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=r"smooth-operator\[webcam\]"):
+        Video(clip).start(Mailbox())
+
+
+# Cameras that come and go.
+
+
+class Capture:
+    """A camera that gives so many pictures, and then none."""
+
+    left: list[int]
+    """Pictures of each opening; no more openings, no camera."""
+    released: int
+
+    def __init__(self, name: object) -> None:
+        self.there = bool(Capture.left)
+        self.pictures = Capture.left.pop(0) if self.there else 0
+
+    def isOpened(self) -> bool:
+        return self.there
+
+    def set(self, *_: object) -> None:
+        pass
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        self.pictures -= 1
+        time.sleep(0.005)
+        return self.pictures >= 0, plain(200)
+
+    def release(self) -> None:
+        Capture.released += 1
+
+
+@pytest.fixture
+def captures(monkeypatch: pytest.MonkeyPatch) -> type[Capture]:
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    monkeypatch.setattr(camera_module, "RETRY_S", 0.05)
+    Capture.released = 0
+    return Capture
+
+
+def test_a_camera_that_vanishes_is_opened_again(captures: type[Capture], fake: type[Fake]) -> None:
+    captures.left = [4]
+    source, mailbox = Webcam(), Mailbox()
+    source.start(mailbox)
+    wait_for(lambda: source.health().state == "waiting" and "is gone" in source.health().detail)
+    first = mailbox.take("right")
+    assert first is not None
+    assert first.session == 0
+    assert first.received >= first.frame.stamp
+    captures.left = [10**6]
+    wait_for(lambda: source.health().state == "running")
+    second = None
+    while second is None:
+        second = mailbox.take("right")
+    assert second.session == 1
+    assert second.frame.stamp > first.frame.stamp
+    source.stop()
+    source.stop()
+    assert source.health().state == "ended"
+    assert captures.released >= 2
+
+
+def test_the_newest_picture_is_taken_and_the_others_are_dropped(captures: type[Capture]) -> None:
+    captures.left = [10**6]
+    camera = Camera(0, CameraMode())
+    time.sleep(0.2)
+    picture = camera.newest(1.0)
+    assert picture is not None
+    assert time.perf_counter() - picture.time < 0.1
+    camera.close()
+    assert camera.newest(0.05) is None or camera.newest(0.05) is None
+
+
+def test_no_camera_says_what_was_tried(captures: type[Capture], fake: type[Fake]) -> None:
+    captures.left = []
+    with pytest.raises(SourceError, match=r"camera 0: it can't be opened\. Tried through .*video:"):
+        Webcam().start(Mailbox())
+    captures.left = [0]
+    with pytest.raises(SourceError, match="another program"):
+        Webcam().start(Mailbox())
+
+
+# With the real tracker, on real pictures.
+
+
+@pytest.fixture(scope="module")
+def media(shared_folder: Path) -> Path:
+    pytest.importorskip("mediapipe", reason="the extra webcam is not installed")
+    return shared_folder / "media"
+
+
+@pytest.fixture(scope="module")
+def shared_folder() -> Path:
+    from conftest import SHARED
+
+    if not (SHARED / "media").is_dir():
+        pytest.skip("the folder of real pictures is not beside this checkout")
+    return SHARED
+
+
+@pytest.fixture(scope="module")
+def clip(media: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Forty pictures of the hand, at half their size."""
+    capture = cv2.VideoCapture(str(media / "human_hand_video.mp4"))
+    pictures = [cv2.resize(capture.read()[1], (640, 360)) for _ in range(40)]
+    capture.release()
+    return write_video(tmp_path_factory.mktemp("clip") / "hand.mp4", pictures)
+
+
+@pytest.fixture
+def tracker(media: Path) -> Iterator[Callable[..., PictureTracker]]:
+    made = []
+
+    def make(**settings: Any) -> PictureTracker:
+        made.append(PictureTracker(PictureConfig(model=media / "hand_landmarker.task", **settings)))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def photograph(media: Path, finger: str) -> np.ndarray:
+    picture: np.ndarray = cv2.imread(str(media / f"thumb_to_{finger}_tip.jpg"))
+    return cv2.resize(picture, None, fx=0.5, fy=0.5)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("finger", PINCHES)
+def test_a_photographed_right_hand_is_a_right_hand(
+    media: Path, tracker: Callable[..., PictureTracker], finger: str
+) -> None:
+    """By its shape, and not by its label: against the same hand as another tracker saw it."""
+    with np.load(media.parent / "recordings" / "pinch_poses_wilor_21x3.npz") as poses:
+        reference = np.asarray(poses[f"thumb_to_{finger}_tip"], float)
+    (frame,) = tracker().frames(photograph(media, finger), 0.0)
+    assert frame.side == "right"
+    low, high = PALM_RANGE_M
+    assert low < np.linalg.norm(frame.landmarks[9] - frame.landmarks[0]) < high
+    residual = [
+        np.sqrt(np.mean(np.sum((umeyama(p, reference).apply(p) - reference) ** 2, axis=-1)))
+        for p in (frame.landmarks, frame.landmarks * (-1, 1, 1))
+    ]
+    assert residual[0] < 0.013
+    assert residual[0] < 0.5 * residual[1]  # as a mirror image it does not fit
+
+
+@pytest.mark.shared
+def test_a_mirrored_photograph_needs_the_setting(
+    media: Path, tracker: Callable[..., PictureTracker]
+) -> None:
+    mirrored = photograph(media, "ring")[:, ::-1]
+    (wrong,) = tracker().frames(mirrored, 0.0)
+    assert wrong.side == "left"
+    (right,) = tracker(mirrored=True).frames(mirrored, 0.0)
+    assert right.side == "right"
+    (straight,) = tracker().frames(photograph(media, "ring"), 0.0)
+    np.testing.assert_allclose(right.landmarks, straight.landmarks, atol=1e-6)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("finger", PINCHES)
+def test_the_thumb_is_found_at_the_finger_that_it_touches(
+    media: Path, tracker: Callable[..., PictureTracker], finger: str
+) -> None:
+    following = tracker(points="picture")
+    for k in range(3):  # it settles as in a video
+        (frame,) = following.frames(photograph(media, finger), k / 30)
+    gaps = np.linalg.norm(frame.landmarks[list(TIPS[1:])] - frame.landmarks[TIPS[0]], axis=1)
+    assert TIPS[1 + int(np.argmin(gaps))] == PINCHES[finger]
+    assert gaps.min() < 0.03
+
+
+@pytest.mark.shared
+def test_a_video_becomes_a_recording(media: Path, clip: Path) -> None:
+    told: list[tuple[int, int]] = []
+    recording = track_video(
+        clip,
+        config=PictureConfig(model=media / "hand_landmarker.task"),
+        progress=lambda *at: told.append(at),
+    )
+    assert (recording.side, len(recording), told[-1]) == ("right", 40, (40, 40))
+    assert recording.valid is not None
+    assert recording.valid.all(axis=1).mean() >= 0.95
+    assert recording.rate_hz == pytest.approx(30.0, rel=0.01)
+
+
+@pytest.mark.shared
+def test_the_command_line_converts_a_video(
+    media: Path, clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SWITCH, str(media / "hand_landmarker.task"))
+    out = tmp_path / "hand.npz"
+    assert main(["convert", str(clip), "--output", str(out)]) == 0
+    recording = read_recording(out)
+    assert (len(recording), recording.side) == (40, "right")
+
+
+@pytest.mark.shared
+def test_a_hand_that_is_not_there_is_an_error(media: Path, clip: Path) -> None:
+    config = PictureConfig(model=media / "hand_landmarker.task")
+    with pytest.raises(RecordingError, match="no left hand is on any of its 40 pictures"):
+        track_video(clip, side="left", config=config)
+
+
+@pytest.mark.shared
+def test_the_live_video_posts_a_hand(media: Path, clip: Path) -> None:
+    source, mailbox = Video(clip, every=True, model=media / "hand_landmarker.task"), Mailbox()
+    source.start(mailbox)
+    wait_for(lambda: source.health().state == "ended")
+    assert mailbox.received >= 38
+    arrival = mailbox.take("right")
+    assert arrival is not None
+    assert arrival.frame.stamp == pytest.approx(39 / 30, abs=0.01)
+    assert mailbox.take("left") is None
+
+
+@pytest.mark.shared
+def test_a_video_without_a_hand_gives_no_frame(media: Path, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (10, 120, 160, 3), np.uint8)
+    path = write_video(tmp_path / "noise.mp4", list(noise))
+    source: LiveSource = build_source(f"video:{path},model={media / 'hand_landmarker.task'}")
+    mailbox = Mailbox()
+    source.start(mailbox)
+    wait_for(lambda: source.health().state == "ended")
+    assert mailbox.received == 0
+    assert "a hand on 0 of" in source.health().detail
+
+
+@pytest.mark.shared
+def test_a_model_that_is_none_is_one_sentence(media: Path, tmp_path: Path) -> None:
+    import zipfile
+
+    path = tmp_path / "empty.task"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("hand_landmarks_detector.tflite", b"")
+    with pytest.raises(SourceError, match="MediaPipe can't load"):
+        HandLandmarker(path)
+
+
+@pytest.mark.shared
+def test_the_start_is_quiet_and_hides_no_word_of_others(
+    media: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = importlib.import_module("smooth_operator.sources.mediapipe_hands")
+    find = HandLandmarker.find
+
+    def speaking(self: HandLandmarker, *given: Any) -> list[SeenHand]:
+        print("a word of another thread", file=sys.__stderr__, flush=True)
+        return find(self, *given)
+
+    monkeypatch.setattr(module.HandLandmarker, "find", speaking)
+    HandLandmarker(media / "hand_landmarker.task").close()
+    said = capfd.readouterr().err
+    assert "a word of another thread" in said
+    assert "XNNPACK" not in said
+    assert "inference_feedback_manager" not in said
+
+
+@pytest.mark.shared
+def test_a_program_that_ends_without_stopping_ends_in_peace(media: Path, clip: Path) -> None:
+    program = f"""
+import time
+from pathlib import Path
+from smooth_operator.sources.live import Mailbox
+from smooth_operator.sources.webcam import Video
+source = Video(Path({str(clip)!r}), loop=True, model=Path({str(media)!r}) / "hand_landmarker.task")
+source.start(Mailbox())
+time.sleep(0.5)
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "Traceback" not in ended.stderr
