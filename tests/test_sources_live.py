@@ -1,0 +1,428 @@
+"""What all live sources share, and those that need no socket: replay and the built-in operator."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from live_time import Kept, Waits, started, until
+
+from smooth_operator.components import Component, build_component, describe_components
+from smooth_operator.errors import (
+    ConfigError,
+    RecordingError,
+    SmoothOperatorError,
+    SourceError,
+    UnknownNameError,
+)
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.catalogue import SOURCES, build_source
+from smooth_operator.sources.intake import Intake
+from smooth_operator.sources.live import Mailbox, Running, ThreadedSource
+from smooth_operator.sources.pacing import on_time
+from smooth_operator.sources.payload import Reading
+from smooth_operator.sources.replay import Replay
+from smooth_operator.sources.synthetic_live import SyntheticSource
+from smooth_operator.types import HandFrame, Side
+
+
+def frame(stamp: float = 0.0, side: Side = "right") -> HandFrame:
+    return HandFrame(np.zeros((21, 3)), stamp, side)
+
+
+# The mailbox.
+
+
+def test_a_mailbox_gives_the_newest_frame_of_each_hand_once() -> None:
+    mailbox = Mailbox(lambda: 7.0)
+    for stamp in (1.0, 2.0, 3.0):
+        mailbox.post(frame(stamp))
+    mailbox.post(frame(9.0, "left"), received=6.5, session=2)
+    right, left = mailbox.take("right"), mailbox.take("left")
+    assert right is not None
+    assert left is not None
+    assert (right.frame.stamp, right.received, right.session) == (3.0, 7.0, 0)
+    assert (left.frame.stamp, left.received, left.session) == (9.0, 6.5, 2)
+    assert mailbox.take("right") is None
+    assert (mailbox.received, mailbox.overwritten) == (4, 2)
+
+
+def test_a_mailbox_waits_for_the_hands_that_are_asked_for() -> None:
+    mailbox = Mailbox()
+    mailbox.post(frame(side="left"))
+    assert not mailbox.wait(("right",), 0.01)
+    assert mailbox.wait(("right", "left"), 0.0)
+    later = threading.Timer(0.05, mailbox.post, [frame()])
+    later.start()
+    assert mailbox.wait(("right",), 10.0)
+    later.join()
+
+
+def test_waking_a_mailbox_ends_no_wait_before_its_time() -> None:
+    mailbox = Mailbox()
+    waker = threading.Timer(0.02, mailbox.wake)
+    waker.start()
+    assert not mailbox.wait(("right",), 0.1)
+    waker.join()
+
+
+def test_a_mailbox_loses_count_of_nothing_among_threads() -> None:
+    mailbox, taken = Mailbox(), 0
+    threads = [
+        threading.Thread(target=lambda: [mailbox.post(frame()) for _ in range(200)])
+        for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads) or mailbox.wait(("right",), 0.0):
+        taken += mailbox.take("right") is not None
+    assert mailbox.received == 800
+    assert taken + mailbox.overwritten == 800
+
+
+# Sources with a thread.
+
+
+@dataclass(frozen=True)
+class Told(ThreadedSource):
+    """A source that fails as it is told."""
+
+    error: Exception | None = None
+
+    @property
+    def label(self) -> str:
+        return "told"
+
+    def run(self, running: Running) -> None:
+        if self.error is not None:
+            raise self.error
+        running.stopping.wait(10.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "detail"),
+    [(SourceError("the cable is out"), "the cable is out"), (KeyError("x"), "KeyError: 'x'")],
+)
+def test_what_a_source_raises_is_its_health(error: Exception, detail: str) -> None:
+    source = Told(error)
+    source.start(Mailbox())
+    until(lambda: source.health().state == "failed")
+    assert source.health().detail == detail
+    source.stop()
+
+
+def test_a_source_can_be_asked_and_stopped_at_any_time() -> None:
+    source = Told()
+    assert source.health().state == "waiting"
+    source.stop()
+    source.start(Mailbox())
+    source.stop()
+    source.stop()
+    assert source.health().state == "ended"
+
+
+# Words with settings.
+
+
+@dataclass(frozen=True)
+class Part:
+    where: Path
+    speed: float = 1.0
+    loop: bool = False
+    many: int | None = None
+    side: Literal["right", "left"] = "right"
+
+
+PARTS = {"part": Component(__name__, "Part", "a part"), "other": Component(__name__, "Told", "-")}
+
+
+def test_a_word_with_settings_makes_its_part() -> None:
+    made = build_component("source", "part:in/a=b.npz,speed=2,loop=yes,many=none,side=left", PARTS)
+    assert made == Part(Path("in/a=b.npz"), 2.0, True, None, "left")
+    assert build_component("source", "part:where=x,many=3", PARTS) == Part(Path("x"), many=3)
+    assert "part" in describe_components(PARTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "says"),
+    [
+        ("prat:x", UnknownNameError, "Did you mean 'part'?"),
+        ("", UnknownNameError, "Available: other, part"),
+        ("part", ConfigError, "write part:WHERE"),
+        ("part:x,sped=2", UnknownNameError, "Did you mean 'speed'?"),
+        ("part:x,2", UnknownNameError, "'2'"),
+        ("part:x,where=y", ConfigError, "'where' twice"),
+        ("part:x,speed=fast", ConfigError, "speed must be a number, not 'fast'"),
+        ("part:x,loop=perhaps", ConfigError, "true or false"),
+        ("part:x,many=1.5", ConfigError, "a whole number"),
+        ("part:x,side=both", ConfigError, "right or left"),
+    ],
+)
+def test_a_bad_word_says_what_is_wrong(
+    text: str, error: type[SmoothOperatorError], says: str
+) -> None:
+    with pytest.raises(error) as caught:
+        build_component("source", text, PARTS)
+    assert says in str(caught.value)
+
+
+def test_the_sources_of_this_page_are_in_the_catalogue() -> None:
+    assert build_source("replay:glove.npz,speed=2") == Replay(Path("glove.npz"), speed=2.0)
+    assert build_source("synthetic:3,side=both") == SyntheticSource(seed=3, side="both")
+    for word in ("udp", "zmq", "manus", "synthetic"):
+        assert build_source(word).label
+        assert word in SOURCES
+
+
+# Time.
+
+
+def test_deadlines_are_absolute_so_that_lateness_never_adds_up() -> None:
+    waits = Waits(overshoot=0.004)
+    done = [
+        (waits.now, late)
+        for late, _ in on_time(((k * 0.01, k) for k in range(100)), waits.clock, waits)
+    ]
+    assert done[0] == (0.0, 0.0)
+    times, lates = np.array(done[1:]).T
+    np.testing.assert_allclose(times, 0.01 * np.arange(1, 100) + 0.004)
+    np.testing.assert_allclose(lates, 0.004)
+
+
+def test_what_is_late_comes_at_once_and_in_order() -> None:
+    waits = Waits()
+    seen = []
+    for _, k in on_time(((k * 0.01, k) for k in range(6)), waits.clock, waits):
+        seen.append((k, round(waits.now, 6)))
+        if k == 1:
+            waits.now += 0.025  # something else kept us
+    assert seen == [(0, 0.0), (1, 0.01), (2, 0.035), (3, 0.035), (4, 0.04), (5, 0.05)]
+
+
+def test_time_starts_when_the_first_item_is_made() -> None:
+    waits = Waits()
+
+    def slow() -> object:
+        waits.now += 3.0
+        yield 0.0, "a"
+        yield 0.5, "b"
+
+    assert [(late, waits.now) for late, _ in on_time(slow(), waits.clock, waits)] == [
+        (0.0, 3.0),
+        (0.0, 3.5),
+    ]
+
+
+def test_stopping_ends_a_wait() -> None:
+    waits = Waits(until=0.255)
+    due = ((k * 0.01, k) for k in range(1000))
+    assert [k for _, k in on_time(due, waits.clock, waits)][-1] == 25
+
+
+# Replay.
+
+
+@pytest.fixture
+def glove(tmp_path: Path) -> Path:
+    recording = SyntheticOperator(side="left", rate_hz=50.0).record(0.4)
+    path = tmp_path / "glove.npz"
+    np.savez(
+        path,
+        landmarks=recording.landmarks,
+        timestamps=recording.stamps + 1000.0,
+        side=recording.side,
+    )
+    return path
+
+
+def test_a_replay_posts_each_frame_at_its_time(glove: Path) -> None:
+    source = Replay(glove, speed=2.0)
+    source.open()
+    waits = Waits(overshoot=1e-3)
+    running, mailbox = started(waits)
+    source.run(running)
+    assert [a.frame.stamp for a in mailbox.all] == pytest.approx(1000.0 + np.arange(20) / 50.0)
+    assert {(a.frame.side, a.session) for a in mailbox.all} == {("left", 0)}
+    expected = np.arange(20) / 100.0
+    received = np.array([a.received for a in mailbox.all])
+    np.testing.assert_allclose(received[1:], expected[1:] + 1e-3, atol=1e-6)
+    assert running.health.state == "running"
+
+
+def test_rounds_of_a_replay_are_sessions_whose_stamps_go_on(glove: Path) -> None:
+    source = Replay(glove, loop=True)
+    source.open()
+    running, mailbox = started(Waits(until=1.0))
+    source.run(running)
+    stamps = np.array([a.frame.stamp for a in mailbox.all])
+    np.testing.assert_allclose(np.diff(stamps), 0.02, atol=1e-6)
+    assert [a.session for a in mailbox.all] == [k // 20 for k in range(len(mailbox.all))]
+    first, again = mailbox.all[0].frame, mailbox.all[20].frame
+    assert np.array_equal(first.landmarks, again.landmarks)
+
+
+def test_a_replay_in_real_time_ends_by_itself(glove: Path) -> None:
+    source, mailbox = Replay(glove), Kept()
+    source.start(mailbox)
+    until(lambda: source.health().state == "ended")
+    assert len(mailbox.all) == 20
+    received = [a.received for a in mailbox.all]
+    assert received == sorted(received)
+    assert received[-1] - received[0] >= 0.38 - 0.02  # never ahead of its time
+
+
+def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"nothing\.npz"):
+        Replay(tmp_path / "nothing.npz").start(Mailbox())
+    plain = tmp_path / "plain.npy"
+    np.save(plain, SyntheticOperator().record(0.1).landmarks)
+    with pytest.raises(RecordingError, match="rate"):
+        Replay(plain).start(Mailbox())
+    source = Replay(plain, rate=100.0, side="left")
+    source.open()
+    running, mailbox = started(Waits())
+    source.run(running)
+    assert [a.frame.side for a in mailbox.all] == ["left"] * 10
+    with pytest.raises(ConfigError, match="speed"):
+        Replay(plain, speed=0.0)
+
+
+def test_a_single_pose_can_be_looped(tmp_path: Path) -> None:
+    path = tmp_path / "pose.npy"
+    np.save(path, SyntheticOperator().record(0.1).landmarks[0])
+    source = Replay(path, loop=True)
+    source.open()
+    running, mailbox = started(Waits(until=0.1))
+    source.run(running)
+    assert len(mailbox.all) == 11
+
+
+@pytest.mark.shared
+def test_a_real_glove_s_recording_keeps_its_rhythm(shared: Path) -> None:
+    source = Replay(shared / "recordings" / "manus_right_subject-000_run-010.npz")
+    source.open()
+    running, mailbox = started(Waits(until=3.0))
+    source.run(running)
+    stamps = np.array([a.frame.stamp for a in mailbox.all])
+    received = np.array([a.received for a in mailbox.all])
+    assert len(stamps) > 300
+    np.testing.assert_allclose(received - received[0], stamps - stamps[0], atol=1e-6)
+
+
+# The built-in operator.
+
+
+def test_the_built_in_operator_in_real_time_is_that_of_the_demo() -> None:
+    running, mailbox = started(Waits())
+    SyntheticSource(seed=4, rate=60.0, duration=1.0, noise=1.0).run(running)
+    recording = SyntheticOperator(seed=4, rate_hz=60.0).record(1.0)
+    assert [a.frame.stamp for a in mailbox.all] == pytest.approx(recording.stamps)
+    assert [a.received for a in mailbox.all] == pytest.approx(recording.stamps)
+    off = np.stack([a.frame.landmarks for a in mailbox.all]) - recording.landmarks
+    assert 0.8e-3 < off.std() < 1.2e-3
+
+
+def test_both_hands_come_by_turns_and_mirror_each_other() -> None:
+    running, mailbox = started(Waits(until=0.5))
+    SyntheticSource(side="both", gestures="pinch_index+spread").run(running)
+    right, left = ([a.frame for a in mailbox.all if a.frame.side == s] for s in ("right", "left"))
+    assert len(right) == len(left) > 40
+    for one, other in zip(right, left, strict=True):
+        assert one.stamp == other.stamp
+        np.testing.assert_allclose(one.landmarks * [1, -1, 1], other.landmarks)
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"rate": 0.0}, "rate"),
+        ({"side": "top"}, "side"),
+        ({"gestures": "pinch_index+wave"}, "wave"),
+        ({"noise": -1.0}, "noise"),
+        ({"duration": 0.0}, "duration"),
+        ({"rate": 0.0, "duration": 1.0}, "rate"),
+    ],
+)
+def test_settings_of_the_operator_are_checked(settings: dict[str, object], says: str) -> None:
+    with pytest.raises((ConfigError, UnknownNameError), match=says):
+        SyntheticSource(**settings)
+
+
+# Sessions.
+
+
+@pytest.mark.parametrize(
+    ("stamps", "sessions"),
+    [
+        ([0.0, 0.1, 0.2], [0, 0, 0]),
+        ([5.0, 5.1, 5.1, 5.05, 5.2], [0, 0, 0, 0, 0]),  # repeated, out of order: the loop's affair
+        ([5.0, 4.1, 5.1, 4.05, 5.2], [0, 0, 0, 1, 1]),  # more than a second behind the newest
+        ([5.0, 0.0, 0.1], [0, 1, 1]),
+        ([5.0, 99.0, 5.1, 5.2], [0, 0, 1, 1]),
+    ],
+)
+def test_stamps_that_jump_back_are_another_session(
+    stamps: list[float], sessions: list[int]
+) -> None:
+    running, mailbox = started(Waits())
+    intake = Intake(running, "here", ("right",), lambda _, at: [Reading(frame(at), True)])
+    for stamp in stamps:
+        intake.take((b"",), stamp)
+    assert [a.session for a in mailbox.all] == sessions
+
+
+def test_each_hand_has_its_sessions_and_a_tracker_may_name_them() -> None:
+    script: list[Reading] = [
+        Reading(frame(1.0), True, "a"),
+        Reading(frame(1.0, "left"), True, "a"),
+        Reading(frame(1.1), True, "b"),
+        Reading(frame(1.1, "left"), True, "a"),
+        Reading(frame(1.2), False, "b"),
+    ]
+    running, mailbox = started(Waits())
+    intake = Intake(running, "here", ("right", "left"), lambda m, _: [script[int(m[0])]])
+    for k in range(len(script)):
+        intake.take((str(k).encode(),), 0.0)
+    assert [(a.frame.side, a.session) for a in mailbox.all] == [
+        ("right", 0), ("left", 0), ("right", 1), ("left", 0), ("right", 2)]  # fmt: skip
+
+
+def test_health_counts_what_could_not_be_read_and_tells_of_silence() -> None:
+    def read(message: tuple[bytes, ...], at: float) -> list[Reading]:
+        if message[0] == b"bad":
+            raise RecordingError("it makes no sense")
+        return [Reading(frame(at), True)]
+
+    waits = Waits()
+    running, mailbox = started(waits)
+    intake = Intake(running, "udp://x:1", ("right",), read)
+    assert (running.health.state, running.health.detail) == ("waiting", "listening on udp://x:1")
+    intake.silent()
+    assert running.health.state == "waiting"
+    intake.take((b"bad",), 0.0)
+    assert running.health.state == "waiting"
+    for k in range(4):
+        intake.take((b"good",), 0.1 * k)
+    assert running.health.state == "running"
+    assert running.health.detail == "1 of 5 messages could not be read: it makes no sense"
+    waits.now = 0.9
+    intake.silent()
+    assert running.health.state == "running"
+    waits.now = 5.4
+    intake.silent()
+    assert running.health.state == "waiting"
+    assert "for 5 s" in running.health.detail
+    assert len(mailbox.all) == 4
+
+
+def test_frames_of_the_other_hand_are_not_taken_and_that_is_said() -> None:
+    running, mailbox = started(Waits())
+    intake = Intake(running, "x", ("right",), lambda _, at: [Reading(frame(at, "left"))])
+    intake.take((b"",), 0.0)
+    assert mailbox.all == []
+    assert running.health.state == "waiting"
+    assert "other hand" in running.health.detail

@@ -1,0 +1,674 @@
+"""Messages of hands: what can be read, what can't, and sockets that come and go."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_time import Kept, until
+
+from smooth_operator.cli.app import main
+from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
+from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.glove_faults import GloveFaults
+from smooth_operator.sources.glove_simulator import Glove, GloveSimulator
+from smooth_operator.sources.live import ThreadedSource
+from smooth_operator.sources.manus_message import read_manus, write_manus
+from smooth_operator.sources.manus_stream import ManusStream
+from smooth_operator.sources.payload import MAX_BYTES, read_payload
+from smooth_operator.sources.udp import UdpSource
+from smooth_operator.sources.zmq_stream import ZmqSource
+from smooth_operator.types import HandFrame
+
+zmq = pytest.importorskip("zmq")
+
+HAND = next(SyntheticOperator(seed=2).frames())
+POINTS = HAND.landmarks
+NODES = np.zeros((25, 3))
+NODES[list(FROM_MANUS_25)] = POINTS
+NODES[list(METACARPALS_MANUS_25)] = HAND.metacarpals
+
+
+def text(**message: Any) -> bytes:
+    return json.dumps({"landmarks": POINTS.tolist(), **message}).encode()
+
+
+def read(data: bytes, side: Any = "right") -> HandFrame:
+    (reading,) = read_payload(data, side=side, received=7.0)
+    return reading.frame
+
+
+# Landmarks as numbers or JSON.
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+@pytest.mark.parametrize("points", [POINTS, NODES, np.vstack([[0.0, 0.0, 0.0], NODES])])
+def test_numbers_of_three_trackers_are_the_same_hand(kind: str, points: np.ndarray) -> None:
+    frame = read(points.astype(kind).tobytes(), "left")
+    np.testing.assert_allclose(frame.landmarks, POINTS, atol=1e-6)
+    assert (frame.side, frame.stamp) == ("left", 7.0)
+    assert (frame.metacarpals is None) == (len(points) == 21)
+    if frame.metacarpals is not None:
+        np.testing.assert_allclose(frame.metacarpals, HAND.metacarpals, atol=1e-6)
+
+
+def test_numbers_that_start_like_json_are_numbers() -> None:
+    for first in b"{[":
+        data = bytes([first]) + POINTS.astype("<f4").tobytes()[1:]
+        np.testing.assert_allclose(read(data).landmarks, POINTS, atol=1e-6)
+
+
+def test_json_of_the_size_of_numbers_is_json() -> None:
+    short = json.dumps(
+        [[round(x, 3) for x in row] for row in POINTS.tolist()], separators=(",", ":")
+    )
+    data = short.encode().ljust(504)
+    assert len(data) == 504
+    np.testing.assert_allclose(read(data).landmarks, POINTS, atol=1e-3)
+
+
+def test_json_says_all_or_the_landmarks_alone() -> None:
+    frame = read(
+        text(
+            stamp=12.5,
+            side="Left",
+            valid=[True] * 20 + [False],
+            metacarpals=HAND.metacarpals.tolist(),
+            orientations=(2.0 * HAND.orientations).tolist(),
+        )
+    )
+    assert (frame.stamp, frame.side, frame.valid.tolist()) == (12.5, "left", [True] * 20 + [False])
+    np.testing.assert_allclose(frame.metacarpals, HAND.metacarpals)
+    np.testing.assert_allclose(frame.orientations, HAND.orientations, atol=1e-9)
+    assert np.array_equal(read(json.dumps(POINTS.tolist()).encode()).landmarks, POINTS)
+    assert np.array_equal(read(json.dumps(POINTS.ravel().tolist()).encode()).landmarks, POINTS)
+    np.testing.assert_allclose(read(text(landmarks=NODES.tolist())).landmarks, POINTS)
+
+
+def test_one_message_may_hold_both_hands() -> None:
+    hands = [{"side": side, "landmarks": POINTS.tolist()} for side in ("right", "left")]
+    data = json.dumps({"stamp": 3.0, "session": 9, "hands": hands}).encode()
+    both = read_payload(data, side=None, received=7.0)
+    assert [(r.frame.side, r.frame.stamp, r.stamped, r.session) for r in both] == [
+        ("right", 3.0, True, "9"), ("left", 3.0, True, "9")]  # fmt: skip
+
+
+def test_what_a_tracker_does_not_see_is_invalid_and_no_error() -> None:
+    lost = POINTS.tolist()
+    lost[8] = [None, None, None]
+    assert read(text(landmarks=lost)).valid.tolist() == [k != 8 for k in range(21)]
+    unseen = text(landmarks=[[float("nan")] * 3] * 21)
+    assert not read(unseen).valid.any()
+    assert not read(bytes(252)).valid.any()  # all zero: "no hand"
+    wristless = POINTS.copy()
+    wristless[0] = np.inf
+    assert read(wristless.astype("<f4").tobytes()).valid.sum() == 20
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "empty"),
+        (b"x" * 253, "253 bytes is neither JSON"),
+        (b"{" * (MAX_BYTES + 1), "too long"),
+        (b"{not json}", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b'{"landmarks": "\xff"}', "not JSON"),
+        (b"{}", "no 'landmarks', but nothing"),
+        (b'{"points": 1}', "'points'"),
+        (text(landmarks=5), "21 rows"),
+        (text(landmarks=[[1, 2], [3]]), "rows of one length"),
+        (text(landmarks="hand"), "must be numbers"),
+        (text(landmarks=[{}] * 21), "must be numbers"),
+        (text(landmarks=POINTS[:20].tolist()), "20 points; a hand has 21"),
+        (text(landmarks=[[10**400, 0, 0]] * 21), "must be numbers"),
+        (text(landmarks=(1e3 * POINTS).tolist()), "millimetres (multiply by 0.001)"),
+        ((1e2 * POINTS).astype("<f4").tobytes(), "centimetres (multiply by 0.01)"),
+        (text(side="top"), "side must be 'right' or 'left', not 'top'"),
+        (text(stamp="now"), "finite number of seconds"),
+        (text(stamp=float("nan")), "finite number of seconds"),
+        (text(stamp=True), "finite number of seconds"),
+        (text(stamp=10**400), "finite number of seconds"),
+        (text(stamp=1.7e12), "milliseconds (multiply by 0.001)"),
+        (text(timestamp=1.7e18), "nanoseconds"),
+        (text(valid=[True]), "21 times true or false"),
+        (text(valid=["yes"] * 21), "true or false"),
+        (text(metacarpals=[[0, 0, 0]]), "'metacarpals' must have shape (4, 3)"),
+        (text(hands=5), "list of objects"),
+        (text(hands=[5]), "list of objects"),
+    ],
+)
+def test_what_can_t_be_read_says_why(data: bytes, says: str) -> None:
+    with pytest.raises(RecordingError) as caught:
+        read_payload(data, side="right", received=0.0)
+    assert says in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def test_a_hand_that_nobody_names_is_refused_where_both_are_taken() -> None:
+    for data in (POINTS.astype("<f4").tobytes(), text()):
+        with pytest.raises(RecordingError, match="which hand"):
+            read(data, None)
+    assert read(text(side="L"), None).side == "left"
+
+
+def test_no_message_can_raise_anything_else() -> None:
+    rng = np.random.default_rng(0)
+    seeds = [text(stamp=1.0, side="right", valid=[True] * 21), glove_text(), csv(), ros_text()]
+    refused = 0
+    for k in range(1200):
+        data = bytearray(seeds[k % len(seeds)])
+        for _ in range(rng.integers(1, 6)):
+            at = int(rng.integers(len(data)))
+            data[at : at + int(rng.integers(0, 4))] = rng.bytes(int(rng.integers(0, 3)))
+        for reader in (
+            lambda d: read_payload(d, side="right", received=0.0),
+            lambda d: read_manus(d, gloves={}, side="right", received=0.0),
+        ):
+            try:
+                reader(bytes(data))
+            except RecordingError:
+                refused += 1
+    assert refused > 1200  # each reader refuses the other's too
+
+
+# Messages of glove bridges.
+
+
+def node(i: int, *, key: str = "id") -> dict[str, Any]:
+    return {key: i, "pos": NODES[i].tolist(), "quat": [2.0, 0.0, 0.0, 0.0]}
+
+
+def glove_text(topic: str = "RIGHT ", **message: Any) -> bytes:
+    whole = {"glove_id": 3064964832, "nodes": [node(i) for i in range(25)], **message}
+    return topic.encode() + json.dumps({k: v for k, v in whole.items() if v is not ...}).encode()
+
+
+def csv(glove: str = "bccdf6ef", hands: int = 1) -> bytes:
+    rows = np.hstack([NODES, np.tile([0.0, 0.0, 0.0, 1.0], (25, 1))])
+    fields = ",".join(f"{x:.6f}" for x in rows.ravel())
+    return ",".join([f"{glove},{fields}", f"60f3738b,{fields}"][:hands]).encode()
+
+
+def ros_text(**message: Any) -> bytes:
+    def pose(i: int) -> dict[str, Any]:
+        return {
+            "position": dict(zip("xyz", NODES[i].tolist(), strict=True)),
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }
+
+    nodes = [{"node_id": i, "chain_type": "Index", "pose": pose(i)} for i in range(25)]
+    return json.dumps({"glove_id": -5, "side": "Left", "raw_nodes": nodes, **message}).encode()
+
+
+def read_glove(data: bytes, side: Any = None, **gloves: Any) -> list[HandFrame]:
+    return [r.frame for r in read_manus(data, gloves=gloves, side=side, received=7.0)]
+
+
+ROWS = [[*p, 1.0, 0.0, 0.0, 0.0] for p in NODES.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("data", "hands"),
+    [
+        (glove_text(), ["right"]),
+        (glove_text("LEFT "), ["left"]),
+        (glove_text("/manus/left "), ["left"]),
+        (glove_text("", side="LEFT"), ["left"]),
+        (glove_text(side="UNKNOWN"), ["right"]),
+        (glove_text(nodes=[node(i) for i in reversed(range(25))]), ["right"]),
+        (glove_text(nodes=[node(i) for i in range(30 - 5)] + [{**node(0), "id": 99}]), ["right"]),
+        (glove_text(nodes=ROWS), ["right"]),
+        (glove_text(nodes=NODES.tolist()), ["right"]),
+        (glove_text(nodes=..., data=[x for row in ROWS for x in row]), ["right"]),
+        (ros_text(), ["left"]),
+        (json.dumps([json.loads(ros_text(side=s)) for s in "RL"]).encode(), ["right", "left"]),
+        (json.dumps({"hands": [json.loads(ros_text())]}).encode(), ["left"]),
+        (
+            json.dumps({"right": {"nodes": ROWS}, "left": {"nodes": ROWS}, "stamp": 1}).encode(),
+            ["right", "left"],
+        ),
+        (csv(), ["right"]),
+        (csv(hands=2), ["right", "left"]),
+        (b",".join([b"0.1"] * 40), []),
+    ],
+)
+def test_every_bridge_s_message_is_the_same_hand(data: bytes, hands: list[str]) -> None:
+    frames = read_glove(data, **{"bccdf6ef": "right", "60f3738b": "left"})
+    assert [frame.side for frame in frames] == hands
+    for frame in frames:
+        np.testing.assert_allclose(frame.landmarks, POINTS, atol=1e-6)
+        np.testing.assert_allclose(frame.metacarpals, HAND.metacarpals, atol=1e-6)
+        assert frame.valid.all()
+        if frame.orientations is not None:
+            np.testing.assert_allclose(frame.orientations, np.tile([1.0, 0, 0, 0], (21, 1)))
+
+
+def test_quaternions_may_have_w_last_if_the_message_says_so() -> None:
+    rows = [[*p, 0.1, 0.2, 0.3, 0.927] for p in NODES.tolist()]
+    (frame,) = read_glove(glove_text(nodes=rows, quaternion_order="xyzw"))
+    np.testing.assert_allclose(frame.orientations[0], [0.927, 0.1, 0.2, 0.3], atol=1e-3)
+
+
+def test_stamps_of_a_bridge_are_read_where_they_are_seconds() -> None:
+    assert read_glove(glove_text(stamp=4.5))[0].stamp == 4.5
+    assert read_glove(glove_text(timestamp=4.5))[0].stamp == 4.5
+    # The SDK's own time is a packed date: better none than that.
+    (reading,) = read_manus(glove_text(timestamp=10**17), gloves={}, side=None, received=7.0)
+    assert (reading.frame.stamp, reading.stamped) == (7.0, False)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (glove_text("UNKNOWN "), "right_glove=3064964832 or left_glove=3064964832"),
+        (csv(), "right_glove=bccdf6ef"),
+        (glove_text(nodes=...), "no 'nodes', but glove_id"),
+        (glove_text(nodes=[]), "a list of 25 nodes"),
+        (glove_text(nodes=[node(i) for i in range(24)]), "lacks [24]"),
+        (glove_text(nodes=[node(i % 24) for i in range(25)]), "more than once"),
+        (glove_text(nodes=[node(i, key="number") for i in range(25)]), "KeyError"),
+        (glove_text(nodes=[{**node(i), "pos": [1, 2]} for i in range(25)]), "3 + 4 numbers"),
+        (glove_text(nodes=ROWS[:24]), "25 rows"),
+        (glove_text(nodes=(1e3 * NODES).tolist()), "millimetres (multiply by 0.001)"),
+        (glove_text(stamp=1.7e12), "milliseconds"),
+        (b"RIGHT {", "not JSON"),
+        (b"a,b,c", "fields separated by commas, but 3"),
+        (b"RIGHT 5", "but 1"),
+        (b"RIGHT [5]", "list of objects"),
+        (csv().replace(b",0.0", b",x"), "must be numbers"),
+    ],
+)
+def test_a_bridge_s_message_that_can_t_be_read_says_why(data: bytes, says: str) -> None:
+    with pytest.raises(RecordingError) as caught:
+        read_glove(data)
+    assert says in str(caught.value)
+
+
+def test_what_is_written_is_read_again() -> None:
+    landmarks = POINTS.copy()
+    landmarks[5:9] = np.nan
+    frame = HandFrame(landmarks, metacarpals=HAND.metacarpals, orientations=HAND.orientations)
+    (again,) = read_glove(b'LEFT {"nodes":' + write_manus(frame) + b"}")
+    np.testing.assert_allclose(again.landmarks, landmarks, atol=1e-6)
+    np.testing.assert_allclose(again.metacarpals, HAND.metacarpals, atol=1e-6)
+    np.testing.assert_allclose(again.orientations, HAND.orientations, atol=1e-5)
+    assert again.valid.tolist() == [not 5 <= k < 9 for k in range(21)]
+
+
+@pytest.mark.shared
+def test_a_real_glove_s_nodes_go_through_the_stream_unchanged(shared: Path) -> None:
+    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    with np.load(path, allow_pickle=False) as file:
+        data = file["data"][2600]
+    nodes = [{"id": i, "pos": r[:3], "quat": r[3:]} for i, r in enumerate(data.tolist())]
+    (frame,) = read_glove(glove_text(nodes=nodes))
+    np.testing.assert_allclose(frame.landmarks, data[list(FROM_MANUS_25), :3], atol=1e-7)
+
+
+# Sockets.
+
+
+@contextlib.contextmanager
+def running(source: ThreadedSource) -> Iterator[Kept]:
+    mailbox = Kept()
+    source.start(mailbox)
+    try:
+        yield mailbox
+    finally:
+        begun = time.perf_counter()
+        source.stop()
+        assert time.perf_counter() - begun < 2.0  # 0.1 s on a machine with nothing else to do
+        assert source.health().state == "ended"
+
+
+def test_datagrams_become_frames_and_bad_ones_are_counted() -> None:
+    source = UdpSource(port=0)
+    with running(source) as mailbox, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        port = int(source.endpoint.rpartition(":")[2])
+        until(lambda: source.health().detail.startswith("listening"))
+        messages = [POINTS.astype("<f4").tobytes(), text(stamp=5.0), b"\x80\x04nonsense",
+                    (1e3 * POINTS).astype("<f8").tobytes(), text(side="left")]  # fmt: skip
+        for k, message in enumerate(messages):
+            sender.sendto(message, ("127.0.0.1", port))
+            sent = time.perf_counter()
+            if k < 2:
+                until(lambda: len(mailbox.all) == k + 1)  # noqa: B023  (used at once)
+                assert mailbox.all[k].received - sent < 5.0
+        until(lambda: source.health().detail.startswith("2 of"))
+        assert "millimetres" in source.health().detail
+        assert source.health().state == "running"
+        assert mailbox.all[1].frame.stamp == 5.0
+        assert mailbox.all[0].frame.stamp == mailbox.all[0].received
+        with pytest.raises(SourceError, match="another program"):
+            UdpSource(port=port).start(Kept())
+    with running(UdpSource(port=port)):  # it was given back
+        pass
+
+
+def test_of_a_flood_the_newest_is_looked_at() -> None:
+    source = UdpSource(port=0)
+    inbox = source.connect()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for k in range(50):
+            sender.sendto(str(k).encode(), ("127.0.0.1", int(inbox.address.rpartition(":")[2])))
+    assert inbox.receive(1.0)[-1] == (b"49",)
+    assert inbox.receive(0.0) == []
+    inbox.close()
+
+
+@pytest.mark.parametrize("settings", [{"port": -1}, {"port": 70_000}, {"side": "top"}])
+def test_settings_of_udp_are_checked(settings: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError):
+        UdpSource(**settings)
+    with pytest.raises(SourceError, match="host"):
+        UdpSource(host="no such host.invalid").start(Kept())
+
+
+class Publisher:
+    """A publisher that a test can kill and start again at the same address."""
+
+    def __init__(self, address: str = "tcp://127.0.0.1:*", kind: int = zmq.PUB) -> None:
+        self._context = zmq.Context()
+        self._socket = self._context.socket(kind)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        end = time.monotonic() + 10.0
+        while True:  # an address that was just given back may need a moment
+            try:
+                self._socket.bind(address)
+                break
+            except zmq.ZMQError:
+                assert time.monotonic() < end
+                time.sleep(0.02)
+        self.address = self._socket.getsockopt(zmq.LAST_ENDPOINT).decode()
+
+    def send(self, *parts: bytes) -> None:
+        with contextlib.suppress(zmq.Again):  # of a pusher nobody is connected to
+            self._socket.send_multipart(parts, zmq.NOBLOCK)
+
+    def send_until(self, condition: Any, *parts: bytes) -> None:
+        def sent() -> Any:
+            self.send(*parts)
+            return condition()
+
+        until(sent)
+
+    def close(self) -> None:
+        self._socket.close(linger=0)
+        self._context.term()
+
+
+def test_a_publisher_may_come_late_and_come_back() -> None:
+    first = Publisher()
+    address = first.address
+    first.close()
+    source = ZmqSource(address)
+    with running(source) as mailbox:
+        assert source.health().state == "waiting"
+        for session, stamp in enumerate((50.0, 3.0)):
+            publisher = Publisher(address)
+            before = len(mailbox.all)
+            publisher.send_until(
+                lambda: len(mailbox.all) > before,  # noqa: B023  (used at once)
+                text(stamp=stamp),
+            )
+            assert source.health().state == "running"
+            assert mailbox.all[-1].session == session
+            publisher.close()
+        until(lambda: source.health().state == "waiting")
+        assert "no message" in source.health().detail
+
+
+def test_topics_may_be_a_part_or_a_word() -> None:
+    publisher = Publisher()
+    source = ZmqSource(publisher.address, topic="hand", side="left")
+    with running(source) as mailbox:
+        publisher.send(b"else", text())
+        publisher.send_until(lambda: mailbox.all, b"hand", text(stamp=1.0, side="left"))
+        publisher.send_until(
+            lambda: mailbox.all[-1].frame.stamp == 2.0, b"hand " + text(stamp=2.0, side="left")
+        )
+        assert "could not be read" not in source.health().detail
+    publisher.close()
+
+
+def test_a_source_may_be_the_one_that_listens_and_pulls() -> None:
+    source = ZmqSource("tcp://127.0.0.1:*", bind=True, pattern="pull")
+    context = zmq.Context()
+    with running(source) as mailbox, context.socket(zmq.PUSH) as pusher:
+        pusher.connect(source.endpoint)
+        pusher.send(POINTS.astype("<f4").tobytes())
+        until(lambda: mailbox.all)
+        with pytest.raises(SourceError, match="listen on"):
+            ZmqSource(source.endpoint, bind=True).start(Kept())
+    context.destroy(linger=0)
+    with pytest.raises(SourceError, match="looks like tcp"):
+        ZmqSource("nowhere").start(Kept())
+
+
+def test_pickled_python_objects_are_refused_not_opened() -> None:
+    publisher = Publisher()
+    source = ZmqSource(publisher.address)
+    with running(source) as mailbox:
+        # What another program's send_pyobj([1, 2]) would send.
+        publisher.send_until(lambda: "could not be read" in source.health().detail,
+                             bytes.fromhex("80049509000000000000005d94284b014b02652e"))  # fmt: skip
+        assert mailbox.all == []
+    publisher.close()
+
+
+def test_without_pyzmq_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zmq", None)
+    for source in (ZmqSource(), ManusStream()):
+        with pytest.raises(MissingExtraError, match=r"smooth-operator\[zmq\]"):
+            source.start(Kept())
+    with pytest.raises(MissingExtraError, match=r"smooth-operator\[zmq\]"):
+        GloveSimulator().open()
+
+
+# Gloves.
+
+
+@pytest.fixture(scope="module")
+def glove() -> Iterator[Glove]:
+    """A simulator of both hands, of which a test may take the prepared frames."""
+    missing = GloveFaults(missing=0.1)
+    made = GloveSimulator("tcp://127.0.0.1:*", rate=50.0, side="both", faults=missing).open()
+    yield made
+    made.close()
+
+
+def ticks(
+    glove: Glove, count: int, **faults: float
+) -> list[tuple[float, list[tuple[HandFrame, str]]]]:
+    """(due, [(frame, session) ...]) of the simulator's first messages."""
+    made = glove._prepared.messages(GloveFaults(**faults))
+    found = []
+    for due, message in itertools.islice(made, count):
+        readings = read_manus(message, gloves={}, side=None, received=-1.0)
+        found.append((due, [(r.frame, str(r.session)) for r in readings]))
+    return found
+
+
+def stamps(found: list[Any], side: str = "right") -> np.ndarray:
+    return np.array([f.stamp for _, hands in found for f, _ in hands if f.side == side])
+
+
+def test_a_glove_without_faults_is_even_and_never_jumps(glove: Glove) -> None:
+    found = ticks(glove, 4200)  # 42 s: there, back, and there again
+    for side in ("right", "left"):
+        np.testing.assert_allclose(np.diff(stamps(found, side)), 0.02, atol=1e-6)
+        moved = np.stack([f.landmarks for _, hands in found for f, _ in hands if f.side == side])
+        assert np.abs(np.diff(moved, axis=0)).max() < 0.05  # 2.5 m/s
+    assert [due for due, _ in found] == pytest.approx(np.repeat(np.arange(2100), 2) / 50.0)
+    assert len({session for _, hands in found for _, session in hands}) == 1
+
+
+def test_frames_are_dropped(glove: Glove) -> None:
+    found = ticks(glove, 1500, drop=0.1)
+    assert len(found) / 2 / (found[-1][0] * 50) == pytest.approx(0.9, abs=0.04)
+
+
+def test_a_glove_falls_silent(glove: Glove) -> None:
+    steps = np.diff(stamps(ticks(glove, 1000, silence_every=4.0, silence=2.0)))
+    np.testing.assert_allclose(steps[steps > 0.03], 2.02, atol=1e-6)
+    assert (steps > 0.03).sum() == 4
+
+
+def test_nodes_are_missing(glove: Glove) -> None:
+    hands = [f for _, h in ticks(glove, 1500, missing=0.1) for f, _ in h]
+    seen = Counter(int(f.valid.sum()) for f in hands)
+    assert set(seen) == {0, 17, 21}
+    assert seen[0] == pytest.approx(75, abs=30)
+    assert seen[17] == pytest.approx(75, abs=30)
+
+
+def test_stamps_repeat_or_come_out_of_order(glove: Glove) -> None:
+    repeated = np.diff(stamps(ticks(glove, 1500, duplicate=0.1)))
+    assert (repeated == 0.0).mean() == pytest.approx(0.1, abs=0.04)
+    assert repeated.min() == 0.0
+    shuffled = np.diff(stamps(ticks(glove, 1500, reorder=0.1)))
+    assert (shuffled < 0.0).mean() == pytest.approx(0.09, abs=0.04)
+    assert shuffled.min() == pytest.approx(-0.02, abs=1e-6)
+
+
+def test_hands_are_swapped(glove: Glove) -> None:
+    # A right hand's index is on the other side of its pinky than a left one's.
+    right = [
+        (f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right")
+        for _, h in ticks(glove, 1500, swap=0.1)
+        for f, _ in h
+    ]
+    assert np.mean(right) == pytest.approx(0.9, abs=0.04)
+
+
+def test_a_glove_starts_anew(glove: Glove) -> None:
+    found = ticks(glove, 1000, restart_every=3.0)
+    assert (np.diff(stamps(found)) < -2.0).sum() == 3
+    assert len({session for _, h in found for _, session in h}) == 4
+
+
+def test_garbage_can_t_be_read(glove: Glove) -> None:
+    made = glove._prepared.messages(GloveFaults(garbage=0.2))
+    bad = 0
+    for _, message in itertools.islice(made, 500):
+        try:
+            read_manus(message, gloves={}, side=None, received=0.0)
+        except RecordingError:
+            bad += 1
+    assert bad == pytest.approx(100, abs=40)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"drop": 1.5}, {"silence": -1.0}, {"silence_every": 1.0, "silence": 2.0}]
+)
+def test_settings_of_faults_are_checked(settings: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        GloveFaults(**settings)
+
+
+def test_a_recording_is_published_and_mirrored_for_the_other_hand(tmp_path: Path) -> None:
+    recording = SyntheticOperator(rate_hz=50.0).record(0.2)
+    path = tmp_path / "hand.npz"
+    np.savez(path, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
+    glove = GloveSimulator("tcp://127.0.0.1:*", side="both", recording=path).open()
+    try:
+        assert glove.rate == pytest.approx(50.0)
+        found = ticks(glove, 60)
+        right, left = (
+            np.stack([f.landmarks for _, h in found for f, _ in h if f.side == side])
+            for side in ("right", "left")
+        )
+        np.testing.assert_allclose(right[:10], recording.landmarks, atol=1e-6)
+        np.testing.assert_allclose(right[9:19], recording.landmarks[::-1], atol=1e-6)
+        np.testing.assert_allclose(left, right * [1, -1, 1], atol=1e-9)
+    finally:
+        glove.close()
+    with pytest.raises(SourceError, match="listen"):
+        GloveSimulator("udp://x", recording=path).open()
+
+
+COMMAND = [sys.executable, "-m", "smooth_operator", "glove-simulator"]
+
+
+def start_glove(path: Path, address: str, *more: str) -> tuple[subprocess.Popen[str], str]:
+    process = subprocess.Popen(
+        [*COMMAND, "--recording", str(path), "--address", address, "--side", "both", *more],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    return process, process.stdout.readline().split()[-1]
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    recording = SyntheticOperator().record(0.5)
+    path = tmp_path / "short.npz"
+    np.savez(path, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
+    return path
+
+
+def test_a_glove_that_is_killed_and_restarted_is_another_session(short: Path) -> None:
+    first, address = start_glove(short, "tcp://127.0.0.1:*")
+    source = ManusStream(address)
+    try:
+        with running(source) as mailbox:
+            until(lambda: {a.frame.side for a in mailbox.all} == {"right", "left"}, 30.0)
+            assert {a.session for a in mailbox.all} == {0}
+            first.kill()
+            first.wait()
+            until(lambda: source.health().state == "waiting", 30.0)
+            before = len(mailbox.all)
+            second, _ = start_glove(short, address, "--duration", "20")
+            try:
+                until(lambda: len(mailbox.all) > before + 20, 30.0)
+                assert {a.session for a in mailbox.all[before:]} == {1}
+                # Rates on a machine with other things to do are not judged, order is.
+                right = [a.frame.stamp for a in mailbox.all[before:] if a.frame.side == "right"]
+                assert right == sorted(right)
+            finally:
+                second.kill()
+                second.wait()
+    finally:
+        first.kill()
+        first.wait()
+
+
+def test_the_simulator_s_command_says_what_it_did(
+    short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["glove-simulator", "--recording", str(short), "--rate", "200", "--side", "both"]
+    listen = ["--address", "tcp://127.0.0.1:*"]
+    assert main([*arguments, *listen, "--duration", "0.3"]) == 0
+    first, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("publishing both hands at 200 Hz on tcp://127.0.0.1:")
+    assert last.startswith("sent 120 messages in ")  # 60 ticks, two hands
+    taken = Publisher()
+    assert main([*arguments, "--address", taken.address]) == 2
+    assert "is another one running?" in capsys.readouterr().err
+    taken.close()
+    assert main([*arguments, *listen, "--drop", "2"]) == 2
+    assert "drop must be 0 to 1" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_ctrl_c_ends_the_simulator(short: Path) -> None:
+    process, _ = start_glove(short, "tcp://127.0.0.1:*")
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert output.startswith("sent ")
