@@ -241,6 +241,47 @@ def test_switches_work_from_another_thread(
     assert Mode.BLENDING in modes[stopped[-1] :]
 
 
+def test_switches_work_from_another_program(
+    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
+) -> None:
+    zmq = pytest.importorskip("zmq")
+    from smooth_operator.runtime.remote import remote
+
+    sink = Keeper()
+    loop = looped(retargeters, Player(frames * 2), sink)
+    context = zmq.Context()
+    client = context.socket(zmq.REQ)
+    client.setsockopt(zmq.LINGER, 0)
+    client.setsockopt(zmq.RCVTIMEO, 5000)
+
+    def ask(message: str) -> dict[str, Any]:
+        client.send_string(message)
+        return dict(json.loads(client.recv()))
+
+    with remote(loop, "tcp://127.0.0.1:*") as address:
+        with pytest.raises(SourceError, match="can't listen"), remote(loop, address):
+            pass
+        client.connect(address)
+        thread = threading.Thread(target=loop.run)
+        thread.start()
+        while not sink.ticks:
+            time.sleep(0.01)
+        assert ask('{"do": "stop"}') | {"rate_hz": 0} == {
+            "ok": True, "modes": {"right": "stopped"}, "rate_hz": 0,
+        }  # fmt: skip
+        assert ask("status")["modes"] == {"right": "stopped"}
+        for bad in ("halt", "{}", '{"do": 3}', "{", "\udcff".encode("utf-8", "replace").decode()):
+            assert not ask(bad)["ok"]
+        assert ask("release")["modes"]["right"] in ("waiting", "blending")
+        assert ask("pause")["modes"] == {"right": "paused"}
+        assert ask("quit")["ok"]
+        thread.join(5)
+        assert not thread.is_alive()
+    client.close()
+    context.term()
+    assert Mode.STOPPED in {tick.mode for tick in sink.ticks}
+
+
 def test_a_slow_sink_makes_the_loop_skip_frames_not_fall_behind(
     retargeters: dict[Side, Retargeter], frames: list[HandFrame]
 ) -> None:

@@ -76,6 +76,7 @@ def teleop(options: Teleop) -> None:
         _attentive(),
         _interrupts(loop.controls) as interrupted,
         _keyboard(loop.controls, progress),
+        _remote(loop, options.control, progress),
     ):
         loop.run(options.duration, configuration)
     seconds = time.perf_counter() - started
@@ -152,6 +153,19 @@ def _interrupts(controls: Controls) -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _remote(loop: TeleopLoop, address: str | None, progress: Progressing) -> Iterator[None]:
+    """Words of other programs, where they are to be listened to."""
+    if address is None:
+        yield
+        return
+    from smooth_operator.runtime.remote import remote
+
+    with remote(loop, address) as bound:
+        progress.note(f"switches at {bound}: stop, release, pause, resume, quit, status")
+        yield
 
 
 @contextlib.contextmanager

@@ -89,6 +89,10 @@ Examples:
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """Of what leaves the loop."""
 
+    control: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Take stop, release, pause, resume, quit and status from other programs on this ZeroMQ
+    address, such as tcp://127.0.0.1:5558 (extra zmq): a pedal, a red button."""
+
     no_view: bool = False
     """Don't serve the page: for machines without a browser."""
 

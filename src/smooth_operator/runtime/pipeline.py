@@ -53,6 +53,11 @@ class HandPipeline:
         self._last: float | None = None
         self._number = 0
 
+    @property
+    def mode_now(self) -> Mode:
+        """What the next tick does, if no frame comes."""
+        return self.supervisor.preview(self._clock())
+
     def switch(self, retargeter: Retargeter) -> None:
         """Go on with another method, or other settings of it; it should be warmed up.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from smooth_operator.runtime.settings import SafetyConfig
 from smooth_operator.sinks.tick import Mode
@@ -66,6 +66,10 @@ class Supervisor:
         """The mode at a time."""
         self.mode = self._mode(now)
         return self.mode
+
+    def preview(self, now: float) -> Mode:
+        """The mode at a time, without going there."""
+        return replace(self)._mode(now)
 
     def blend(self, now: float) -> float:
         """Share of the operator in the command, 0 to 1, with a smooth start and end."""
