@@ -134,13 +134,15 @@ class TeleopLoop:
         if self.controls.waiting:
             return
         period = self.config.period
-        due = min(self._commanded.values()) + PATIENCE * period
-        free = [s for s in sides if now >= self._answered.get(s, -1e9) + PLAY * period]
+        until = min(self._commanded.values()) + PATIENCE * period
+        opens = {side: self._answered.get(side, -1e9) + PLAY * period for side in sides}
+        free = [side for side in sides if opens[side] <= now]
+        # a hand that may be answered a little later has to be looked at then
+        until = min([until, *(at for at in opens.values() if at > now)])
         if free:
-            self.mailbox.wait(free, max(due - now, 0.0))
+            self.mailbox.wait(free, max(until - now, 0.0))
         else:
-            soonest = min(self._answered[s] for s in sides) + PLAY * period
-            time.sleep(max(min(soonest, due) - now, 0.0))
+            time.sleep(max(until - now, 0.0))
 
     def _serve(self, side: Side) -> None:
         """Answer the newest frame of a hand, or keep its pace."""
