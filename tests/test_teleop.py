@@ -304,6 +304,24 @@ def test_a_mailbox_keeps_the_newest(frames: list[HandFrame]) -> None:
     assert (box.received, box.overwritten) == (5, 4)
 
 
+def test_an_emergency_stop_does_not_wait_for_the_next_tick(
+    retargeters: dict[Side, Retargeter],
+) -> None:
+    sink = Keeper()
+    loop = looped(retargeters, Player([], 1.0), sink, config=LoopConfig(rate=1.0))
+    pressed: list[float] = []
+
+    def press() -> None:
+        pressed.append(time.perf_counter())
+        loop.controls.stop()
+        loop.controls.change(lambda hand: pressed.append(time.perf_counter()))
+
+    threading.Timer(0.3, press).start()
+    loop.run(duration=0.8)
+    assert pressed[1] - pressed[0] < 0.25  # the loop alone would have slept for over a second
+    assert loop.pipelines["right"].mode_now is Mode.STOPPED
+
+
 # The command
 
 

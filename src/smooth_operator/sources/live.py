@@ -49,6 +49,7 @@ class Mailbox:
         self.received = 0
         self.overwritten = 0
         self._newest: dict[Side, Arrival] = {}
+        self._woken = False
         self._arrived = threading.Condition()
 
     def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> None:
@@ -78,12 +79,18 @@ class Mailbox:
             whether one is here.
         """
         with self._arrived:
-            return self._arrived.wait_for(lambda: any(s in self._newest for s in sides), timeout)
+            self._arrived.wait_for(lambda: self._woken or self._has(sides), timeout)
+            self._woken = False
+            return self._has(sides)
 
     def wake(self) -> None:
-        """Have :meth:`wait` look again now."""
+        """End a :meth:`wait`, or the next one, though no frame is here."""
         with self._arrived:
+            self._woken = True
             self._arrived.notify_all()
+
+    def _has(self, sides: Collection[Side]) -> bool:
+        return any(side in self._newest for side in sides)
 
 
 @dataclass(frozen=True)
