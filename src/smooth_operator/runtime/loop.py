@@ -43,6 +43,7 @@ class TeleopLoop:
     Attributes:
         controls: switches, for any thread.
         statistics: what the run came to.
+        watch: as given; to be set before :meth:`run`.
     """
 
     def __init__(
@@ -62,10 +63,11 @@ class TeleopLoop:
         self.mailbox = Mailbox() if mailbox is None else mailbox
         self.controls = Controls(self.mailbox)
         self.statistics = LoopStatistics(config.period)
-        self._watch = watch
+        self.watch = watch
         self._beat = self.mailbox.clock()
         self._answered: dict[Side, float] = {}
         self._commanded: dict[Side, float] = {}
+        self._asked: set[Side] = set()  # hands that something was changed of
 
     def run(self, duration: float | None = None, configuration: Mapping[str, Any] = {}) -> None:
         """Open the sinks, start the source, and loop.
@@ -119,8 +121,9 @@ class TeleopLoop:
                     return
             self._wait(now, sides)
             for change in self.controls.drain():
-                for pipeline in self.pipelines.values():
+                for side, pipeline in self.pipelines.items():
                     change(pipeline)
+                    self._asked.add(side)  # the sinks are to know at once
             for side in sides:
                 self._serve(side)
 
@@ -152,6 +155,9 @@ class TeleopLoop:
         if now >= self._answered.get(side, -1e9) + PLAY * period:
             arrival = self.mailbox.take(side)
         due = self._commanded[side] + PATIENCE * period
+        if side in self._asked:
+            self._asked.remove(side)
+            due = min(due, now)
         if arrival is None and now < due:
             return
         if arrival is not None:
@@ -166,8 +172,8 @@ class TeleopLoop:
             tick = replace(tick, stages={**tick.stages, "send": (sent - before) * 1e3})
         self.sinks.observe(tick)
         self.statistics.add(tick, due, sent)
-        if self._watch is not None:
-            self._watch(tick)
+        if self.watch is not None:
+            self.watch(tick)
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:
