@@ -22,9 +22,10 @@ def solve(cost, start, limits, config=NewtonConfig(iterations=20)):  # noqa: B00
     """The point found; the cost that comes with it is checked here."""
     with float64():
         run = jax.jit(lambda start: newton_minimise(expansion(cost), start, limits, config))
-        found, value = run(jnp.asarray(start, jnp.float64))
+        found, value, gradient = run(jnp.asarray(start, jnp.float64))
         if np.isfinite(value):
             np.testing.assert_allclose(value, cost(found), rtol=1e-12)
+            np.testing.assert_allclose(gradient, jax.grad(cost)(found), rtol=1e-9, atol=1e-12)
         return np.asarray(found)
 
 
@@ -108,11 +109,12 @@ def test_a_start_from_which_no_step_descends_is_kept() -> None:
 
 def test_no_iterations_return_the_start_untouched() -> None:
     start, limits = jnp.array([0.1, 0.2]), np.tile([-1.0, 1.0], (2, 1))
-    found, cost = newton_minimise(
+    found, cost, gradient = newton_minimise(
         expansion(lambda q: (q**2).sum()), start, limits, NewtonConfig(iterations=0)
     )
     assert found is start
     assert float(cost) == pytest.approx(0.05)
+    np.testing.assert_allclose(gradient, [0.2, 0.4], rtol=1e-6)
 
 
 @pytest.mark.parametrize("bad", [{"iterations": -1}, {"damping": ()}, {"damping": (-1.0, 0.0)}])

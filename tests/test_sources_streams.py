@@ -396,6 +396,12 @@ class Publisher:
                 time.sleep(0.02)
         self.address = self._socket.getsockopt(zmq.LAST_ENDPOINT).decode()
 
+    def __enter__(self) -> Publisher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def send(self, *parts: bytes) -> None:
         with contextlib.suppress(zmq.Again):  # of a pusher nobody is connected to
             self._socket.send_multipart(parts, zmq.NOBLOCK)
@@ -413,62 +419,57 @@ class Publisher:
 
 
 def test_a_publisher_may_come_late_and_come_back() -> None:
-    first = Publisher()
-    address = first.address
-    first.close()
+    with Publisher() as first:
+        address = first.address
     source = ZmqSource(address)
     with running(source) as mailbox:
         assert source.health().state == "waiting"
         for session, stamp in enumerate((50.0, 3.0)):
-            publisher = Publisher(address)
-            before = len(mailbox.all)
-            publisher.send_until(
-                lambda: len(mailbox.all) > before,  # noqa: B023  (used at once)
-                text(stamp=stamp),
-            )
-            assert source.health().state == "running"
+            with Publisher(address) as publisher:
+                publisher.send_until(
+                    # What the one before has sent may still be coming in.
+                    lambda: mailbox.all and mailbox.all[-1].frame.stamp == stamp,  # noqa: B023
+                    text(stamp=stamp),
+                )
             assert mailbox.all[-1].session == session
-            publisher.close()
-        until(lambda: source.health().state == "waiting")
-        assert "no message" in source.health().detail
+        until(lambda: "no message" in source.health().detail)
+        assert source.health().state == "waiting"
 
 
 def test_topics_may_be_a_part_or_a_word() -> None:
-    publisher = Publisher()
-    source = ZmqSource(publisher.address, topic="hand", side="left")
-    with running(source) as mailbox:
-        publisher.send(b"else", text())
-        publisher.send_until(lambda: mailbox.all, b"hand", text(stamp=1.0, side="left"))
-        publisher.send_until(
-            lambda: mailbox.all[-1].frame.stamp == 2.0, b"hand " + text(stamp=2.0, side="left")
-        )
-        assert "could not be read" not in source.health().detail
-    publisher.close()
+    with Publisher() as publisher:
+        source = ZmqSource(publisher.address, topic="hand", side="left")
+        with running(source) as mailbox:
+            publisher.send(b"else", text())
+            publisher.send_until(lambda: mailbox.all, b"hand", text(stamp=1.0, side="left"))
+            publisher.send_until(
+                lambda: mailbox.all[-1].frame.stamp == 2.0, b"hand " + text(stamp=2.0, side="left")
+            )
+            assert "could not be read" not in source.health().detail
 
 
 def test_a_source_may_be_the_one_that_listens_and_pulls() -> None:
     source = ZmqSource("tcp://127.0.0.1:*", bind=True, pattern="pull")
-    context = zmq.Context()
-    with running(source) as mailbox, context.socket(zmq.PUSH) as pusher:
-        pusher.connect(source.endpoint)
-        pusher.send(POINTS.astype("<f4").tobytes())
-        until(lambda: mailbox.all)
+    with running(source) as mailbox:
+        with zmq.Context() as context, context.socket(zmq.PUSH) as pusher:
+            pusher.setsockopt(zmq.LINGER, 0)
+            pusher.connect(source.endpoint)
+            pusher.send(POINTS.astype("<f4").tobytes())
+            until(lambda: mailbox.all)
         with pytest.raises(SourceError, match="listen on"):
             ZmqSource(source.endpoint, bind=True).start(Kept())
-    context.destroy(linger=0)
     with pytest.raises(SourceError, match="looks like tcp"):
         ZmqSource("nowhere").start(Kept())
 
 
 def test_pickled_python_objects_are_refused_not_opened() -> None:
-    publisher = Publisher()
-    source = ZmqSource(publisher.address)
-    with running(source) as mailbox:
-        # What another program's send_pyobj([1, 2]) would send.
-        publisher.send_until(lambda: "could not be read" in source.health().detail,
-                             bytes.fromhex("80049509000000000000005d94284b014b02652e"))  # fmt: skip
-        assert mailbox.all == []
-    publisher.close()
+    # What another program's send_pyobj([1, 2]) would send.
+    pickled = bytes.fromhex("80049509000000000000005d94284b014b02652e")
+    with Publisher() as publisher:
+        source = ZmqSource(publisher.address)
+        with running(source) as mailbox:
+            publisher.send_until(lambda: "could not be read" in source.health().detail, pickled)
+            assert mailbox.all == []
 
 
 def test_without_pyzmq_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -657,10 +658,9 @@ def test_the_simulator_s_command_says_what_it_did(
     first, last = capsys.readouterr().out.splitlines()
     assert first.startswith("publishing both hands at 200 Hz on tcp://127.0.0.1:")
     assert last.startswith("sent 120 messages in ")  # 60 ticks, two hands
-    taken = Publisher()
-    assert main([*arguments, "--address", taken.address]) == 2
+    with Publisher() as taken:
+        assert main([*arguments, "--address", taken.address]) == 2
     assert "is another one running?" in capsys.readouterr().err
-    taken.close()
     assert main([*arguments, *listen, "--drop", "2"]) == 2
     assert "drop must be 0 to 1" in capsys.readouterr().err
 

@@ -1,8 +1,8 @@
 """Methods that descend: targets as an objective, solved by SLSQP from a warm start.
 
 Newton steps within the compiled program come first, since the objective's exact Hessian is at hand
-there, and SLSQP has to learn it anew in every frame; then SLSQP looks at what they found, and goes
-on from there unless it is a minimum already.
+there, and SLSQP has to learn it anew in every frame; SLSQP goes on from what they found, unless
+that is a minimum already.
 
 DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
 weights and starting point only.
@@ -87,11 +87,14 @@ class DescentProblem(NamedTuple):
     Attributes:
         goal: targets and weights.
         start: (m,) where SLSQP is to begin [rad].
+        told: (2,) the objective there, and the largest component of its gradient that the limits
+            leave free, where Newton steps came before; NaN else.
         latched, closure: as the state has them, after this frame.
     """
 
     goal: FrameGoal
     start: Float[Array, " m"]
+    told: Float[Array, "2"]
     latched: Bool[Array, " P"]
     closure: Float[Array, " P"]
 
@@ -136,7 +139,12 @@ class Descent:
             value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
             return jnp.concatenate([value[None], gradient])
 
-        return compiled(both)
+        evaluate = compiled(both)
+        # Compiled with the first frame, though SLSQP may not be needed before the hundredth.
+        count, neutral = len(self.objective.layout.vectors), np.float32(self.hand.neutral)
+        zeros = jnp.zeros((count, 3), jnp.float32), jnp.zeros(count, jnp.float32)
+        evaluate(neutral, FrameGoal(*zeros, jnp.asarray(neutral), jnp.float32(0)))
+        return evaluate
 
     def init(self, seed: int) -> DescentState:
         """Neutral pose, open latches; nothing here is random."""
@@ -159,17 +167,21 @@ class Descent:
             previous,
             jnp.float32(config.velocity_weight),
         )
+        told = jnp.full(2, jnp.nan, jnp.float32)
         if self.config.approach.iterations:
-            limits = self.hand.limits
-            start, _ = newton_minimise(
+            low, high = (jnp.asarray(side, jnp.float32) for side in self.hand.limits.T)
+            start, cost, gradient = newton_minimise(
                 lambda q: self.local.expand(q, goal),
-                jnp.clip(start, limits[:, 0], limits[:, 1]),
-                limits,
+                jnp.clip(start, low, high),
+                self.hand.limits,
                 self.config.approach,
             )
+            free = jnp.clip(start - gradient, low, high) - start
+            told = jnp.stack([cost, jnp.abs(free).max()])
         return DescentProblem(
             goal,
             start,
+            told,
             targets.latched,
             targets.closure,
         )
@@ -177,19 +189,24 @@ class Descent:
     def solve(
         self, state: DescentState, problem: DescentProblem
     ) -> tuple[DescentState, MethodOutput]:
-        """SLSQP; its last word is the best point it has seen."""
+        """SLSQP, unless the start is a minimum; its last word is the best point it has seen."""
         evaluate, goal = self.evaluate, problem.goal
-        found = slsqp_minimise(
-            lambda q: np.asarray(evaluate(q.astype(np.float32), goal)),
-            np.asarray(problem.start),
-            self.hand.limits,
-            self.config.solver,
-        )
-        q = found.x.astype(np.float32)
+        value, steepest = np.asarray(problem.told).tolist()
+        if steepest <= self.config.solver.optimality:
+            x = np.asarray(problem.start, np.float64)
+        else:
+            found = slsqp_minimise(
+                lambda q: np.asarray(evaluate(q.astype(np.float32), goal)),
+                np.asarray(problem.start),
+                self.hand.limits,
+                self.config.solver,
+            )
+            x, value = found.x, found.value
+        q = x.astype(np.float32)
         config = self.config.objective
-        regular = config.pose_weight * ((found.x - self.hand.neutral) ** 2).sum()
-        regular += config.velocity_weight * ((found.x - np.asarray(state.q)) ** 2).sum()
+        regular = config.pose_weight * ((x - self.hand.neutral) ** 2).sum()
+        regular += config.velocity_weight * ((x - np.asarray(state.q)) ** 2).sum()
         after = DescentState(q, problem.latched, problem.closure)
-        if not np.isfinite(found.value):  # finite nowhere: say so, rather than stand still unseen
+        if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
             q = np.full_like(q, np.nan)
-        return after, MethodOutput(q, np.float32(found.value - regular))
+        return after, MethodOutput(q, np.float32(value - regular))

@@ -123,7 +123,9 @@ class Sbr:
                 config.sampling,
                 sigma,
             )
-            return newton_minimise(lambda few: local.expand(few, goal), q, limits, config.polish)
+            return newton_minimise(lambda few: local.expand(few, goal), q, limits, config.polish)[
+                :2
+            ]
 
         if config.settle_rounds > 1:
             q, cost = lax.fori_loop(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from smooth_operator.hands.hand import Hand
 from smooth_operator.sinks.tick import Tick
 from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # the command line names sinks in its help, and that must not import JAX
+    from smooth_operator.hands.hand import Hand
 
 
 class Sink(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -38,12 +38,26 @@ class NewtonConfig:
             raise ConfigError(f"damping needs one or more values >= 0, not {self.damping}")
 
 
+class NewtonResult(NamedTuple):
+    """Where the descent ended.
+
+    Attributes:
+        x: (m,) the best point found.
+        cost: there.
+        gradient: (m,) there.
+    """
+
+    x: Float[Array, " m"]
+    cost: Float[Array, ""]
+    gradient: Float[Array, " m"]
+
+
 def newton_minimise(
     expand: Expansion,
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"],
     config: NewtonConfig,
-) -> tuple[Float[Array, " m"], Float[Array, ""]]:
+) -> NewtonResult:
     """Descend from a start within bounds.
 
     Variables at a bound that the gradient pushes outwards are held; the others take damped Newton
@@ -54,9 +68,6 @@ def newton_minimise(
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
         config: settings; no iterations give the start back.
-
-    Returns:
-        (m,) the best point found and its cost.
     """
     low, high = (jnp.asarray(limits[:, i], start.dtype) for i in (0, 1))
     size = len(limits)
@@ -82,9 +93,10 @@ def newton_minimise(
         return tuple(jnp.where(better, new, old) for new, old in zip(found, carry, strict=True))
 
     if config.iterations == 0:
-        return start, expand(start[None])[0][0]
+        costs, gradients, _ = expand(start[None])
+        return NewtonResult(start, costs[0], gradients[0])
     # Without a gradient the first pass does not move: it only looks at the start. That way the
     # program holds the objective once, and compiles in half the time.
     nothing = (start, jnp.asarray(jnp.inf, start.dtype), jnp.zeros_like(start), identity)
-    q, cost, *_ = jax.lax.fori_loop(0, config.iterations + 1, step, nothing)
-    return q, cost
+    q, cost, gradient, _ = jax.lax.fori_loop(0, config.iterations + 1, step, nothing)
+    return NewtonResult(q, cost, gradient)

@@ -191,7 +191,7 @@ class Prepared:
 
 
 class Glove:
-    """An open simulator.
+    """An open simulator; must be closed, as ``with`` does.
 
     Attributes:
         address: where it listens.
@@ -217,6 +217,12 @@ class Glove:
             ) from error
         self.address: str = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
         self.sent = Sent()
+
+    def __enter__(self) -> Glove:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def run(self, stopping: Stopping | None = None, clock: Clock = time.perf_counter) -> None:
         """Publish until it is to stop, or its time is over. What was done is in ``sent``."""

@@ -54,16 +54,8 @@ class ZmqInbox:
         self._zmq = zmq = load_zmq(feature)
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB if pattern == "sub" else zmq.PULL)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.RCVHWM, _QUEUE)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
-        self._socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS[0])
-        self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MS[1])
-        # Without this a publisher whose machine or cable died is waited for in vain.
-        self._socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
-        if pattern == "sub":
-            self._socket.setsockopt_string(zmq.SUBSCRIBE, topic)
         try:
+            self._set_up(pattern, topic)
             (self._socket.bind if bind else self._socket.connect)(address)
         except zmq.ZMQError as error:
             self.close()
@@ -73,6 +65,18 @@ class ZmqInbox:
             ) from error
         found = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
         self.address = found if bind and found else address
+
+    def _set_up(self, pattern: Pattern, topic: str) -> None:
+        zmq = self._zmq
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.RCVHWM, _QUEUE)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
+        self._socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS[0])
+        self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MS[1])
+        # Without this a publisher whose machine or cable died is waited for in vain.
+        self._socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+        if pattern == "sub":
+            self._socket.setsockopt_string(zmq.SUBSCRIBE, topic)
 
     def receive(self, timeout: float) -> list[Message]:
         """See :class:`~smooth_operator.sources.stream.Inbox`."""
