@@ -325,6 +325,15 @@ def test_an_emergency_stop_does_not_wait_for_the_next_tick(
 # The command
 
 
+def test_a_source_is_told_which_hands_are_wanted() -> None:
+    from smooth_operator.sources.catalogue import build_source
+
+    for text, told in (("synthetic", "left"), ("udp:0", "left"), ("synthetic:seed=1", "both")):
+        assert build_source(text, told).side == told  # type: ignore[arg-type, attr-defined]
+    own = build_source("synthetic:side=right", "left")
+    assert own.side == "right"  # type: ignore[attr-defined]
+
+
 def test_teleop_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     log = tmp_path / "take.mcap"
     arguments = ["--source", "synthetic:rate=60", "--sink", f"record:{log}", "--rate", "60"]

@@ -49,7 +49,7 @@ def calibrate_recording(options: Calibrate) -> None:
         hand = load_hand(options.hand, recording.side, fingers=fingers)
     else:
         hand = load_hand(options.hand, options.side or "right", fingers=fingers)
-        recording, segments = ask(build_source(options.source), hand, progress)
+        recording, segments = ask(build_source(options.source, hand.spec.side), hand, progress)
     with progress.waiting("looking for poses"):
         found = calibrate(recording, hand, segments, apply=apply)
     content = {

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final, cast
+import dataclasses
+from typing import Final, cast, get_type_hints
 
 from smooth_operator.components import Component, build_component
 from smooth_operator.sources.live import LiveSource
+from smooth_operator.sources.stream import Hands
 
 _HERE: Final = "smooth_operator.sources"
 
@@ -28,11 +30,20 @@ SOURCES: Final[dict[str, Component]] = {
 """Word -> source."""
 
 
-def build_source(text: str) -> LiveSource:
+def build_source(text: str, hands: Hands | None = None) -> LiveSource:
     """A source from its text, such as ``replay:glove.npz,speed=2``.
+
+    Args:
+        text: word and settings.
+        hands: which hands are wanted of a source that can be told, and was not told in the text.
 
     Raises:
         UnknownNameError: there is no such source or setting.
         ConfigError: a setting can't be read.
     """
-    return cast(LiveSource, build_component("source", text, SOURCES))
+    made = build_component("source", text, SOURCES)
+    if hands is not None and get_type_hints(type(made)).get("side") == Hands:
+        settings = text.partition(":")[2].split(",")
+        if not any(part.startswith("side=") for part in settings):
+            made = dataclasses.replace(made, side=hands)
+    return cast(LiveSource, made)
