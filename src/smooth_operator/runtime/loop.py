@@ -69,12 +69,18 @@ class TeleopLoop:
         self._commanded: dict[Side, float] = {}
         self._asked: set[Side] = set()  # hands that something was changed of
 
-    def run(self, duration: float | None = None, configuration: Mapping[str, Any] = {}) -> None:
+    def run(
+        self,
+        duration: float | None = None,
+        configuration: Mapping[str, Any] = {},
+        started: Callable[[], None] = lambda: None,
+    ) -> None:
         """Open the sinks, start the source, and loop.
 
         Args:
             duration: [s]; None until :meth:`Controls.quit` or the source's end.
             configuration: resolved, for sinks that keep it.
+            started: called once, when everything is open and before anything moves.
 
         Raises:
             SourceError, SinkError, OutputError, MissingExtraError: something can't be opened; what
@@ -85,6 +91,7 @@ class TeleopLoop:
         try:
             self.source.start(self.mailbox)
             try:
+                started()
                 with self._watchdog():
                     self._loop(duration)
             finally:
