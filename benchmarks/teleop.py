@@ -105,6 +105,10 @@ def main() -> None:
     parser.add_argument("--page", action="store_true")
     parser.add_argument("--method", default="sbr")
     parser.add_argument("--hand", default="mimic_p050")
+    parser.add_argument(
+        "--priority", type=int, default=0,
+        help="niceness of loop and glove, below 0 needs privileges: for a machine that is busy",
+    )  # fmt: skip
     parser.add_argument("--keep", type=Path, help="keep the recording here")
     parser.add_argument("--output", type=Path)
     parser.add_argument("--compare", type=Path)
@@ -174,6 +178,9 @@ def run(
     threading.Thread(target=listen, daemon=True).start()
     glove.start()
     robot.start()
+    if options.priority:
+        for running in (loop, glove.running):
+            os.setpriority(os.PRIO_PROCESS, running.pid if running else 0, options.priority)
     try:
         start = time.monotonic()
         with visitor(options.page, told) as visit:

@@ -73,7 +73,8 @@ class Page:
     """Options of every command that serves a page."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Where the page listens; 0.0.0.0 lets the whole network in, without a password."""
+    """Where the page listens; 0.0.0.0 lets other machines in, which need the token in the address
+    that is printed."""
 
     port: int = 8080
     """First port to try for the page; 0 for any free one."""

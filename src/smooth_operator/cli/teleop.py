@@ -9,14 +9,22 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import FrameType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.keys import keys
 from smooth_operator.cli.teleop_options import Teleop
-from smooth_operator.offline import build_retargeter, live_configuration, request, settle
+from smooth_operator.cli.teleop_page import begun_page, show_page
+from smooth_operator.cli.teleop_task import TaskTrials, with_task
+from smooth_operator.offline import (
+    Request,
+    build_retargeter,
+    live_configuration,
+    request,
+    settle,
+)
 from smooth_operator.recording import to_json
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.runtime.controls import Controls
@@ -25,9 +33,16 @@ from smooth_operator.runtime.pipeline import HandPipeline
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.sinks.catalogue import build_sink
 from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.sink import Sink
 from smooth_operator.sources.catalogue import build_source
+from smooth_operator.sources.live import LiveSource
 from smooth_operator.types import Side
 
+if TYPE_CHECKING:
+    from smooth_operator.ui.live.page import LivePage
+
+_ANNOUNCE_S: Final = 5.0
+"""How long a source may take to say how it is reached [s]."""
 _SWITCH_S: Final = 5e-4
 """How long another thread may keep the interpreter before the loop gets it [s]."""
 
@@ -40,10 +55,9 @@ def teleop(options: Teleop) -> None:
         SystemExit: 1, a sink failed on the way.
         KeyboardInterrupt: Ctrl-C; everything is closed and what it came to is printed.
     """
-    progress = Progressing(options.quiet)
-    config = LoopConfig(options.rate, options.safety, options.limits)
-    source = build_source(options.source)
-    sinks = SinkRunner([build_sink(text) for text in options.sink])
+    LoopConfig(options.rate)  # a mistake is said before anything is opened
+    source = build_source(options.source, options.side)
+    acting = [build_sink(text) for text in with_task(options.sink, options.task)]
     asked = request(
         hand=options.hand,
         method=options.method,
@@ -54,6 +68,22 @@ def teleop(options: Teleop) -> None:
         operator=options.operator,
     )
     sides: tuple[Side, ...] = ("right", "left") if options.side == "both" else (options.side,)
+    with begun_page(options, asked, sides, acting) as page:
+        _drive(options, asked, sides, source, acting, page)
+
+
+def _drive(
+    options: Teleop,
+    asked: Request,
+    sides: tuple[Side, ...],
+    source: LiveSource,
+    acting: Sequence[Sink],
+    page: LivePage | None,
+) -> None:
+    """Compiles, and runs the loop until told to end."""
+    progress = Progressing(options.quiet)
+    config = LoopConfig(options.rate, options.safety, options.limits)
+    sinks = SinkRunner(acting)
     retargeters: dict[Side, Retargeter] = {}
     for side in sides:
         hand, method = settle(asked, side)
@@ -61,33 +91,60 @@ def teleop(options: Teleop) -> None:
             retargeters[side], _ = build_retargeter(hand, method, options.seed)
     pipelines = {side: HandPipeline(built, config) for side, built in retargeters.items()}
     loop = TeleopLoop(pipelines, source, sinks, config)
+    show_page(page, loop, asked, acting, options, progress)
     configuration = live_configuration(
         "teleop",
         asked,
         {side: built.config for side, built in retargeters.items()},
         source=source,
-        sinks=options.sink,
+        sinks=with_task(options.sink, options.task),
         loop=config,
     )
+    trials = TaskTrials(options, acting, sides, progress)
     started = time.perf_counter()
     where = ", ".join(sink.label for sink in sinks.health()) or "no sink"
     progress.note(f"from {source.label} to {where}")
     with (
         _attentive(),
         _interrupts(loop.controls) as interrupted,
-        _keyboard(loop.controls, progress),
+        _keyboard(loop.controls, progress, trials),
         _remote(loop, options.control, progress),
     ):
-        loop.run(options.duration, configuration)
+
+        def opened() -> None:
+            _announce(source, progress)
+            trials.begin()
+
+        loop.run(options.duration, configuration, started=opened)
     seconds = time.perf_counter() - started
-    _report(options, loop, seconds, progress)
+    trials.end()
+    _report(options, loop, seconds, progress, trials.summary())
     if interrupted.is_set():
         raise KeyboardInterrupt
     if any(sink.failed for sink in sinks.report()):
         raise SystemExit(1)
 
 
-def _report(options: Teleop, loop: TeleopLoop, seconds: float, progress: Progressing) -> None:
+def _announce(source: LiveSource, progress: Progressing) -> None:
+    """What the operator has to do before frames come: where to connect, with which code."""
+
+    def tell() -> None:
+        end = time.monotonic() + _ANNOUNCE_S
+        while not (health := source.health()).detail and time.monotonic() < end:
+            time.sleep(0.1)
+        if health.detail:
+            progress.note(f"{source.label}: {health.detail}", matters=health.state != "running")
+
+    threading.Thread(target=tell, daemon=True).start()
+
+
+def _report(
+    options: Teleop,
+    loop: TeleopLoop,
+    seconds: float,
+    progress: Progressing,
+    more: dict[str, Any],
+) -> None:
     """What the run came to."""
     summary: dict[str, Any] = {
         "duration_s": seconds,
@@ -99,6 +156,7 @@ def _report(options: Teleop, loop: TeleopLoop, seconds: float, progress: Progres
         },
         "source": loop.source.health(),
         "sinks": loop.sinks.report(),
+        **more,
     }
     if options.json:
         print(json.dumps(json.loads(to_json(summary))))
@@ -169,7 +227,7 @@ def _remote(loop: TeleopLoop, address: str | None, progress: Progressing) -> Ite
 
 
 @contextlib.contextmanager
-def _keyboard(controls: Controls, progress: Progressing) -> Iterator[None]:
+def _keyboard(controls: Controls, progress: Progressing, trials: TaskTrials) -> Iterator[None]:
     stopped, paused = False, False
 
     def stop() -> None:
@@ -184,7 +242,7 @@ def _keyboard(controls: Controls, progress: Progressing) -> Iterator[None]:
         (controls.pause if paused else controls.resume)()
         progress.note("paused; p resumes" if paused else "resumed", matters=True)
 
-    with keys({" ": stop, "p": pause, "q": controls.quit}) as there:
+    with keys({" ": stop, "p": pause, "q": controls.quit, **trials.keys}) as there:
         if there:
-            progress.note("space: emergency stop   p: pause   q: end")
+            progress.note("space: emergency stop   p: pause   q: end" + trials.words)
         yield

@@ -15,3 +15,4 @@ from smooth_operator.offline.plan import live_configuration as live_configuratio
 from smooth_operator.offline.plan import plan as plan
 from smooth_operator.offline.plan import request as request
 from smooth_operator.offline.plan import settle as settle
+from smooth_operator.offline.plan import settled_config as settled_config

@@ -149,6 +149,17 @@ def settle(
         UnknownNameError, HandModelError, ConfigError, RecordingError: as :func:`plan`.
     """
     robot = load_hand(asked.hand, side, fingers=asked.fingers)
+    return robot, settled_config(asked, robot, recording)
+
+
+def settled_config(
+    asked: Request, robot: Hand, recording: HandRecording | None = None
+) -> MethodConfig:
+    """The configuration that is asked for, scale and operator in their place, of a loaded hand.
+
+    Raises:
+        ConfigError, RecordingError: as :func:`plan`.
+    """
     config = asked.config
     if asked.operator is not None:
         asked.operator.check(robot)
@@ -168,7 +179,7 @@ def settle(
         # What the user says of the scale goes before what the calibration found.
         operator = None if operator is None else operator.without("scale")
         config = aligned_by(config, scale=fixed, operator=operator)
-    return robot, config
+    return config
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:

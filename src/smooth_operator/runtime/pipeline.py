@@ -32,6 +32,7 @@ class HandPipeline:
     Attributes:
         supervisor: mode and policies.
         limiter: what was last commanded.
+        seen: the last frame that was not refused, in a pause or an emergency stop, too.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class HandPipeline:
         self._delay = TrackerDelay()
         self._last: float | None = None
         self._number = 0
+        self.seen: Arrival | None = None
 
     @property
     def mode_now(self) -> Mode:
@@ -107,8 +109,9 @@ class HandPipeline:
                 events.append(f"frame refused: {why}")
                 arrival = None
             elif not self.supervisor.listens:
-                arrival = None
+                self.seen, arrival = arrival, None
             else:
+                self.seen = arrival
                 result, stages = self._answer(arrival, now)
                 if result.status != Status.OK:
                     events.append(f"frame not used: {result.status.reason}")

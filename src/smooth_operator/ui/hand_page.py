@@ -30,7 +30,7 @@ class HandPage:
     Args:
         hand: the robot hand.
         notes: Markdown to put first in the panel.
-        host: address to listen on; there is no password.
+        host: address to listen on; another than this machine's own wants the token in the URL.
         port: first port to try; 0 for any free one.
     """
 
@@ -89,7 +89,7 @@ class HandPage:
         """
         if self._server is None:
             raise ConfigError("the page is not being served; call start() first")
-        return page_url(self._host, int(self._server.get_port()))
+        return page_url(self._host, self._server)
 
     @property
     def joint_positions(self) -> Float[np.ndarray, " m"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,6 @@ from jaxtyping import Bool, Float, UInt8
 
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
 from smooth_operator.ui.palette import HIGHLIGHT, PALM, finger_colors, linear
-from smooth_operator.ui.playback import Playback
 
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]
@@ -25,15 +25,14 @@ class HumanView:
 
     Args:
         scene: where to draw.
-        playback: what to draw.
+        tips: (F,) landmarks of the fingertips that drive the robot, thumb first.
         root: name of the parent node, which places the whole hand.
     """
 
-    def __init__(self, scene: viser.SceneApi, playback: Playback, root: str) -> None:
-        self._human = playback.human
-        self._tips = np.array(playback.human_tips)
+    def __init__(self, scene: viser.SceneApi, tips: Sequence[int], root: str) -> None:
+        self._tips = np.array(tips)
         self._colors = np.tile(np.array(PALM, np.uint8), (NUM_LANDMARKS, 1))
-        palette = finger_colors(len(playback.fingers))
+        palette = finger_colors(len(tips))
         for tip, color in zip(self._tips, palette, strict=True):
             self._colors[tip - 3 : tip + 1] = color  # a finger's four landmarks end at its tip
         self._colors[WRIST] = PALM
@@ -67,16 +66,15 @@ class HumanView:
             lod="off",
         )
 
-    def draw(self, frame: int, pinched: Bool[np.ndarray, " G"]) -> None:
+    def draw(self, landmarks: Float[np.ndarray, "21 3"], pinched: Bool[np.ndarray, " G"]) -> None:
         """Show one frame.
 
         Args:
-            frame: index of the frame.
+            landmarks: (21, 3) [m]; NaN where there is none.
             pinched: (F-1,) which fingers pinch with the thumb; their tips are lit up and grow.
         """
-        points = self._human[frame]
-        seen = np.isfinite(points).all(axis=-1)
-        points = np.where(seen[:, None], points, 0.0)
+        seen = np.isfinite(landmarks).all(axis=-1)
+        points = np.where(seen[:, None], landmarks, 0.0)
         lit = lit_tips(pinched)
         radii, colors = self._radii.copy(), self._colors.copy()
         radii[self._tips[lit]], colors[self._tips[lit]] = _PINCHED, HIGHLIGHT
@@ -103,6 +101,12 @@ def keyvector_colors(fingers: int, pinched: Bool[np.ndarray, " G"]) -> UInt8[np.
     """(F-1, 2, 3) linear colours of the thumb-to-tip lines: the finger's own, or the highlight."""
     colors = np.where(pinched[:, None], np.array(HIGHLIGHT), finger_colors(fingers)[1:])
     return np.repeat(linear(colors)[:, None], 2, axis=1)
+
+
+def thumb_lines(tips: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "G 2 3"]:
+    """(F-1, 2, 3) from the thumb's tip to each other; to one that is missing, of no length."""
+    lines = np.stack([np.broadcast_to(tips[0], tips[1:].shape), tips[1:]], axis=1)
+    return np.where(np.isfinite(lines).all(axis=(1, 2), keepdims=True), lines, 0.0)
 
 
 def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:

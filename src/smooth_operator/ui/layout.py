@@ -57,14 +57,35 @@ class Layout:
         Returns:
             (3,) position and (3,) look-at point in the model's world frame [m].
         """
-        tangent = np.tan(FOV / 2)
-        free = 1.0 - covered
-        width, height = self.half
-        distance = _MARGIN * max(height / (free * tangent), width / (aspect * tangent))
-        # the free part's middle is covered / 2 of a canvas height above the canvas's middle
-        target = self.centre - self.up * covered * distance * tangent
-        direction = self.toward + np.tan(_TILT) * (0.6 * self.right + self.up)
-        return target + distance * direction / np.linalg.norm(direction), target
+        axes = np.stack([self.right, self.up, self.toward])
+        return camera_for(axes, self.centre, self.half, aspect, covered)
+
+
+def camera_for(
+    axes: Float[np.ndarray, "3 3"],
+    centre: Float[np.ndarray, "3"],
+    half: tuple[float, float],
+    aspect: float,
+    covered: float = 0.0,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Position and look-at point of a camera that shows a whole picture.
+
+    Args:
+        axes: (3, 3) rows: the picture's right, up and toward the viewer.
+        centre: its middle [m].
+        half: its half width and half height [m].
+        aspect: width / height of the canvas.
+        covered: share of the canvas height, from below, that controls cover.
+    """
+    right, up, toward = axes
+    tangent = np.tan(FOV / 2)
+    free = 1.0 - covered
+    width, height = half
+    distance = _MARGIN * max(height / (free * tangent), width / (aspect * tangent))
+    # the free part's middle is covered / 2 of a canvas height above the canvas's middle
+    target = centre - up * covered * distance * tangent
+    direction = toward + np.tan(_TILT) * (0.6 * right + up)
+    return target + distance * direction / np.linalg.norm(direction), target
 
 
 def plan(playback: Playback, robot_points: Float[np.ndarray, "N 3"]) -> Layout:
@@ -127,13 +148,22 @@ def view_axes(
         if tips.shape[1] == 2:  # a gripper: thumb against finger
             across = np.eye(3)[np.abs(up).argmin()]
         bent = (tips[:, 0] - wrist).mean(axis=0)
-    # models are built along their axes: a forearm that leans 10 degrees looks like a mistake
     up = _snap(_unit(up, np.array([0.0, 0.0, 1.0])))
-    toward = _snap(_unit(np.cross(up, across), np.eye(3)[np.abs(up).argmin()]))
-    toward = _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
+    up, toward = upright(up, _unit(np.cross(up, across), np.eye(3)[np.abs(up).argmin()]))
     if toward @ bent < 0:
         toward = -toward
     return np.cross(up, toward), up, toward
+
+
+def upright(
+    up: Float[np.ndarray, "3"], toward: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Up and toward the viewer, at right angles, along the model's axes where those are near.
+
+    Models are built along their axes: a forearm that leans 10 degrees looks like a mistake.
+    """
+    up, toward = _snap(up), _snap(toward)
+    return up, _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
 
 
 def _unit(

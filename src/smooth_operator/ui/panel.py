@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
-from typing import Any, Protocol
+from typing import Protocol
 
 import viser
 from viser import uplot
 
+from smooth_operator.ui.callbacks import asked
 from smooth_operator.ui.palette import css, finger_colors
 from smooth_operator.ui.playback import Playback
 from smooth_operator.ui.readout import WINDOW, GapPlot, legend, metrics_table, status_line
@@ -77,18 +77,18 @@ class Panel:
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         gui.add_html(legend(playback))
 
-        self._play.on_click(_asked(lambda _: controls.toggle()))
-        self._slider.on_update(_asked(lambda event: controls.scrub(event.target.value)))
-        step.on_click(_asked(lambda event: controls.step(int(event.target.value))))
-        speed.on_update(_asked(lambda event: controls.set_speed(event.target.value)))
-        looping.on_update(_asked(lambda event: controls.set_loop(event.target.value)))
-        overlay.on_update(_asked(lambda event: controls.set_overlay(event.target.value)))
-        vectors.on_update(_asked(lambda event: controls.set_keyvectors(event.target.value)))
-        view.on_click(_asked(lambda event: controls.aim(event.client)))
+        self._play.on_click(asked(lambda _: controls.toggle()))
+        self._slider.on_update(asked(lambda event: controls.scrub(event.target.value)))
+        step.on_click(asked(lambda event: controls.step(int(event.target.value))))
+        speed.on_update(asked(lambda event: controls.set_speed(event.target.value)))
+        looping.on_update(asked(lambda event: controls.set_loop(event.target.value)))
+        overlay.on_update(asked(lambda event: controls.set_overlay(event.target.value)))
+        vectors.on_update(asked(lambda event: controls.set_keyvectors(event.target.value)))
+        view.on_click(asked(lambda event: controls.aim(event.client)))
         # letters, not space and arrows: those also press the button or slider that has the focus
-        gui.add_command("Play / pause", hotkey="K").on_trigger(_asked(lambda _: controls.toggle()))
-        gui.add_command("Step back", hotkey="J").on_trigger(_asked(lambda _: controls.step(-1)))
-        gui.add_command("Step forward", hotkey="L").on_trigger(_asked(lambda _: controls.step(1)))
+        gui.add_command("Play / pause", hotkey="K").on_trigger(asked(lambda _: controls.toggle()))
+        gui.add_command("Step back", hotkey="J").on_trigger(asked(lambda _: controls.step(-1)))
+        gui.add_command("Step forward", hotkey="L").on_trigger(asked(lambda _: controls.step(1)))
         self._build_side_panel(gui)
 
     def show_frame(self, frame: int) -> None:
@@ -142,17 +142,3 @@ class Panel:
             for name, color in list(zip(fingers, colors, strict=True))[1:]
         ]  # fmt: skip
         return (uplot.Series(label="time"), *human, *robot)
-
-
-def _asked(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-    """Wrap an action as a callback that answers people only.
-
-    Handles also call back when the player itself writes a value; such events have no client.
-    Coroutines run in order on the server's event loop, plain functions in a pool without order.
-    """
-
-    async def callback(event: Any) -> None:
-        if event.client is not None:
-            action(event)
-
-    return callback

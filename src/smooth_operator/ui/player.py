@@ -30,8 +30,8 @@ class PlaybackServer:
 
     Args:
         playback: what to show.
-        host: address to listen on. The default is reachable from this machine only; there is no
-            password, so anyone who can reach the address can watch and steer.
+        host: address to listen on. The default is reachable from this machine only; any other
+            wants the token that is in :attr:`url`.
         port: first port to try; the next free one is taken, see :attr:`url`. 0: any free one.
         loop: start over at the end.
     """
@@ -117,7 +117,9 @@ class PlaybackServer:
     @property
     def url(self) -> str:
         """Address of the page."""
-        return page_url(self._host, self.port)
+        if self._server is None:
+            raise ConfigError("the playback server is not running; call start() first")
+        return page_url(self._host, self._server)
 
     @property
     def frame(self) -> int:

@@ -7,26 +7,44 @@ import os
 import sys
 import webbrowser
 from collections.abc import Iterator
+from typing import Final
+from weakref import WeakKeyDictionary
 
 import rich
 import viser
 
+from smooth_operator.errors import ConfigError
+from smooth_operator.sources.webxr.addresses import lan_addresses
+from smooth_operator.ui.gate import gate_for, guarded
 from smooth_operator.ui.ports import free_port
+
+_TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
 
 
 def open_server(host: str, port: int) -> viser.ViserServer:
     """A server on the first free port, without a word on standard output.
+
+    Where other machines can reach it, it wants the token that is in :func:`page_url`.
 
     Args:
         host: address to listen on.
         port: first port to try; 0 for any free one.
 
     Raises:
-        ConfigError: if the address is not one of this machine's, or no port is free.
+        ConfigError: if the address is not one of this machine's, no port is free, or this release
+            of viser can't be made to ask for the token.
     """
-    port = free_port(host, port)
-    with _quiet_viser():
-        return viser.ViserServer(host=host, port=port, verbose=False)
+    port, gate = free_port(host, port), gate_for(host)
+    with _quiet_viser(), guarded(gate):
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    if gate.token is not None and not gate.guarding:
+        close_server(server)
+        raise ConfigError(
+            f"viser {viser.__version__} can't be made to ask for a token, so the page is not "
+            f"served to other machines on {host!r}; use --host 127.0.0.1, or install viser 1.1"
+        )
+    _TOKENS[server] = gate.token
+    return server
 
 
 def close_server(server: viser.ViserServer) -> None:
@@ -35,10 +53,19 @@ def close_server(server: viser.ViserServer) -> None:
         server.stop()
 
 
-def page_url(host: str, port: int) -> str:
-    """Address of a page for a browser on this machine."""
-    host = "localhost" if host in ("0.0.0.0", "::") else host
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+def page_url(host: str, server: viser.ViserServer) -> str:
+    """Address of a page, its token included.
+
+    Args:
+        host: that it listens on; for all addresses of this machine, the one that leads to its
+            network is named, which works here, too.
+        server: of :func:`open_server`.
+    """
+    port, token = int(server.get_port()), _TOKENS.get(server)
+    if host in ("0.0.0.0", "::"):
+        host = next(iter(lan_addresses()), "localhost")
+    base = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    return base if token is None else f"{base}/?token={token}"
 
 
 def open_page(url: str) -> None:

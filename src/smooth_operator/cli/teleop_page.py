@@ -1,0 +1,59 @@
+"""The page of ``smooth-operator teleop``: begun early, shown when there is something to show."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.offline import Request
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.sinks.sink import Sink
+from smooth_operator.types import Side
+
+if TYPE_CHECKING:
+    from smooth_operator.ui.live.page import LivePage
+
+
+@contextlib.contextmanager
+def begun_page(
+    options: Teleop, asked: Request, sides: tuple[Side, ...], acting: Sequence[Sink]
+) -> Iterator[LivePage | None]:
+    """The page's process, which gets ready while the method is compiled; None if it is left out."""
+    if options.no_view:
+        yield None
+        return
+    from smooth_operator.ui.live.page import LivePage, PageSetup
+
+    simulated = any(hasattr(sink, "state") for sink in acting)
+    setup = PageSetup(asked.hand, sides, asked.fingers, options.host, options.port, simulated)
+    with LivePage(setup) as page:
+        yield page
+
+
+def show_page(
+    page: LivePage | None,
+    loop: TeleopLoop,
+    asked: Request,
+    acting: Sequence[Sink],
+    options: Teleop,
+    progress: Progressing,
+) -> None:
+    """Have the page show a loop that is about to run, and open it.
+
+    Raises:
+        ConfigError: it can't be served there.
+    """
+    if page is None:
+        return
+    from smooth_operator.ui.live.session import LiveSession
+    from smooth_operator.ui.viser_server import open_page
+
+    session = LiveSession(loop, asked, acting)
+    loop.watch = session.watch
+    url = page.serve(session)
+    progress.note(f"page: {url}", matters=True)
+    if not options.no_browser:
+        open_page(url)

@@ -1,0 +1,148 @@
+"""Who may open a page and steer by it: a token for other machines, this machine's own pages here.
+
+viser listens, serves its files and speaks over a WebSocket, and asks nobody for anything. On this
+machine alone that leaves one way in, other web pages that the same browser has open: they may
+connect to a local WebSocket, and only the ``Origin`` tells them apart. Where other machines can
+reach the page, whoever opens it must know the token.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import http
+import ipaddress
+import secrets
+import threading
+from collections.abc import Callable, Iterator
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+from viser.infra import _infra
+
+_COOKIE: Final = "smooth-operator-page"
+_LOCAL_NAMES: Final = ("localhost", "127.0.0.1", "::1")
+_PATCHING = threading.Lock()
+
+
+class Gate:
+    """Looks at the first request of every connection, of the page and of its WebSocket.
+
+    With a token, the page's address holds it once; the answer is a cookie and the address without
+    it. A program may give the token in the WebSocket's address.
+
+    Args:
+        token: what to ask for; None where only this machine can connect.
+    """
+
+    def __init__(self, token: str | None) -> None:
+        self.token = token
+        self.guarding = False
+
+    def __call__(self, connection: Any, request: Any) -> Any:
+        """A response that refuses or redirects; None to let the request pass."""
+        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+            return connection.respond(
+                http.HTTPStatus.FORBIDDEN, "this page may not be used from another one\n"
+            )
+        if self.token is None:
+            if (_name_of(host) or "") in _LOCAL_NAMES or _is_loopback(_name_of(host)):
+                return None
+            # A name that an attacker points at this machine is same-origin to their own page.
+            return connection.respond(
+                http.HTTPStatus.FORBIDDEN, "open this page as http://localhost\n"
+            )
+        name = f"{_COOKIE}-{connection.local_address[1]}"  # cookies know no ports
+        if self._knows(_cookie(request.headers.get("Cookie", ""), name)):
+            return None
+        url = urlsplit(request.path)
+        if not self._knows(parse_qs(url.query).get("token", [""])[0]):
+            return connection.respond(
+                http.HTTPStatus.UNAUTHORIZED,
+                "this page needs its token: open the whole address that the terminal shows\n",
+            )
+        if request.headers.get("Upgrade", "").lower() == "websocket":
+            return None
+        response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
+        response.headers["Location"] = "/"  # so that the token stays in no history
+        response.headers["Set-Cookie"] = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Lax"
+        response.headers["Cache-Control"] = "no-store"
+        response.headers["Referrer-Policy"] = "no-referrer"
+        return response
+
+    def _knows(self, given: str) -> bool:
+        assert self.token is not None
+        return hmac.compare_digest(given.encode(), self.token.encode())
+
+
+def gate_for(host: str) -> Gate:
+    """The gate for a page that listens on ``host``: a token unless only this machine reaches it."""
+    local = host == "localhost" or _is_loopback(host)
+    return Gate(None if local else secrets.token_urlsafe(24))
+
+
+@contextlib.contextmanager
+def guarded(gate: Gate) -> Iterator[None]:
+    """Servers of viser that are started within ask the gate first; see :attr:`Gate.guarding`.
+
+    viser has no place for such a question, so the function that it starts its server by is
+    wrapped, for viser alone, while it starts.
+    """
+    with _PATCHING:
+        viser: Any = _infra
+        plain = viser.websockets
+        server = plain.asyncio.server
+        asking = _Module(server, serve=_asking(gate, server.serve))
+        viser.websockets = _Module(plain, asyncio=_Module(plain.asyncio, server=asking))
+        try:
+            yield
+        finally:
+            viser.websockets = plain
+
+
+class _Module:
+    """A module with some names replaced."""
+
+    def __init__(self, module: Any, **replaced: Any) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+def _asking(gate: Gate, serve: Callable[..., Any]) -> Callable[..., Any]:
+    def guarded_serve(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        gate.guarding = True
+        return serve(
+            *args,
+            process_request=lambda c, r: gate(c, r) or process_request(c, r),
+            **options,
+        )
+
+    return guarded_serve
+
+
+def _cookie(header: str, name: str) -> str:
+    try:
+        found = SimpleCookie(header).get(name)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value
+
+
+def _name_of(host: str) -> str | None:
+    """The name in a ``Host`` header, without its port."""
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:
+        return None
+
+
+def _is_loopback(host: str | None) -> bool:
+    try:
+        return ipaddress.ip_address(host or "").is_loopback
+    except ValueError:
+        return False

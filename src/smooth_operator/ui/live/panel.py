@@ -1,0 +1,209 @@
+"""The controls of the live page; each tells the loop's process what was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import viser
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.types import Side
+from smooth_operator.ui.callbacks import asked
+from smooth_operator.ui.live import words
+from smooth_operator.ui.live.config_controls import ConfigControls
+from smooth_operator.ui.live.link import Link
+from smooth_operator.ui.live.scene import LiveScene
+
+_UNKNOWN: Final = -1
+_BIG: Final = (
+    "<style>button:has(.icon-tabler-hand-stop) {height: 3.2em !important; "
+    "font-size: 1.25em !important; font-weight: 700}</style>"
+)
+"""viser has buttons of one size; this one is told by its sign."""
+
+
+class LivePanel:
+    """Builds the controls and shows what the loop tells.
+
+    Args:
+        server: where to build.
+        hands: side -> robot hand.
+        link: to the loop's process.
+        scene: whose switches stand in the panel.
+        download: has the configuration sent to the browser.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        hands: Mapping[Side, Hand],
+        link: Link,
+        scene: LiveScene,
+        download: Callable[[], None],
+    ) -> None:
+        self._link, self._scene, self._hands = link, scene, hands
+        self.fields_number = _UNKNOWN
+        self._operators: Mapping[str, Any] | None = None
+        self._paused = False
+        gui = server.gui
+        hand = next(iter(hands.values()))
+        gui.set_panel_label(hand.name)
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        self._build_main(gui, hand)
+        panel = gui.add_panel()
+        with panel.add_tab("Timing", icon=viser.Icon.CLOCK):
+            self._timing = gui.add_html("")
+        with panel.add_tab("Method", icon=viser.Icon.ADJUSTMENTS):
+            self._build_method(gui, download)
+        with panel.add_tab("Calibrate", icon=viser.Icon.HAND_FINGER):
+            self._build_calibration(gui)
+        with panel.add_tab("View", icon=viser.Icon.EYE):
+            self._build_view(gui)
+        gui.main_panel.dock_right()
+        panel.dock_below(gui.main_panel)
+
+    def show(self, seen: Mapping[str, Any]) -> None:
+        """Show what :meth:`smooth_operator.ui.live.session.LiveSession.look` gave."""
+        self._modes.content = words.modes(seen["hands"])
+        self._show_calibration(seen["calibration"])
+        if "status" in seen:
+            self._summary.content = words.summary(seen["status"])
+            self._timing.content = words.timing(seen["status"])
+            self._show_controls(seen["controls"])
+
+    # -- building -----------------------------------------------------------------------------
+
+    def _build_main(self, gui: viser.GuiApi, hand: Hand) -> None:
+        do = self._link.do
+        self._stop = gui.add_button(
+            "EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP, hint="key X"
+        )
+        self._release = gui.add_button(
+            "Release the stop", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
+        )
+        gui.add_html(_BIG)
+        self._modes = gui.add_html(words.modes({}))
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="key P")
+        self._record = gui.add_button(
+            "Record", color="gray", icon=viser.Icon.PLAYER_RECORD, hint="key R"
+        )
+        self._summary = gui.add_html("")
+        self._notice = gui.add_html("")
+        gui.add_html(words.legend(hand.fingers, self._scene.simulated))
+        self._stop.on_click(asked(lambda _: do("stop")))
+        self._release.on_click(asked(lambda _: do("release")))
+        self._pause.on_click(asked(lambda _: self._toggle_pause()))
+        self._record.on_click(asked(lambda _: do("record")))
+        # letters, not space: that also presses the button that has the focus
+        gui.add_command("Emergency stop", hotkey="X").on_trigger(asked(lambda _: do("stop")))
+        gui.add_command("Pause / resume", hotkey="P").on_trigger(
+            asked(lambda _: self._toggle_pause())
+        )
+        gui.add_command("Record / end the recording", hotkey="R").on_trigger(
+            asked(lambda _: do("record"))
+        )
+
+    def _build_method(self, gui: viser.GuiApi, download: Callable[[], None]) -> None:
+        do = self._link.do
+        self._method = gui.add_dropdown("Method", ("sbr",))
+        self._preset = gui.add_dropdown("Preset", ("realtime",))
+        save = gui.add_button(
+            "Save configuration", color="gray", icon=viser.Icon.DOWNLOAD, hint="as JSON"
+        )
+        self._method.on_update(asked(lambda event: do("method", event.target.value)))
+        self._preset.on_update(
+            asked(lambda event: do("method", self._method.value, event.target.value))
+        )
+        save.on_click(asked(lambda _: download()))
+        self._settings = ConfigControls(
+            gui, "Settings of the method", lambda path, value: do("set", path, value), expanded=True
+        )
+        self._limits = ConfigControls(
+            gui, "Safety and limits", lambda path, value: do("set_loop", path, value), expanded=True
+        )
+
+    def _build_calibration(self, gui: viser.GuiApi) -> None:
+        do = self._link.do
+        self._prompt = gui.add_html("")
+        self._progress = gui.add_progress_bar(0.0, visible=False)
+        self._begin = [
+            (gui.add_button(f"Calibrate the {side} hand", icon=viser.Icon.HAND_FINGER), side)
+            for side in self._hands
+        ]
+        self._cancel = gui.add_button("Cancel", color="gray", visible=False)
+        self._use = gui.add_button("Use it", color="green", visible=False)
+        self._save = gui.add_button("Save operator.json", color="gray", visible=False)
+        self._drop = [
+            (gui.add_button(f"Drop the calibration ({side})", color="gray", visible=False), side)
+            for side in self._hands
+        ]
+        for button, side in self._begin:
+            button.on_click(asked(self._for_side("calibrate", side)))
+        for button, side in self._drop:
+            button.on_click(asked(self._for_side("drop_operator", side)))
+        self._cancel.on_click(asked(lambda _: do("cancel_calibration")))
+        self._use.on_click(asked(lambda _: do("use_operator")))
+        self._save.on_click(asked(lambda _: do("save_operator")))
+
+    def _build_view(self, gui: viser.GuiApi) -> None:
+        scene = self._scene
+        overlay = gui.add_checkbox("Overlay", False, hint="human inside robot")
+        vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
+        overlay.on_update(asked(lambda event: scene.set_overlay(event.target.value)))
+        vectors.on_update(asked(lambda event: scene.set_keyvectors(event.target.value)))
+        if scene.simulated:
+            ghost = gui.add_checkbox("Simulated hand", True, hint="see-through, where it is")
+            ghost.on_update(asked(lambda event: scene.set_simulated(event.target.value)))
+        view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
+        view.on_click(asked(lambda event: scene.aiming.aim(event.client)))
+
+    # -- showing ------------------------------------------------------------------------------
+
+    def _for_side(self, name: str, side: Side) -> Callable[[Any], None]:
+        return lambda _: self._link.do(name, side)
+
+    def _toggle_pause(self) -> None:
+        self._link.do("resume" if self._paused else "pause")
+
+    def _show_controls(self, controls: Mapping[str, Any]) -> None:
+        self._notice.content = words.notice(controls)
+        self._release.visible = controls["stopped"]
+        self._paused = controls["paused"]
+        self._pause.label = "Resume" if self._paused else "Pause"
+        self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
+        self._record.label = "End the recording" if controls["recording"] else "Record"
+        if controls["operators"] != self._operators:
+            self._operators = controls["operators"]
+            self._scene.set_operators(controls["operators"])
+        for button, side in self._drop:
+            button.visible = controls["operators"].get(side) is not None
+        if "fields" in controls:
+            self.fields_number = controls["fields_number"]
+            presets = controls["presets"]
+            _choose(self._method, list(presets), controls["method"])
+            _choose(self._preset, presets[controls["method"]], controls["preset"])
+            self._settings.show(controls["fields"])
+            self._limits.show(controls["loop_fields"])
+
+    def _show_calibration(self, state: Mapping[str, Any]) -> None:
+        phase = state["phase"]
+        running = phase in ("settle", "hold", "wait")
+        self._prompt.content = words.calibration(state)
+        self._progress.visible = running
+        if running:
+            self._progress.value = 100 * state["done"]  # type: ignore[misc]  # it has a setter
+        for button, _ in self._begin:
+            button.visible = phase == "idle"
+        self._cancel.visible = running
+        found = phase == "idle" and bool(state["figures"])
+        self._use.visible = self._save.visible = found
+
+
+def _choose(dropdown: Any, options: list[str], value: str) -> None:
+    """Set a dropdown's options and its choice; a file that stands for a preset is one more."""
+    options = options if value in options else [*options, value]
+    if tuple(dropdown.options) != tuple(options):
+        dropdown.options = tuple(options)
+    if dropdown.value != value:
+        dropdown.value = value

@@ -1,0 +1,120 @@
+"""The process of the page: ``python -m smooth_operator.ui.live.process``, started by the loop's."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from typing import Any, Final
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.ui.live.link import Link, LoopEnded
+from smooth_operator.ui.live.pace import Pace
+from smooth_operator.ui.live.panel import LivePanel
+from smooth_operator.ui.live.scene import LiveScene
+from smooth_operator.ui.viser_server import close_server, open_server, page_url
+
+_TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
+_IDLE_S: Final = 0.5  # while nobody watches
+_NICE: Final = 5
+"""The loop goes first; the page still gets its share on a busy machine."""
+
+
+def main() -> None:
+    """Serves the page until the loop's process closes the pipe."""
+    # What a library prints must not get between the messages.
+    outgoing = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    # viser warns of each message to a browser that has just left, which happens
+    warnings.filterwarnings("ignore", message="Queued a", category=UserWarning)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the loop's process decides
+    if hasattr(os, "nice"):
+        with contextlib.suppress(OSError):
+            os.nice(_NICE)
+    link = Link(sys.stdin.buffer, outgoing)
+    with contextlib.suppress(LoopEnded):
+        try:
+            page = _Page(link.hear(), link)
+        except SmoothOperatorError as error:
+            link.say({"failed": str(error)})
+            return
+        try:
+            page.run()
+        finally:
+            page.close()
+
+
+class _Page:
+    """Scene and panel on a server, drawn by one thread."""
+
+    def __init__(self, setup: dict[str, Any], link: Link) -> None:
+        self._link = link
+        self._wake = threading.Event()
+        self._configuration_wanted = False
+        hands = {
+            side: load_hand(setup["hand"], side, fingers=setup["fingers"])
+            for side in setup["sides"]
+        }
+        self._server = open_server(setup["host"], setup["port"])
+        with self._server.atomic():
+            if not setup["details"]:
+                self._server.scene.configure_environment_map(None)
+            self._scene = LiveScene(self._server, hands, setup["simulated"])
+            self._panel = LivePanel(self._server, hands, link, self._scene, self.download)
+        self._server.on_client_connect(self._greet)
+        self._server.on_client_disconnect(self._forget)
+        self._pace = Pace(self._server)
+        link.say({"url": page_url(setup["host"], self._server)})
+
+    def run(self) -> None:
+        """Draw until the loop ends."""
+        next_text = 0.0
+        while True:
+            begun = time.monotonic()
+            watched = bool(self._server.get_clients())
+            wanted, self._configuration_wanted = self._configuration_wanted, False
+            text = watched and begun >= next_text
+            seen = self._link.look(
+                text=text, fields=self._panel.fields_number, configuration=wanted
+            )
+            if watched:
+                with self._server.atomic():
+                    self._scene.draw(seen["hands"])
+                    self._panel.show(seen)
+                self._server.flush()
+            if wanted:
+                self._server.send_file_download(
+                    "configuration.json", seen["configuration"].encode(), save_immediately=True
+                )
+            if text:
+                next_text = begun + _TEXT_S
+            spent = time.monotonic() - begun
+            # At most half of a core, whatever the machine: a slow one draws less often.
+            self._wake.wait(max(self._pace.period - spent, spent) if watched else _IDLE_S)
+            self._wake.clear()
+
+    def download(self) -> None:
+        """Have the configuration sent to whoever watches."""
+        self._configuration_wanted = True
+        self._wake.set()
+
+    def close(self) -> None:
+        """Close the port."""
+        self._pace.stop()
+        close_server(self._server)
+
+    async def _greet(self, client: Any) -> None:
+        self._scene.aiming.greet(client)
+        self._wake.set()
+
+    async def _forget(self, client: Any) -> None:
+        self._scene.aiming.forget(client)
+
+
+if __name__ == "__main__":
+    main()

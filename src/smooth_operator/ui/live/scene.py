@@ -1,0 +1,270 @@
+"""Both sides' hands on the page: human, robot at its command, simulated robot, keyvectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    palm_alignment,
+    reference_landmarks,
+)
+from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.human.operator import FingerProfile, OperatorProfile
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.types import Side
+from smooth_operator.ui.aiming import Aiming
+from smooth_operator.ui.body_nodes import BodyNodes, TipBalls
+from smooth_operator.ui.hand_view import HandView
+from smooth_operator.ui.human import HumanView, keyvector_colors, thumb_lines
+from smooth_operator.ui.layout import GAP, upright
+from smooth_operator.ui.palette import Rgb
+
+_LINE: Final = 0.0022  # thickness of a keyvector [m]
+_GHOST: Final = 0.45  # opacity of a hand that another stands in
+_WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
+_SIMULATED: Final[Rgb] = (240, 228, 66)
+_FOREARM: Final = 0.03  # how much of what is below the wrist is framed [m]
+_LABEL: Final = 0.012  # label above the highest fingertip [m]
+_VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up, toward the viewer
+
+
+class LiveScene:
+    """Builds the nodes once, then shows what the loop tells.
+
+    Every palm is turned so that one looks at it with the fingers up.
+
+    Args:
+        server: where to draw.
+        hands: side -> robot hand.
+        simulated: whether there is a simulated hand.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, hands: Mapping[Side, Hand], simulated: bool
+    ) -> None:
+        self.simulated = simulated
+        sides: tuple[Side, ...] = ("left", "right")
+        order = [side for side in sides if side in hands]
+        self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
+        low = np.min([view.low for view in self._sides.values()], axis=0)
+        high = np.max([view.high for view in self._sides.values()], axis=0)
+        size = high - low
+        # One hand: human beside robot. Two: each human above its robot.
+        columns, rows = (2, 1) if len(order) == 1 else (len(order), 2)
+        for column, view in enumerate(self._sides.values()):
+            right = (size[0] + GAP) * column
+            up = (size[1] + 2 * GAP) * (rows - 1)
+            step = np.array([size[0] + GAP, 0.0])
+            places = (
+                (np.zeros(2), step)
+                if rows == 1
+                else (np.array([right, up]), np.array([right, 0.0]))
+            )
+            view.put(*places)
+        spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
+        middle = (low + high + np.array([*spread, 0.0])) / 2
+        half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1] + _LABEL) / 2)
+        self.aiming = Aiming(server, _VIEW, middle @ _VIEW, half)
+
+    def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
+        """Show the hands; see :meth:`smooth_operator.ui.live.session.LiveSession.look`."""
+        for side, view in self._sides.items():
+            if side in hands:
+                view.draw(hands[side])
+
+    def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
+        """Which calibrations correct the human hands."""
+        for side, view in self._sides.items():
+            found = operators.get(side)
+            view.operator = None if found is None else _operator(found)
+
+    def set_overlay(self, overlay: bool) -> None:
+        """Each human hand inside its robot, or side by side."""
+        for view in self._sides.values():
+            view.set_overlay(overlay)
+
+    def set_keyvectors(self, visible: bool) -> None:
+        """Show or hide the thumb-to-tip lines."""
+        for view in self._sides.values():
+            view.set_keyvectors(visible)
+
+    def set_simulated(self, visible: bool) -> None:
+        """Show or hide the simulated hand in the robot's place."""
+        for view in self._sides.values():
+            view.set_simulated(visible)
+
+
+class _SideView:
+    """The hands of one side."""
+
+    def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool) -> None:
+        side = hand.spec.side
+        self._hand = hand
+        self.operator: OperatorProfile | None = None
+        self._palm_axes = human_palm_axes(hand)
+        view = HandView(hand)
+        # From the palm frame to the picture: rows right, up, toward become x, z, -y.
+        up, toward = upright(view.axes[1], view.axes[2])
+        self._turn = _VIEW.T @ np.stack([np.cross(up, toward), up, toward])
+        tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
+        rotation, wxyz = self._turn, np.empty(4)
+        mujoco.mju_mat2Quat(wxyz, rotation.ravel())
+        self._roots = {
+            name: scene.add_frame(f"/{side}/{name}", show_axes=False, wxyz=wxyz)
+            for name in ("human", "robot")
+        }
+        palm_wxyz, palm_position = _inverse_palm(hand)
+        model_root = f"/{side}/robot/model"
+        scene.add_frame(model_root, show_axes=False, wxyz=palm_wxyz, position=palm_position)
+        owner = view.finger_of_body
+        self._robot = BodyNodes(scene, hand.model, view.meshes, owner, f"{model_root}/command")
+        self._simulated = (
+            BodyNodes(
+                scene,
+                hand.model,
+                {body: mesh for body, mesh in view.meshes.items() if owner[body] >= 0},
+                owner,
+                f"{model_root}/simulated",
+                color=_SIMULATED,
+                opacity=_GHOST,
+                scale=_WITHIN,
+            )
+            if simulated
+            else None
+        )
+        self._human = HumanView(scene, tips, f"/{side}/human")
+        self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
+        self._tips = tips
+        none = np.zeros(len(tips) - 1, bool)
+        self._lines = {
+            name: scene.add_line_segments(
+                f"/{side}/{name}/keyvectors",
+                np.zeros((len(tips) - 1, 2, 3)),
+                keyvector_colors(len(tips), none),
+                thickness=_LINE,
+            )
+            for name in self._roots
+        }
+        self.low, self.high = self._bounds(view)
+        top = np.array([(self.low[0] + self.high[0]) / 2, self.high[1], 0.0]) @ _VIEW @ self._turn
+        words = {"human": "operator", "robot": hand.name}
+        self._labels = [
+            scene.add_label(
+                f"/{side}/{name}/label",
+                f"{words[name]} {side}",
+                position=top,
+                anchor="bottom-center",
+            )
+            for name in self._roots
+        ]
+        self._places = (np.zeros(3), np.zeros(3))
+        self.draw({"positions": hand.expand(hand.neutral), "human": None, "latched": ()})
+
+    def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
+        """Where the two stand when they don't stand in each other: right and up [m]."""
+        here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
+        self._places = (here, there)
+        self.set_overlay(False)
+
+    def draw(self, state: Mapping[str, Any]) -> None:
+        """Show one moment."""
+        hand = self._hand
+        every = np.asarray(state["positions"], float)
+        self._robot.draw(hand.qpos(every))
+        if self._simulated is not None and state.get("simulated") is not None:
+            self._simulated.draw(hand.qpos(np.asarray(state["simulated"], float)))
+        latched = np.array([finger in state["latched"] for finger in hand.fingers[1:]])
+        robot_tips = hand.tips(every)
+        self._balls.draw(robot_tips, latched)
+        landmarks = self._aligned(state)
+        self._human.draw(landmarks, latched)
+        colors = keyvector_colors(len(self._tips), latched)
+        for name, points in (("human", landmarks[self._tips]), ("robot", robot_tips)):
+            self._lines[name].points = thumb_lines(points)
+            self._lines[name].colors = colors
+
+    def set_overlay(self, overlay: bool) -> None:
+        human, robot = self._places
+        self._roots["human"].position = robot if overlay else human
+        self._roots["robot"].position = robot
+        self._labels[0].visible = not overlay
+        self._robot.set_opacity(_GHOST if overlay else None)
+
+    def set_keyvectors(self, visible: bool) -> None:
+        for lines in self._lines.values():
+            lines.visible = visible
+
+    def set_simulated(self, visible: bool) -> None:
+        if self._simulated is not None:
+            self._simulated.set_visible(visible)
+
+    def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
+        """The human hand in the palm frame, as the method sees it; NaN where there is none."""
+        if state.get("human") is None:
+            return np.full((21, 3), np.nan)
+        landmarks = np.asarray(state["human"], float).reshape(21, 3)
+        missing = ~np.isfinite(landmarks).all(axis=-1)
+        if missing[list(self._hand.align_indices)].any():
+            return np.full((21, 3), np.nan)
+        safe = np.where(missing[:, None], reference_landmarks(self._hand), landmarks)
+        config = AlignmentConfig(state.get("scale"), self.operator)
+        fit = palm_alignment(safe, self._hand, config)
+        if not fit.condition >= MIN_CONDITION:
+            return np.full((21, 3), np.nan)
+        aligned = fit.apply(safe)
+        if self.operator is not None:
+            aligned = self.operator.correct(aligned, fit.scale, self._hand, self._palm_axes)
+        return np.where(missing[:, None], np.nan, aligned)
+
+    def _bounds(self, view: HandView) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Corners of a box that a hand of either kind stays in, along right, up and toward [m]."""
+        hand = self._hand
+        neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
+        points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
+        for q in (neutral, straight):
+            poses = view.bodies(q)
+            points += [
+                mesh.bounding_box.vertices @ poses[body][0].T + poses[body][1]
+                for body, mesh in view.meshes.items()
+            ]
+        seen = np.concatenate(points) @ self._turn.T @ _VIEW.T
+        floor = float((hand.wrist @ self._turn.T @ _VIEW.T)[1]) - _FOREARM
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        low[1] = max(low[1], floor)
+        return low, high
+
+
+def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
+    """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
+    data = mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    mujoco.mj_kinematics(hand.model, data)
+    palm = data.body(hand.spec.palm)
+    wxyz, position = np.empty(4), np.empty(3)
+    mujoco.mju_negPose(position, wxyz, palm.xpos, palm.xquat)
+    return wxyz, position
+
+
+def _operator(content: Mapping[str, Any]) -> OperatorProfile:
+    """A profile that came as JSON."""
+    fingers = tuple(
+        FingerProfile(**{**finger, "bones": tuple(finger["bones"])})
+        for finger in content["fingers"]
+    )
+    return OperatorProfile(
+        **{
+            **content,
+            "fingers": fingers,
+            "palm_rotation": tuple(content["palm_rotation"]),
+            "apply": tuple(content["apply"]),
+        }
+    )

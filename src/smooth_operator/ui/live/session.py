@@ -1,0 +1,252 @@
+"""Between a running loop and its page: what is shown, as JSON, and what the page's controls do."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.offline import Request, live_configuration
+from smooth_operator.recording import to_json
+from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.sinks.sink import Sink
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources.live import Arrival
+from smooth_operator.types import Side
+from smooth_operator.ui.live.coach import Coach
+from smooth_operator.ui.live.fields import changed, config_fields
+from smooth_operator.ui.live.takes import Takes
+from smooth_operator.ui.live.workshop import Workshop, checked
+
+_SEEN_S: Final = 1.0
+"""A hand that was not tracked for so long is no longer drawn [s]."""
+_EVENTS: Final = 6
+
+
+class LiveSession:
+    """What a page knows and may do of a loop. Its methods are for the page's thread, but for
+    :meth:`watch`, which is for the loop's.
+
+    Args:
+        loop: the running loop.
+        asked: what the run was begun with.
+        sinks: those that it was begun with; of a simulated hand among them the state is shown.
+        folder: where recordings and calibrations go.
+    """
+
+    def __init__(
+        self,
+        loop: TeleopLoop,
+        asked: Request,
+        sinks: Sequence[Sink] = (),
+        folder: Path = Path(),
+    ) -> None:
+        self.loop = loop
+        self.coach = Coach()
+        self.workshop = Workshop(loop, asked)
+        self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
+        self._asked, self._folder = asked, folder
+        self._simulated = next((s.state for s in sinks if hasattr(s, "state")), None)
+        self._default = LoopConfig(loop.config.rate)
+        self._ticks: dict[Side, Tick] = {}
+        self._arrivals: dict[Side, Arrival] = {}
+        self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
+        self._counted: dict[Side, Tick] = {}
+        self._rates: dict[Side, float] = {}
+        self._message = ""
+        self._fields_changed = 0
+        self._actions: dict[str, Callable[..., None]] = {
+            "stop": loop.controls.stop,
+            "release": loop.controls.release,
+            "pause": loop.controls.pause,
+            "resume": loop.controls.resume,
+            "record": self.takes.toggle,
+            "method": self.workshop.choose,
+            "set": self.workshop.set,
+            "set_loop": self._set_loop,
+            "calibrate": self._calibrate,
+            "cancel_calibration": self.coach.cancel,
+            "use_operator": self._use_operator,
+            "drop_operator": self._drop_operator,
+            "save_operator": self._save_operator,
+        }
+
+    def watch(self, tick: Tick) -> None:
+        """Take note of a tick; called by the loop after its sinks."""
+        self._ticks[tick.side] = tick
+        seen = self.loop.pipelines[tick.side].seen
+        if seen is not None and seen is not self._arrivals.get(tick.side):
+            self._arrivals[tick.side] = seen
+            self.coach.see(seen)
+        if tick.events:
+            self._note(tick)
+
+    def do(self, name: str, *values: Any) -> None:
+        """Do what a control asks for; what can't be done becomes a message on the page."""
+        try:
+            if name not in self._actions:
+                raise ConfigError(f"the page asks for {name!r}, which is nothing here")
+            self._message = ""
+            self._actions[name](*values)
+        except SmoothOperatorError as error:
+            self._message = str(error)
+        except TypeError:
+            self._message = f"the page asks for {name!r} with the wrong values"
+
+    def look(self, *, text: bool, fields: int) -> dict[str, Any]:
+        """What to show now, as JSON has it.
+
+        Args:
+            text: with figures and controls, not the hands alone.
+            fields: for which :attr:`fields_number` the fields are known already.
+        """
+        now = self.loop.mailbox.clock()
+        shown: dict[str, Any] = {
+            "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
+            "calibration": self.coach.look(now),
+        }
+        if text:
+            shown["status"] = self._status(now)
+            shown["controls"] = self._controls(fields)
+        return shown
+
+    @property
+    def fields_number(self) -> int:
+        """Changes when the page has to show the fields anew: another method, a value refused."""
+        shown = self.workshop.wanted
+        return hash((shown.method, shown.preset, self.workshop.refused, self._fields_changed))
+
+    def configuration(self) -> str:
+        """The configuration as it is now, as JSON text."""
+        used = self.workshop.used
+        content = live_configuration("teleop", self._asked, used.configs, loop=self.loop.config,
+                                     source=self.loop.source)  # fmt: skip
+        return to_json({**content, **self._configuration()}, indent=2) + "\n"
+
+    def close(self) -> None:
+        """End what runs beside the loop."""
+        self.workshop.stop()
+
+    def _configuration(self) -> Mapping[str, Any]:
+        used = self.workshop.used
+        return {
+            "method": used.method,
+            "preset": used.preset,
+            "config": dict(used.configs),
+            "loop": self.loop.config,
+        }
+
+    def _hand(self, side: Side, tick: Tick, now: float) -> dict[str, Any]:
+        arrival = self._arrivals.get(side)
+        age = None if arrival is None else now - arrival.received
+        state = None if self._simulated is None else self._simulated(side)
+        pipeline = self.loop.pipelines[side]
+        return {
+            "mode": tick.mode.value,
+            "positions": _numbers(tick.command.positions),
+            "simulated": None if state is None else _numbers(state.positions),
+            "human": None
+            if arrival is None or age is None or age > _SEEN_S
+            else _numbers(_trusted(arrival).ravel()),
+            "age_s": age,
+            "latched": pipeline.latched,
+            "scale": pipeline.retargeter.config.alignment.scale,
+        }
+
+    def _status(self, now: float) -> dict[str, Any]:
+        statistics, loop = self.loop.statistics, self.loop
+        for side, tick in self._ticks.items():
+            before = self._counted.get(side)
+            if before is None or tick.time - before.time >= 0.9:
+                if before is not None:
+                    self._rates[side] = (tick.number - before.number) / (tick.time - before.time)
+                self._counted[side] = tick
+        stages = {
+            name: {key: round(found[key], 3) for key in ("p50", "p99")}
+            for name, found in statistics.recent(500).items()
+            if found
+        }
+        return {
+            "rates": {side: round(rate, 1) for side, rate in self._rates.items()},
+            "stages": stages,
+            "missed_share": statistics.missed_share,
+            "unusable": statistics.unusable,
+            "refused": {side: dict(p.supervisor.refused) for side, p in loop.pipelines.items()},
+            "source": {"label": loop.source.label, **asdict(loop.source.health())},
+            "sinks": [asdict(health) for health in loop.sinks.health()],
+            "events": [(round(now - at, 1), words) for at, words in list(self._events)],
+        }
+
+    def _controls(self, known: int) -> dict[str, Any]:
+        workshop, modes = self.workshop, {tick.mode for tick in self._ticks.values()}
+        shown, number = workshop.wanted, self.fields_number
+        controls: dict[str, Any] = {
+            "method": shown.method,
+            "preset": shown.preset,
+            "presets": {method: list(presets) for method, presets in PRESETS.items()},
+            "building": workshop.building,
+            "message": self._message or workshop.error or self.takes.error,
+            "stopped": Mode.STOPPED in modes,
+            "paused": Mode.PAUSED in modes,
+            "recording": self.takes.recording,
+            "operators": {
+                side: None if operator is None else asdict(operator)
+                for side, operator in workshop.operators.items()
+            },
+            "fields_number": number,
+        }
+        if number != known:
+            controls["fields"] = [asdict(f) for f in config_fields(shown.shown, shown.base)]
+            loop = config_fields(self.loop.config, self._default)
+            controls["loop_fields"] = [asdict(field) for field in loop if field.path != "rate"]
+        return controls
+
+    def _set_loop(self, path: str, value: Any) -> None:
+        try:
+            self.loop.configure(changed(self.loop.config, path, value))
+        except SmoothOperatorError:
+            self._fields_changed += 1
+            raise
+
+    def _calibrate(self, side: Side) -> None:
+        if side not in self.loop.pipelines:
+            raise ConfigError(f"there is no {side} hand in this run")
+        self.coach.begin(self.loop.pipelines[side].retargeter.hand)
+
+    def _use_operator(self) -> None:
+        operator = checked(self.coach.operator)
+        self.workshop.operate(operator.side, operator)
+        self._fields_changed += 1
+
+    def _drop_operator(self, side: Side) -> None:
+        self.workshop.operate(side, None)
+        self._fields_changed += 1
+
+    def _save_operator(self) -> None:
+        path = self.coach.save(self._folder)
+        self._message = f"wrote {path.resolve()}; next time: --operator {path}"
+
+    def _note(self, tick: Tick) -> None:
+        for words in tick.events:
+            line = f"{tick.side}: {words}" if len(self.loop.pipelines) > 1 else words
+            if self._events and self._events[-1][1] == line:
+                self._events.pop()  # the same again: the newest time counts
+            self._events.append((tick.time, line))
+
+
+def _trusted(arrival: Arrival) -> np.ndarray:
+    """(21, 3) landmarks in the tracker's frame [m]; NaN where the tracker has nothing to trust."""
+    frame = arrival.frame
+    assert frame.valid is not None  # filled in on construction
+    return np.where(frame.valid[:, None], frame.landmarks, np.nan)
+
+
+def _numbers(values: np.ndarray) -> list[float]:
+    return [round(value, 5) for value in np.asarray(values, float).tolist()]

@@ -1,0 +1,552 @@
+"""The live page: what it offers of a configuration, what its controls do, who may open it; and the
+page itself in a Chromium."""
+
+from __future__ import annotations
+
+import dataclasses
+import http.client
+import json
+import re
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser_page import new_page
+
+from smooth_operator import HandFrame, Retargeter, load_hand
+from smooth_operator.errors import ConfigError
+from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.human.operator_file import read_operator
+from smooth_operator.offline import request
+from smooth_operator.recording import read_log
+from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.runtime.limiter import Limiter
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.settings import LimitsConfig, LoopConfig
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.live import Arrival, Running, SourceHealth, ThreadedSource
+from smooth_operator.ui.live.coach import Coach
+from smooth_operator.ui.live.fields import changed, config_fields, field_docs
+from smooth_operator.ui.live.page import LivePage, PageSetup
+from smooth_operator.ui.live.session import LiveSession
+from smooth_operator.ui.viser_server import close_server, open_server, page_url
+
+RATE = 50.0
+EVERY_PRESET = [
+    pytest.param(config, id=f"{method}-{preset}")
+    for method, presets in PRESETS.items()
+    for preset, config in presets.items()
+]
+
+
+def eventually(condition: Callable[[], object], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come to be"
+        time.sleep(0.02)
+
+
+# -- fields -----------------------------------------------------------------------------------
+
+
+def leaves(config: Any, prefix: str = "") -> list[str]:
+    """Every field, found without looking at types."""
+    found = []
+    for each in dataclasses.fields(config):
+        value = getattr(config, each.name)
+        if dataclasses.is_dataclass(value):
+            found += leaves(value, f"{prefix}{each.name}.")
+        else:
+            found.append(prefix + each.name)
+    return found
+
+
+@pytest.mark.parametrize("config", [*EVERY_PRESET, LoopConfig()])
+def test_every_field_of_every_preset_has_a_control(config: Any) -> None:
+    fields = {each.path: each for each in config_fields(config)}
+    assert list(fields) == leaves(config)
+    assert [path for path, each in fields.items() if each.kind == "shown"] in (
+        ["alignment.operator"],  # it comes from a calibration
+        [],
+    )
+    for path, each in fields.items():
+        assert each.doc, f"{path} is not explained"
+        if each.kind in ("number", "whole", "optional"):
+            assert each.low < each.high
+            assert 0 < each.step <= each.high - each.low
+            assert each.value is None or each.low <= each.value <= each.high
+            assert (each.high - each.low) / each.step >= 10 or each.kind == "whole"
+            changed(config, path, each.high)  # which the configuration accepts
+            assert each.kind == "whole" or (each.high - each.low) / each.step <= 1000
+        elif each.kind == "choice":
+            for choice in each.choices:
+                changed(config, path, choice)
+        if each.kind != "shown":
+            assert changed(config, path, each.value) == config
+        json.dumps(dataclasses.asdict(each))
+
+
+def test_a_change_reaches_its_field_and_no_other() -> None:
+    config = PRESETS["sbr"]["realtime"]
+    after: Any = changed(config, "objective.targets.w_thumb", 2.5)
+    assert after.objective.targets.w_thumb == 2.5
+    assert changed(after, "objective.targets.w_thumb", 1.4) == config
+    assert changed(config, "sampling.samples", 128.0).sampling.samples == 128
+    assert changed(config, "alignment.scale", 1.2).alignment.scale == 1.2
+    assert changed(config, "polish.damping", "0, 0.5").polish.damping == (0.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("objective.targets.project", 0.05, "0 < project <= escape"),
+        ("sampling.samples", 12.5, "samples can't be 12.5"),
+        ("sampling.samples", True, "samples can't be True"),
+        ("objective.loss", "cubic", "loss can't be 'cubic'"),
+        ("objective.pose_weight", float("nan"), "pose_weight can't be nan"),
+        ("objective.mass", 1.0, "no setting 'mass'"),
+        ("polish.damping", "much", "damping can't be 'much'"),
+        ("alignment.operator", "me", "operator can't be 'me'"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_reason(path: str, value: Any, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        changed(PRESETS["sbr"]["realtime"], path, value)
+
+
+def test_docs_of_fields_come_from_the_docstring() -> None:
+    docs = field_docs(LimitsConfig)
+    assert docs["velocity"] == "of every joint, coupled ones included [rad/s]."
+    assert set(docs) == {"velocity", "acceleration", "margin"}
+
+
+# -- the session ------------------------------------------------------------------------------
+
+
+@dataclass
+class Player(ThreadedSource):
+    """The built-in operator, over and over."""
+
+    frames: list[HandFrame]
+
+    @property
+    def label(self) -> str:
+        return "player"
+
+    def run(self, running: Running) -> None:
+        running.health = SourceHealth("running")
+        start, count = time.perf_counter(), 0
+        while not running.stopping.wait(max(start + count / RATE - time.perf_counter(), 0)):
+            frame = self.frames[count % len(self.frames)]
+            running.mailbox.post(dataclasses.replace(frame, stamp=count / RATE))
+            count += 1
+
+
+@dataclass
+class Stage:
+    """A running loop with a page's session, and what it did."""
+
+    loop: TeleopLoop
+    session: LiveSession
+    ticks: list[Tick] = field(default_factory=list)
+
+    def mode(self) -> Mode:
+        return self.ticks[-1].mode
+
+    def see(self, **more: Any) -> dict[str, Any]:
+        return self.session.look(text=True, fields=more.get("fields", 0))
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[HandFrame]:
+    return list(SyntheticOperator(seed=4, rate_hz=RATE).record(4.0))
+
+
+@pytest.fixture(scope="module")
+def stage(frames: list[HandFrame], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    asked = request(method="joint_angle")
+    retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
+    retargeter.warm_up()
+    config = LoopConfig(rate=RATE)
+    loop = TeleopLoop(
+        {"right": HandPipeline(retargeter, config)}, Player(frames), SinkRunner(), config
+    )
+    folder = tmp_path_factory.mktemp("live")
+    built = Stage(loop, LiveSession(loop, asked, folder=folder))
+
+    def watch(tick: Tick) -> None:
+        built.session.watch(tick)
+        built.ticks.append(tick)
+
+    loop.watch = watch
+    turn = sys.getswitchinterval()
+    sys.setswitchinterval(5e-4)  # as the command does
+    thread = threading.Thread(target=loop.run)
+    thread.start()
+    eventually(lambda: built.ticks and built.mode() is Mode.TRACKING)
+    yield built
+    loop.controls.quit()
+    thread.join(10)
+    built.session.close()
+    sys.setswitchinterval(turn)
+    assert not thread.is_alive()
+
+
+def test_what_is_shown_is_what_the_loop_does(stage: Stage) -> None:
+    stage.see()
+    time.sleep(1.1)
+    seen = json.loads(json.dumps(stage.see()))  # as it goes through the pipe
+    hand = seen["hands"]["right"]
+    tick = stage.ticks[-1]
+    np.testing.assert_allclose(hand["positions"], tick.command.positions, atol=0.6)
+    assert hand["mode"] == "tracking"
+    assert np.asarray(hand["human"]).shape == (63,)
+    assert 0 <= hand["age_s"] < 0.5
+    status = seen["status"]
+    assert 0.5 * RATE < status["rates"]["right"] < 1.5 * RATE
+    assert {"tracker", "receive", "solve", "limit", "send", "total"} == set(status["stages"])
+    assert status["source"]["state"] == "running"
+    controls = seen["controls"]
+    assert (controls["method"], controls["preset"]) == ("joint_angle", "default")
+    assert controls["presets"]["sbr"] == ["realtime", "paper"]
+    again = stage.see(fields=controls["fields_number"])["controls"]
+    assert "fields" not in again  # known already
+
+
+def test_another_method_while_the_hand_moves(stage: Stage) -> None:
+    before, first = stage.loop.pipelines["right"].retargeter, len(stage.ticks)
+    stage.session.do("method", "geort")
+    eventually(lambda: stage.loop.pipelines["right"].retargeter is not before)
+    eventually(lambda: stage.ticks[-1].mode is Mode.TRACKING)
+    assert stage.session.workshop.used.method == "geort"
+    ticks = stage.ticks[first:]
+    # The old one went on until the new one was there; on a busy machine, with a late frame or two.
+    assert {tick.mode for tick in ticks} <= {Mode.TRACKING, Mode.BLENDING, Mode.HOLDING}
+    assert np.mean([tick.mode.moves for tick in ticks]) > 0.8
+    limit = stage.loop.config.limits.velocity
+    assert max(np.abs(tick.velocity).max() for tick in ticks) <= limit + 1e-6
+    assert any(tick.mode is Mode.BLENDING for tick in ticks)
+
+    stage.session.do("method", "geort", "no-such-file")
+    assert "no-such-file" in stage.see()["controls"]["message"]
+    stage.session.do("set", "model", "no-such-model.npz")  # can be asked for, but not built
+    eventually(lambda: "no-such-model" in stage.see()["controls"]["message"])
+    assert stage.session.workshop.used.shown.model is None  # type: ignore[attr-defined]
+    assert stage.session.workshop.wanted is stage.session.workshop.used
+    stage.session.do("method", "joint_angle")
+    eventually(lambda: stage.session.workshop.used.method == "joint_angle")
+
+
+def test_a_setting_that_cannot_be_is_said_and_shown_as_before(stage: Stage) -> None:
+    known = stage.see()["controls"]["fields_number"]
+    stage.session.do("set", "alignment.scale", 100.0)
+    controls = stage.see(fields=known)["controls"]
+    assert "between 0.1 and 10" in controls["message"]
+    assert {f["path"]: f["value"] for f in controls["fields"]}["alignment.scale"] is None
+    stage.session.do("set", "alignment.scale", 1.1)
+    stage.session.do("set", "alignment.scale", 1.2)
+    eventually(lambda: stage.loop.pipelines["right"].retargeter.config.alignment.scale == 1.2)
+    assert json.loads(stage.session.configuration())["config"]["right"]["alignment"]["scale"] == 1.2
+
+
+def test_limits_and_policies_change_at_once(stage: Stage) -> None:
+    stage.session.do("set_loop", "limits.velocity", 3.0)
+    stage.session.do("set_loop", "safety.stale_s", 0.25)
+    eventually(lambda: stage.loop.pipelines["right"].config.safety.stale_s == 0.25)
+    first = len(stage.ticks) + 2
+    eventually(lambda: len(stage.ticks) > first + 50)
+    assert max(np.abs(tick.velocity).max() for tick in stage.ticks[first:]) <= 3.0 + 1e-6
+    known = stage.see()["controls"]["fields_number"]
+    stage.session.do("set_loop", "safety.lost_s", 0.1)
+    seen = stage.see(fields=known)["controls"]
+    assert "lost_s must not be below stale_s" in seen["message"]
+    assert {f["path"]: f["value"] for f in seen["loop_fields"]}["safety.lost_s"] == 2.0
+    stage.session.do("set_loop", "limits.margin", 5.0)
+    assert "leaves nothing" in stage.see()["controls"]["message"]
+    stage.session.do("set_loop", "limits.velocity", 15.0)
+    stage.session.do("set_loop", "safety.stale_s", 0.1)
+
+
+def test_a_wider_margin_brings_a_hand_in_without_a_jump() -> None:
+    hand = load_hand("mimic_p050")
+    wide = Limiter(hand, LimitsConfig())
+    low = hand.limits[:, 0]
+    while not np.allclose(wide.step(low, 0.01), low):
+        pass
+    narrow = Limiter(hand, LimitsConfig(margin=0.1, velocity=2.0))
+    narrow.succeed(wide)
+    np.testing.assert_array_equal(narrow.halt(), low)  # where it stands it stays
+    before = narrow.q
+    for _ in range(60):
+        q = narrow.step(low, 0.01)
+        assert np.abs(hand.expansion[0] @ (q - before)).max() <= 2.0 * 0.01 + 1e-9
+        before = q
+    np.testing.assert_allclose(before, low + 0.1, atol=1e-6)
+
+
+def recorded(path: Path) -> int:
+    """Commands in a log; none while it is being ended."""
+    commands = read_log(path).commands
+    return 0 if commands is None else len(commands.stamps)
+
+
+def test_takes_are_begun_and_ended(stage: Stage) -> None:
+    for number in (1, 2):
+        stage.session.do("record")
+        eventually(lambda: stage.session.takes.recording)
+        assert stage.see()["controls"]["recording"] == f"take-00{number}.mcap"
+        first = len(stage.ticks)
+        eventually(lambda first=first: len(stage.ticks) > first + 25)
+        stage.session.do("record")
+        eventually(lambda: not stage.session.takes.recording and not stage.loop.sinks.health())
+        path = stage.session.takes.folder / f"take-00{number}.mcap"
+        eventually(lambda path=path: recorded(path) >= 20)
+
+
+def test_the_page_cannot_ask_for_what_is_not_there(stage: Stage) -> None:
+    for words in (("explode",), ("stop", "now", "please"), ("calibrate", "left"), ("method", "x")):
+        stage.session.do(*words)
+        assert stage.see()["controls"]["message"], words
+
+
+# -- calibration ------------------------------------------------------------------------------
+
+
+def calibrated(coach: Coach, hand: Any, frames: list[HandFrame]) -> None:
+    """Runs a calibration in no time: its clock is ours."""
+    coach.begin(hand)
+    now, asked, count = 100.0, set(), 0
+    while (state := coach.look(now))["phase"] in ("settle", "hold", "wait"):
+        asked.add(state["text"])
+        coach.see(Arrival(frames[count % len(frames)], now))
+        count, now = count + 1, now + 1 / RATE
+    assert len(asked) == state.get("count", len(asked))
+    assert 45 < now - 100 < 80
+    eventually(lambda: coach.look(now)["phase"] == "idle")
+
+
+def test_a_calibration_is_prompted_used_and_saved(
+    stage: Stage, frames: list[HandFrame], tmp_path: Path
+) -> None:
+    hand = stage.loop.pipelines["right"].retargeter.hand
+    coach = stage.session.coach
+    stage.session.do("use_operator")
+    assert "calibrate first" in stage.see()["controls"]["message"]
+    calibrated(coach, hand, frames)
+    figures = coach.look(0.0)["figures"]
+    assert figures["hand"] == "mimic_p050"
+    assert 0.5 < figures["palm_scale"] < 2
+    assert set(figures["fingers"]) == set(hand.fingers)
+    stage.session.do("save_operator")
+    message = stage.see()["controls"]["message"]
+    assert "operator-mimic_p050-right.json" in message
+    (path,) = stage.session.takes.folder.parent.glob("operator-*.json")
+    assert read_operator(path) == coach.operator
+    stage.session.do("use_operator")
+    eventually(
+        lambda: isinstance(
+            stage.loop.pipelines["right"].retargeter.config.alignment.operator, OperatorProfile
+        )
+    )
+    assert json.loads(json.dumps(stage.see()))["controls"]["operators"]["right"]["side"] == "right"
+    stage.session.do("drop_operator", "right")
+    eventually(lambda: stage.loop.pipelines["right"].retargeter.config.alignment.operator is None)
+
+
+def test_a_calibration_without_a_hand_says_so() -> None:
+    coach = Coach()
+    coach.begin(load_hand("mimic_p050"))
+    for second in range(200):
+        assert coach.look(float(second))["phase"] == "wait"  # time stands still
+    coach.cancel()
+    assert coach.look(201.0)["phase"] == "idle"
+
+
+# -- the gate ---------------------------------------------------------------------------------
+
+
+def fetch(port: int, path: str = "/", **headers: str) -> tuple[int, dict[str, str]]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path, headers=headers)
+    response = connection.getresponse()
+    response.read()
+    connection.close()
+    return response.status, {name.lower(): value for name, value in response.getheaders()}
+
+
+def socket_status(port: int, path: str = "/", **headers: str) -> int:
+    """101 if the WebSocket opens."""
+    upgrade = {
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version": "13",
+    }
+    return fetch(port, path, **upgrade, **headers)[0]
+
+
+def test_elsewhere_the_page_wants_its_token() -> None:
+    server = open_server("0.0.0.0", 0)
+    try:
+        port, url = server.get_port(), page_url("0.0.0.0", server)
+        token = url.partition("?token=")[2]
+        assert len(token) >= 32
+        for path in ("/", "/?token=", f"/?token={token[:-1]}", f"/?token={token}x", "/?token=é"):
+            if path.isascii():
+                assert fetch(port, path)[0] == 401, path
+            assert socket_status(port, path.encode("ascii", "ignore").decode()) == 401, path
+        assert fetch(port, "/", Cookie=f"smooth-operator-page-{port}=guess")[0] == 401
+        status, headers = fetch(port, f"/?token={token}")
+        assert (status, headers["location"]) == (303, "/")
+        assert {"HttpOnly", "SameSite=Lax"} <= set(headers["set-cookie"].split("; "))
+        cookie = headers["set-cookie"].split(";")[0]
+        assert fetch(port, "/", Cookie=cookie)[0] == 200
+        assert socket_status(port, "/", Cookie=cookie) == 101
+        assert socket_status(port, f"/?token={token}") == 101  # a program has no cookies
+        assert socket_status(port, "/", Cookie=cookie, Origin="https://elsewhere.example") == 403
+        assert socket_status(port, "/", Cookie=cookie, Origin=f"http://127.0.0.1:{port}") == 101
+    finally:
+        close_server(server)
+
+
+def test_here_other_pages_of_the_same_browser_are_kept_out() -> None:
+    server = open_server("127.0.0.1", 0)
+    try:
+        port = server.get_port()
+        assert page_url("127.0.0.1", server) == f"http://127.0.0.1:{port}"
+        assert fetch(port)[0] == 200
+        assert fetch(port, Host=f"localhost:{port}")[0] == 200
+        assert socket_status(port, Origin=f"http://127.0.0.1:{port}") == 101
+        assert socket_status(port, Origin="https://elsewhere.example") == 403
+        # a name of theirs that points here would be of one origin with their page
+        rebound = {"Host": f"elsewhere.example:{port}"}
+        assert fetch(port, **rebound)[0] == 403
+        assert socket_status(port, **rebound, Origin=f"http://elsewhere.example:{port}") == 403
+    finally:
+        close_server(server)
+
+
+# -- the page ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def served(stage: Stage) -> Iterator[LivePage]:
+    with LivePage(PageSetup("mimic_p050", port=0, details=False)) as page:
+        page.serve(stage.session)
+        yield page
+    assert page._process.returncode == 0
+    assert not page.trouble
+
+
+def opened(chromium: Any, served: LivePage, width: int = 900, height: int = 640) -> Any:
+    page, problems = new_page(chromium, width, height)
+    page.goto(served.url)
+    page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
+    page.get_by_text("EMERGENCY STOP").wait_for()
+    page.locator("[data-mode]").first.wait_for()
+    assert not [p for p in problems if "favicon" not in p]
+    return page
+
+
+@pytest.mark.browser
+def test_the_page_shows_the_loop_and_stops_it(
+    chromium: Any, served: LivePage, stage: Stage
+) -> None:
+    page = opened(chromium, served)
+    page.locator('[data-mode="tracking"]').wait_for()
+    page.locator("#live-timing").get_by_text("solve").wait_for()
+    first = len(stage.ticks)
+    page.get_by_text("EMERGENCY STOP").click()
+    eventually(lambda: stage.mode() is Mode.STOPPED)
+    page.locator('[data-mode="stopped"]').wait_for()
+    held = np.array([t.command.positions for t in stage.ticks[first:] if t.mode is Mode.STOPPED])
+    assert np.ptp(held, axis=0).max() == 0
+    page.get_by_text("Release the stop").click()
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    page.keyboard.press("x")
+    eventually(lambda: stage.mode() is Mode.STOPPED)
+    page.get_by_text("Release the stop").click()
+    page.get_by_role("button", name="Pause").click()
+    eventually(lambda: stage.mode() is Mode.PAUSED)
+    page.get_by_role("button", name="Resume").click()
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+
+    page.get_by_role("tab", name="Method").click()
+    before = stage.loop.pipelines["right"].retargeter
+    chooser = page.locator("label", has_text=re.compile("^Method$")).get_attribute("for")
+    page.locator(f'[id="{chooser}"]').click()
+    page.get_by_role("option", name="geort").click()
+    eventually(lambda: stage.loop.pipelines["right"].retargeter is not before)
+    assert stage.session.workshop.used.method == "geort"
+    page.close()
+    stage.session.do("method", "joint_angle")
+    eventually(lambda: stage.session.workshop.used.method == "joint_angle")
+
+
+@pytest.mark.browser
+def test_on_a_phone_the_buttons_are_within_reach(chromium: Any, served: LivePage) -> None:
+    page = opened(chromium, served, 390, 844)
+    for name in ("EMERGENCY STOP", "Pause", "Record"):
+        box = page.get_by_role("button", name=name).bounding_box()
+        assert box is not None
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+        assert box["y"] + box["height"] <= 844
+    page.close()
+
+
+def process_figures(pid: int) -> tuple[int, float]:
+    """(threads, resident memory [MB]) of a process."""
+    text = Path(f"/proc/{pid}/status").read_text()
+    words = dict(line.split(":\t", 1) for line in text.splitlines() if ":\t" in line)
+    return int(words["Threads"]), int(words["VmRSS"].split()[0]) / 1024
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
+def test_opened_and_closed_again_and_again_nothing_is_left(
+    chromium: Any, served: LivePage, stage: Stage
+) -> None:
+    pid, threads = served._process.pid, threading.active_count()
+    seen = []
+    for _ in range(5):
+        opened(chromium, served, 300, 300).close()
+        time.sleep(0.3)
+        seen.append(process_figures(pid))
+    assert seen[-1][1] - seen[1][1] < 20.0, seen
+    assert seen[-1][0] - seen[1][0] <= 4, seen  # viser's pool grows to its size
+    assert threading.active_count() <= threads
+    assert stage.mode().moves
+
+
+def test_a_page_that_dies_harms_nothing(stage: Stage, capfd: Any) -> None:
+    page = LivePage(PageSetup("mimic_p050", port=0, details=False))
+    try:
+        assert page.serve(stage.session).startswith("http://127.0.0.1:")
+        page._process.kill()
+        eventually(lambda: page.trouble)
+        first = len(stage.ticks)
+        eventually(lambda: len(stage.ticks) > first + 10)
+        assert stage.mode().moves
+        assert "the loop goes on without it" in capfd.readouterr().err
+    finally:
+        page._session = None  # the stage's own, which others use
+        page.stop()
+
+
+def test_a_page_that_cannot_be_served_says_why(stage: Stage) -> None:
+    page = LivePage(PageSetup("mimic_p050", host="192.0.2.1", port=0))
+    try:
+        with pytest.raises(ConfigError, match=r"192\.0\.2\.1"):
+            page.serve(stage.session)
+    finally:
+        page.stop()
