@@ -27,6 +27,10 @@ class ConfigError(SmoothOperatorError, ValueError):
     """A setting is outside its allowed range or contradicts another."""
 
 
+class StudyError(SmoothOperatorError, ValueError):
+    """The plan or the data of a user study can't be used, or do not carry an analysis."""
+
+
 class OutputError(SmoothOperatorError, OSError):
     """A result can't be written: no space, no permission, a folder where a file should be."""
 

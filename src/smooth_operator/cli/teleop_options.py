@@ -51,6 +51,13 @@ Examples:
     sink: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
     """Where commands go; the page shows them in any case."""
 
+    task: Literal["card", "cube", "screwdriver"] | None = None
+    """A task of the study, in a simulation around the hand: card pickup, vertical cube rotation,
+    screwdriver pivot. Keys: g starts a trial, r puts the object back, d ends it."""
+
+    trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """Keep a record of every trial of the task here."""
+
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Robot hand, by its catalogue name."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +24,7 @@ class HandPhysics:
         timestep: of the physics [s].
         bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
         gravity: pull along -z of the model's world.
+        furnish: what is around the hand, see :func:`~.physics_model.build_physics`.
 
     Attributes:
         time: simulated time [s].
@@ -34,6 +37,7 @@ class HandPhysics:
         timestep: float = 0.002,
         bandwidth: float = 20.0,
         gravity: bool = False,
+        furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
     ) -> None:
         if not (0.0 < timestep <= 0.005 and 0.0 < bandwidth <= 0.05 / timestep):
             raise ConfigError(
@@ -43,7 +47,9 @@ class HandPhysics:
         self.hand = hand
         self.time = 0.0
         self.resets = 0
-        self._built = build_physics(hand, timestep=timestep, bandwidth=bandwidth, gravity=gravity)
+        self._built = build_physics(
+            hand, timestep=timestep, bandwidth=bandwidth, gravity=gravity, furnish=furnish
+        )
         self._data = mujoco.MjData(self._built.model)
         self._due = 0.0
         self._actuated = list(hand.actuated)
@@ -97,13 +103,16 @@ class HandPhysics:
             return True
         self._due -= count * step
         self.time += count * step
-        mujoco.mj_step(self._built.model, self._data, count)
+        self._step(count)
         # A number that is not finite fails the comparison too.
         if np.abs(self._data.qvel).max() < _RUNAWAY and np.isfinite(self._data.qpos).all():
             return True
         self.resets += 1
         self._place(self._target)
         return False
+
+    def _step(self, count: int) -> None:
+        mujoco.mj_step(self._built.model, self._data, count)
 
     def _place(self, target: Float[np.ndarray, " m"]) -> None:
         """Put the hand at rest into a pose."""

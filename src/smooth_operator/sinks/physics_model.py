@@ -8,6 +8,7 @@ critical, and its torque is limited, so that a finger that is blocked pushes and
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -21,6 +22,9 @@ from smooth_operator.hands.loading import load_spec
 
 ARMATURE: Final = 5e-4
 """Inertia of a finger motor's rotor behind its gears, at least [kg m^2]."""
+
+FURNISHED: Final = "hand/"
+"""Before the names of all that is the hand's, in a model with more than a hand in it."""
 
 _ACCELERATION: Final = 2000.0
 """What a servo's torque can do to its inertia [rad/s^2]; the loop's own limit is below it."""
@@ -48,7 +52,12 @@ class PhysicsModel:
 
 
 def build_physics(
-    hand: Hand, *, timestep: float, bandwidth: float, gravity: bool = False
+    hand: Hand,
+    *,
+    timestep: float,
+    bandwidth: float,
+    gravity: bool = False,
+    furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
 ) -> PhysicsModel:
     """Make a hand's model fit for physics.
 
@@ -60,6 +69,8 @@ def build_physics(
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
         gravity: pull along -z of the model's world.
+        furnish: takes the hand on its servos and gives a world with the hand in it, under names
+            that begin with :data:`FURNISHED`, and with what else there is.
 
     Raises:
         HandModelError: MuJoCo can't compile the result.
@@ -78,10 +89,11 @@ def build_physics(
     for index, load in zip(hand.actuated, inertia, strict=True):
         _add_servo(spec, hand.joint_names[index], float(load), bandwidth)
     try:
-        model = spec.compile()
+        model = spec.compile() if furnish is None else furnish(spec).compile()
     except ValueError as error:
         raise HandModelError(f"hand {hand.name!r} can't be simulated: {error}") from error
-    joints = [model.joint(name) for name in hand.joint_names]
+    prefix = "" if furnish is None else FURNISHED
+    joints = [model.joint(prefix + name) for name in hand.joint_names]
     return PhysicsModel(
         model,
         np.array([int(joint.qposadr[0]) for joint in joints]),

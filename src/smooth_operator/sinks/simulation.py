@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,14 +14,22 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.sinks.physics import HandPhysics
+from smooth_operator.sinks.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
 from smooth_operator.sinks.tick import Tick
 from smooth_operator.types import Side
 
 _WAKE_S: Final = 0.004
 """How often the thread wakes for some steps at once; waking costs more than a step."""
 
+_SLICE_S: Final = 0.01
+"""Longest that the physics goes on without a look at commands, and at what happened [s]."""
+
 _BEHIND_S: Final = 0.1
 """Time that is given up, rather than made up for, when the machine is too slow [s]."""
+
+
+Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
+"""Called with the scene and the (n,) joint positions [rad], from the thread of the physics."""
 
 
 class SimulatedHand(NamedTuple):
@@ -47,6 +55,7 @@ class Simulation:
         rate: steps of the physics per second [Hz].
         bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
         gravity: pull along -z of the model's world, wherever that points in it.
+        task: what the hands work on, each on its own; gravity is on then.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -58,6 +67,8 @@ class Simulation:
     """Bandwidth of the servos [Hz]; higher follows faster and pushes harder."""
     gravity: bool = False
     """Pull along -z of the model's world, wherever that points in it."""
+    task: Literal["none", "card", "cube", "screwdriver"] = "none"
+    """What the hands work on, each on its own: a task of the study, or nothing."""
     _world: _World | None = field(default=None, init=False, repr=False, compare=False)
     _events: list[str] = field(default_factory=list, init=False, repr=False, compare=False)
 
@@ -84,10 +95,7 @@ class Simulation:
         """Build the models and start; see :class:`~smooth_operator.sinks.sink.Sink`."""
         if self._world is not None:
             raise SinkError("mujoco: it is open already")
-        physics = {
-            side: HandPhysics(hand, 1.0 / self.rate, self.bandwidth, self.gravity)
-            for side, hand in hands.items()
-        }
+        physics = {side: self._built(hand) for side, hand in hands.items()}
         object.__setattr__(self, "_world", _World(physics, self._events))
 
     def send(self, tick: Tick) -> None:
@@ -114,6 +122,66 @@ class Simulation:
         world = self._world
         return None if world is None else world.seen.get(side)
 
+    def scene_of(self, side: Side) -> Scene:
+        """What is around a hand.
+
+        Raises:
+            SinkError: the simulation is closed, has no such hand, or no task.
+        """
+        return self._scene(side).scene
+
+    def hand_of(self, side: Side) -> Hand:
+        """The hand that works there; raises as :meth:`scene_of`."""
+        return self._scene(side).hand
+
+    def parts_of(self, side: Side) -> list[ScenePart]:
+        """Shapes of platform and object, to draw; raises as :meth:`scene_of`."""
+        return self._scene(side).parts()
+
+    def scene_state(self, side: Side) -> SceneState | None:
+        """Where the object is now; safe from any thread.
+
+        Returns:
+            None while the simulation is closed, or without a task or such a hand.
+        """
+        world = self._world
+        return None if world is None else world.scenes.get(side)
+
+    def watch(self, side: Side, watcher: Watcher | None) -> None:
+        """Have every new state of a scene given to one watcher; None takes it away.
+
+        Raises:
+            SinkError: as :meth:`scene_of`.
+        """
+        self._scene(side)
+        assert self._world is not None  # it has a scene
+        self._world.watch(side, watcher)
+
+    def reset_object(self, side: Side) -> int:
+        """Have the object put back to its start, with the next step; raises as :meth:`scene_of`.
+
+        Returns:
+            :attr:`SceneState.starts` of the states that come after it.
+        """
+        physics = self._scene(side)
+        assert self._world is not None  # it has a scene
+        return self._world.reset_object(side, physics)
+
+    def _built(self, hand: Hand) -> HandPhysics:
+        if self.task == "none":
+            return HandPhysics(hand, 1.0 / self.rate, self.bandwidth, self.gravity)
+        return ScenePhysics(hand, scene_for(self.task, hand), 1.0 / self.rate, self.bandwidth)
+
+    def _scene(self, side: Side) -> ScenePhysics:
+        world = self._world
+        found = None if world is None else world.physics_of(side)
+        if not isinstance(found, ScenePhysics):
+            raise SinkError(
+                f"mujoco: there is no scene around a {side} hand: "
+                + ("it is not open" if world is None else "ask for one with mujoco:task=card")
+            )
+        return found
+
     def close(self) -> None:
         """Stop; a second call does nothing."""
         world = self._world
@@ -129,6 +197,11 @@ class _World:
         now = time.perf_counter()
         self.seen = {side: SimulatedHand(p.positions, now) for side, p in physics.items()}
         self._physics, self._events = physics, events
+        self.scenes: dict[Side, SceneState] = {
+            side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
+        }
+        self._watchers: dict[Side, Watcher] = {}
+        self._put_back: set[Side] = set()
         self._targets: dict[Side, Float[np.ndarray, " n"] | None] = {}
         self._changed = threading.Lock()
         self._error: Exception | None = None
@@ -147,6 +220,21 @@ class _World:
             for side in self._physics:
                 self._targets[side] = None  # stands for: where it is
 
+    def physics_of(self, side: Side) -> HandPhysics | None:
+        return self._physics.get(side)
+
+    def watch(self, side: Side, watcher: Watcher | None) -> None:
+        with self._changed:
+            if watcher is None:
+                self._watchers.pop(side, None)
+            else:
+                self._watchers[side] = watcher
+
+    def reset_object(self, side: Side, physics: ScenePhysics) -> int:
+        with self._changed:
+            self._put_back.add(side)
+            return physics.starts + 1
+
     def end(self) -> None:
         self._ending.set()
         self._thread.join(2.0)
@@ -157,19 +245,25 @@ class _World:
             held: set[Side] = set()
             while not self._ending.wait(_WAKE_S):
                 now = time.perf_counter()
-                with self._changed:
-                    targets, self._targets = self._targets, {}
-                for side, target in targets.items():
-                    if target is not None:
-                        self._physics[side].command(target)
-                        held.discard(side)
-                    elif side not in held:  # once: a hand that is held again and again would creep
-                        self._physics[side].hold()
-                        held.add(side)
-                self._step(min(now - last, _BEHIND_S), now)
-                last = now
+                due, last = min(now - last, _BEHIND_S), now
+                while due > 0.0:
+                    self._take(held)
+                    self._step(min(due, _SLICE_S), now)
+                    due -= _SLICE_S
         except Exception as error:  # reaches the loop with its next command
             self._error = error
+
+    def _take(self, held: set[Side]) -> None:
+        """The newest commands; ``held`` are the hands that stay where they are."""
+        with self._changed:
+            targets, self._targets = self._targets, {}
+        for side, target in targets.items():
+            if target is not None:
+                self._physics[side].command(target)
+                held.discard(side)
+            elif side not in held:  # once: a hand that is held again and again would creep
+                self._physics[side].hold()
+                held.add(side)
 
     def _step(self, seconds: float, now: float) -> None:
         for side, physics in self._physics.items():
@@ -178,3 +272,17 @@ class _World:
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
             self.seen[side] = SimulatedHand(physics.positions, now)
+            if isinstance(physics, ScenePhysics):
+                self._show(side, physics)
+
+    def _show(self, side: Side, physics: ScenePhysics) -> None:
+        """The scene's new state, to whom it concerns; resets that were asked for."""
+        with self._changed:
+            watcher = self._watchers.get(side)
+            put_back = side in self._put_back
+            self._put_back.discard(side)
+        if put_back:
+            physics.reset_object()
+        state = self.scenes[side] = physics.observe()
+        if watcher is not None:
+            watcher(state, physics.positions)

@@ -1,0 +1,1 @@
+"""User studies of retargeters: data, analysis, report."""

@@ -1,0 +1,314 @@
+"""``study.toml``: a plan as a file that a person can read and mend.
+
+::
+
+    format = 1
+    name = "four retargeters"
+    baseline = "dexpilot"
+    operators = 18
+    familiarisation_s = 120.0      # optional, as all that follow up to the tables
+    break_s = 120.0
+    questionnaires = ["initial", "midpoint", "final"]
+    weights = false
+    resets = 1
+    reset_cap = 0.5
+    task_order = "balanced"        # or "listed"
+    seed = 0
+
+    [conditions.sbr]
+    method = "sbr"                 # optional: the name
+    preset = "paper"               # optional: the method's default
+    label = "Birch"                # optional: drawn
+
+    [tasks.A]
+    title = "Card pickup"          # optional
+    instruction = "Slide ..."      # optional
+    trials = 10
+    operators = 12                 # optional: all
+    time_limit_s = 180.0           # optional: none
+    rubric = [                     # optional
+      { name = "done", score = 1.0, text = "held in a pinch" },
+      { name = "dropped", score = 0.0, text = "left the workspace" },
+    ]
+
+    [orders]                       # drawn where they are missing
+    1 = ["sbr", "dexpilot"]
+    2 = ["dexpilot", "sbr"]
+
+    [enrolled]                     # operator -> its tasks, in their order, with the row of orders
+    P01 = { A = 1 }
+
+Without ``[orders]`` and ``[enrolled]`` it is what ``study new`` makes a plan of.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.recording.atomic import atomic_write
+from smooth_operator.study.design.enrolment import Enrolment, Orders
+from smooth_operator.study.design.entries import Entries
+from smooth_operator.study.design.plan import Plan, make_plan
+from smooth_operator.study.design.protocol import (
+    POINTS,
+    Condition,
+    Protocol,
+    RubricLine,
+    Task,
+)
+
+FORMAT: Final = 1
+"""Version of the format that this program reads and writes."""
+NAME: Final = "study.toml"
+"""Name of the file in the folder of a study."""
+
+_MOST_BYTES: Final = 4_000_000
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Reads a plan; draws what the file leaves to be drawn.
+
+    Args:
+        path: the file, or the folder that holds ``study.toml``.
+
+    Raises:
+        StudyError: there is no such file, it is no TOML, or what it says is no study; the message
+            names the entry and what is expected there.
+    """
+    path = Path(path)
+    return plan_of(_parse(path / NAME if path.is_dir() else path), str(path))
+
+
+def plan_of(table: dict[str, Any], file: str) -> Plan:
+    """A plan from the contents of its file.
+
+    Args:
+        table: as TOML or JSON gives it.
+        file: as messages call it.
+
+    Raises:
+        StudyError: it is no plan; the message names the entry.
+    """
+    entries = Entries(file, table)
+    version = entries.whole("format")
+    if version != FORMAT:
+        newer = "; a newer smooth-operator wrote it: update yours" if version > FORMAT else ""
+        raise entries.error("format", f"expected {FORMAT}, not {version}{newer}")
+    try:
+        protocol = _protocol(entries)
+        if "orders" not in table:
+            if "enrolled" in table:
+                raise entries.error("enrolled", "rows mean nothing without [orders]; add those")
+            return make_plan(protocol)
+        return Plan(protocol, _orders(entries), _enrolled(entries))
+    except SmoothOperatorError as error:
+        if str(error).startswith(file):
+            raise
+        raise StudyError(f"{file}: {error}") from error
+
+
+def write_plan(plan: Plan, path: str | Path) -> Path:
+    """Writes ``study.toml``, whole or not at all.
+
+    Args:
+        plan: what to write.
+        path: the file, or the folder for ``study.toml``.
+
+    Returns:
+        The file.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / NAME
+    with atomic_write(path) as file:
+        file.write(plan_text(plan).encode("utf-8"))
+    return path
+
+
+def plan_text(plan: Plan) -> str:
+    """The file as text."""
+    return "\n".join(_lines(plan)) + "\n"
+
+
+def plan_table(plan: Plan) -> dict[str, Any]:
+    """The file as a table; :func:`plan_of` makes the plan of it again."""
+    return tomllib.loads(plan_text(plan))
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise StudyError(f"{path} is {path.stat().st_size} bytes: that is no plan of a study")
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise StudyError(
+            f"no plan at {path}; smooth-operator study new {path.parent} makes one"
+        ) from None
+    except OSError as error:
+        raise StudyError(f"can't read the plan {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise StudyError(f"{path} is not UTF-8 text, so it is no plan") from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise StudyError(f"{path} is not well-formed TOML: {error}") from error
+
+
+def _protocol(entries: Entries) -> Protocol:
+    entries.only(
+        "format", "name", "baseline", "operators", "familiarisation_s", "break_s",
+        "questionnaires", "weights", "resets", "reset_cap", "task_order", "seed", "conditions",
+        "tasks", "orders", "enrolled",
+    )  # fmt: skip
+    conditions = entries.table("conditions")
+    tasks = entries.table("tasks")
+    order = entries.text("task_order", "balanced")
+    if order not in ("balanced", "listed"):
+        raise entries.error("task_order", f"expected 'balanced' or 'listed', not {order!r}")
+    asked = entries.texts("questionnaires", POINTS)
+    for point in asked:
+        if point not in POINTS:
+            raise entries.error("questionnaires", f"expected some of {', '.join(POINTS)}")
+    return Protocol(
+        name=entries.text("name"),
+        conditions=tuple(_condition(conditions.table(name), name) for name in conditions.names),
+        tasks=tuple(_task(tasks.table(name), name) for name in tasks.names),
+        baseline=entries.text("baseline"),
+        operators=entries.whole("operators"),
+        familiarisation_s=entries.number("familiarisation_s", 120.0),
+        questionnaires=tuple(point for point in POINTS if point in asked),
+        weights=entries.flag("weights", False),
+        resets=entries.whole("resets", 1),
+        reset_cap=entries.number("reset_cap", 0.5),
+        break_s=entries.number("break_s", 120.0),
+        task_order="balanced" if order == "balanced" else "listed",
+        seed=entries.whole("seed", 0),
+    )
+
+
+def _condition(entries: Entries, name: str) -> Condition:
+    entries.only("method", "preset", "label")
+    preset = entries.text("preset", "")
+    return Condition(name, entries.text("method", name), preset or None, entries.text("label", ""))
+
+
+def _task(entries: Entries, name: str) -> Task:
+    entries.only("title", "instruction", "trials", "operators", "time_limit_s", "rubric")
+    more: dict[str, Any] = {}
+    if "operators" in entries.names:
+        more["operators"] = entries.whole("operators")
+    if "time_limit_s" in entries.names:
+        more["time_limit_s"] = entries.number("time_limit_s")
+    if "rubric" in entries.names:
+        more["rubric"] = tuple(_line(line) for line in entries.tables("rubric"))
+    return Task(
+        name,
+        trials=entries.whole("trials"),
+        title=entries.text("title", ""),
+        instruction=entries.text("instruction", ""),
+        **more,
+    )
+
+
+def _line(entries: Entries) -> RubricLine:
+    entries.only("name", "score", "text")
+    return RubricLine(entries.text("name"), entries.number("score"), entries.text("text", ""))
+
+
+def _orders(entries: Entries) -> Orders:
+    orders = entries.table("orders")
+    for number, name in enumerate(orders.names, 1):
+        if name != str(number):
+            raise orders.error(name, f"rows are numbered 1, 2, ...; expected {number} here")
+    return tuple(tuple(orders.texts(name)) for name in orders.names)
+
+
+def _enrolled(entries: Entries) -> tuple[Enrolment, ...]:
+    if "enrolled" not in entries.names:
+        return ()
+    operators = entries.table("enrolled")
+    made = []
+    for code in operators.names:
+        rows = operators.table(code)
+        made.append(Enrolment(code, {task: rows.whole(task) - 1 for task in rows.names}))
+    return tuple(made)
+
+
+def _lines(plan: Plan) -> Iterator[str]:
+    protocol = plan.protocol
+    yield "# A user study. Names and rows of those who have begun are not to be changed any more."
+    yield f"format = {FORMAT}"
+    yield f"name = {_text(protocol.name)}"
+    yield f"baseline = {_text(protocol.baseline)}  # the others are compared with it"
+    yield f"operators = {protocol.operators}"
+    yield f"familiarisation_s = {protocol.familiarisation_s!r}  # free movement before a block"
+    yield f"break_s = {protocol.break_s!r}  # offered between blocks"
+    yield f"questionnaires = {_texts(protocol.questionnaires)}  # NASA-TLX, after these trials"
+    yield f"weights = {_flag(protocol.weights)}  # the 15 pairs of NASA-TLX at the end of a block"
+    yield f"resets = {protocol.resets}  # of the object, in a trial"
+    yield f"reset_cap = {protocol.reset_cap!r}  # best score after that"
+    yield f"task_order = {_text(protocol.task_order)}"
+    yield f"seed = {protocol.seed}"
+    for condition in protocol.conditions:
+        yield ""
+        yield f"[conditions.{_key(condition.name)}]"
+        yield f"method = {_text(condition.method)}"
+        if condition.preset is not None:
+            yield f"preset = {_text(condition.preset)}"
+        if condition.label:
+            yield f"label = {_text(condition.label)}  # what operators may see"
+    for task in protocol.tasks:
+        yield ""
+        yield from _task_lines(task)
+    yield ""
+    yield "[orders]  # a balanced Latin square: the conditions of the first block, the second, ..."
+    for number, order in enumerate(plan.orders, 1):
+        yield f"{number} = {_texts(order)}"
+    yield ""
+    yield "[enrolled]  # operator = { task = row of orders }, tasks in the order they are done"
+    for one in plan.enrolled:
+        rows = ", ".join(f"{_key(task)} = {row + 1}" for task, row in one.rows.items())
+        yield f"{_key(one.code)} = {{ {rows} }}"
+
+
+def _task_lines(task: Task) -> Iterator[str]:
+    yield f"[tasks.{_key(task.name)}]"
+    if task.title:
+        yield f"title = {_text(task.title)}"
+    if task.instruction:
+        yield f"instruction = {_text(task.instruction)}"
+    yield f"trials = {task.trials}  # in a block"
+    if task.operators is not None:
+        yield f"operators = {task.operators}"
+    if task.time_limit_s is not None:
+        yield f"time_limit_s = {float(task.time_limit_s)!r}"
+    yield "rubric = ["
+    for line in task.rubric:
+        yield (
+            f"  {{ name = {_text(line.name)}, score = {float(line.score)!r}, "
+            f"text = {_text(line.text)} }},"
+        )
+    yield "]"
+
+
+def _text(value: str) -> str:
+    # A JSON string is a TOML one, but for the one control character that JSON lets through.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def _texts(values: tuple[str, ...]) -> str:
+    return f"[{', '.join(map(_text, values))}]"
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() else _text(name)
+
+
+def _flag(value: bool) -> str:
+    return "true" if value else "false"

@@ -1,0 +1,257 @@
+"""What a study does to an operator: conditions, tasks, blocks, trials, questionnaires.
+
+A task is done in blocks, one for each condition. A block is a time of free movement, then its
+trials, with a questionnaire after some of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal, TypeAlias, get_args
+
+from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.study.design.checks import check_name, distinct, seconds, whole
+
+Point: TypeAlias = Literal["initial", "midpoint", "final"]
+"""When a questionnaire is asked: after the first, the middle or the last trial of a block."""
+POINTS: Final[tuple[Point, ...]] = get_args(Point)
+
+_MOST_TRIALS: Final = 1000
+_SCORES: Final = (0.0, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One thing that is compared: a retargeting method with its settings.
+
+    Attributes:
+        name: in data and results; letters, digits and ``_ . -``.
+        method: retargeting method that the running teleoperation is switched to.
+        preset: of the method; None for its default.
+        label: what operators and blind experimenters see in its place.
+    """
+
+    name: str
+    method: str = ""
+    preset: str | None = None
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "condition")
+        if not self.method:
+            object.__setattr__(self, "method", self.name)
+
+
+@dataclass(frozen=True)
+class RubricLine:
+    """One way for a trial to end.
+
+    Attributes:
+        name: in the data.
+        score: 0 failed, 0.5 marginal, 1 done.
+        text: what must have been seen.
+    """
+
+    name: str
+    score: float
+    text: str
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "line of a rubric")
+        if self.score not in _SCORES:
+            raise StudyError(
+                f"line {self.name!r} of a rubric: its score must be 0, 0.5 or 1, not {self.score}"
+            )
+
+
+GENERAL_RUBRIC: Final = (
+    RubricLine("done", 1.0, "done as instructed, without a reset"),
+    RubricLine("marginal", 0.5, "done, after a reset or with an undesired state on the way"),
+    RubricLine("failed", 0.0, "the object was dropped, or the operator gave up"),
+)
+"""For a task that has none of its own."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be done with the hand.
+
+    Attributes:
+        name: short, in data and results.
+        trials: in each block.
+        operators: how many are to do it; None for all of the study.
+        title: for people.
+        instruction: read to the operator.
+        time_limit_s: after which a trial counts as not done [s]; None for no limit.
+        rubric: how a trial is scored; a line for failure and one for success at least.
+    """
+
+    name: str
+    trials: int = 10
+    operators: int | None = None
+    title: str = ""
+    instruction: str = ""
+    time_limit_s: float | None = None
+    rubric: tuple[RubricLine, ...] = GENERAL_RUBRIC
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "task")
+        whole(self.trials, 1, _MOST_TRIALS, f"task {self.name!r}: trials in a block")
+        if self.operators is not None:
+            whole(self.operators, 1, 10_000, f"task {self.name!r}: operators")
+        if self.time_limit_s is not None:
+            seconds(self.time_limit_s, f"task {self.name!r}: time limit", least=1.0)
+        distinct([line.name for line in self.rubric], f"lines in the rubric of {self.name!r}")
+        scores = {line.score for line in self.rubric}
+        if 0.0 not in scores or not scores - {0.0}:
+            raise StudyError(
+                f"task {self.name!r}: the rubric needs a line that scores 0 and one that scores "
+                f"more; it has {sorted(scores)}"
+            )
+
+    def line(self, name: str) -> RubricLine:
+        """A line of the rubric.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+        """
+        lines = {line.name: line for line in self.rubric}
+        if name not in lines:
+            raise UnknownNameError(f"line in the rubric of task {self.name!r}:", name, lines)
+        return lines[name]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A study as it is planned; who does what in which order is the :class:`Plan`'s.
+
+    Attributes:
+        name: of the study.
+        conditions: two or more.
+        tasks: one or more.
+        baseline: name of the condition that the others are compared with.
+        operators: how many are to take part.
+        familiarisation_s: free movement before the trials of each block, without the task [s].
+        questionnaires: after which trials of a block NASA-TLX is asked; empty for never.
+        weights: whether the 15 pairwise comparisons of NASA-TLX follow the last one of a block.
+        resets: how often the object may be put back in a trial.
+        reset_cap: the best score after that.
+        break_s: offered between blocks [s].
+        task_order: whether operators with several tasks do them in balanced orders or as listed.
+        seed: of everything that is drawn: square, orders, labels.
+    """
+
+    name: str
+    conditions: tuple[Condition, ...]
+    tasks: tuple[Task, ...]
+    baseline: str
+    operators: int
+    familiarisation_s: float = 120.0
+    questionnaires: tuple[Point, ...] = POINTS
+    weights: bool = False
+    resets: int = 1
+    reset_cap: float = 0.5
+    break_s: float = 120.0
+    task_order: Literal["balanced", "listed"] = "balanced"
+    seed: int = 0
+    _by_name: Mapping[str, Condition] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.name.strip() or not self.name.isprintable():
+            raise StudyError(f"a study needs a name of printable characters, not {self.name!r}")
+        if len(self.conditions) < 2:
+            raise StudyError(
+                f"a study compares two conditions or more; it has {len(self.conditions)}"
+            )
+        if not self.tasks:
+            raise StudyError("a study needs a task")
+        distinct([condition.name for condition in self.conditions], "conditions")
+        labels = [condition.label for condition in self.conditions if condition.label]
+        distinct(labels, "labels of conditions")
+        distinct([task.name for task in self.tasks], "tasks")
+        object.__setattr__(self, "_by_name", {c.name: c for c in self.conditions})
+        if self.baseline not in self._by_name:
+            raise UnknownNameError("baseline", self.baseline, self._by_name)
+        whole(self.operators, 1, 10_000, "operators")
+        seconds(self.familiarisation_s, "familiarisation")
+        seconds(self.break_s, "break")
+        whole(self.resets, 0, 100, "resets of a trial")
+        if self.reset_cap not in _SCORES:
+            raise StudyError(f"the score after a reset must be 0, 0.5 or 1, not {self.reset_cap}")
+        if self.task_order not in ("balanced", "listed"):
+            raise StudyError(f"task order must be balanced or listed, not {self.task_order!r}")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise StudyError(f"the seed must be a whole number, 0 or more, not {self.seed!r}")
+        self._check_enrolment()
+        for task in self.tasks:
+            self.questionnaire_trials(task)
+
+    def _check_enrolment(self) -> None:
+        planned = [self.planned(task) for task in self.tasks]
+        for task, count in zip(self.tasks, planned, strict=True):
+            if count > self.operators:
+                raise StudyError(
+                    f"task {task.name!r} is to be done by {count} operators, but the study has "
+                    f"{self.operators}"
+                )
+        if sum(planned) < self.operators:
+            raise StudyError(
+                f"{self.operators} operators, but the tasks take only {sum(planned)}: someone "
+                "would have nothing to do"
+            )
+
+    @property
+    def condition_names(self) -> tuple[str, ...]:
+        """Names of the conditions, as listed."""
+        return tuple(self._by_name)
+
+    def condition(self, name: str) -> Condition:
+        """A condition by its name.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+        """
+        if name not in self._by_name:
+            raise UnknownNameError("condition", name, self._by_name)
+        return self._by_name[name]
+
+    def task(self, name: str) -> Task:
+        """A task by its name.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+        """
+        by_name = {task.name: task for task in self.tasks}
+        if name not in by_name:
+            raise UnknownNameError("task", name, by_name)
+        return by_name[name]
+
+    def planned(self, task: Task) -> int:
+        """How many operators are to do a task."""
+        return self.operators if task.operators is None else task.operators
+
+    def questionnaire_trials(self, task: Task) -> dict[int, Point]:
+        """Trial of a block, from 1 -> the questionnaire that follows it.
+
+        Raises:
+            StudyError: a block has too few trials for all of them to be different.
+        """
+        after: dict[Point, int] = {
+            "initial": 1,
+            "midpoint": (task.trials + 1) // 2,
+            "final": task.trials,
+        }
+        found: dict[int, Point] = {}
+        for point in self.questionnaires:
+            if point not in after:
+                raise UnknownNameError("questionnaire point", point, after)
+            trial = after[point]
+            if trial in found:
+                raise StudyError(
+                    f"task {task.name!r}: with {task.trials} trial(s) a block, questionnaires "
+                    f"{found[trial]!r} and {point!r} would both follow trial {trial}; have more "
+                    "trials or fewer questionnaires"
+                )
+            found[trial] = point
+        return dict(sorted(found.items()))

@@ -1,0 +1,99 @@
+"""Film strips of the tasks: the demonstrations, drawn by MuJoCo off screen."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+from jaxtyping import UInt8
+
+from smooth_operator.errors import StudyError
+from smooth_operator.recording.atomic import atomic_write, output_error
+from smooth_operator.sinks.scenes.physics import ScenePhysics
+from smooth_operator.sinks.scenes.state import SceneState
+from smooth_operator.study.tasks.demonstration import Demonstration, load_demonstration, play
+
+_VIEWS: Final = {"card": (150.0, -12.0), "cube": (150.0, -35.0), "screwdriver": (200.0, -5.0)}
+_MOMENTS: Final = {
+    "card": (0.02, 2.0, 3.2, 4.0),
+    "cube": (0.02, 1.0, 1.5, 2.1),
+    "screwdriver": (0.02, 1.2, 2.1, 4.3),
+}
+"""Task -> where from (azimuth, elevation [degrees]), and when [s]."""
+
+_DISTANCE: Final = 0.29  # of the camera [m]
+_COLORS: Final = 256  # of the PNG's palette
+
+
+def film_strip(
+    demonstration: Demonstration,
+    moments: Sequence[float],
+    view: tuple[float, float],
+    size: tuple[int, int] = (400, 320),
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Pictures of a demonstration side by side.
+
+    Args:
+        demonstration: what is done.
+        moments: when [s], in order.
+        view: azimuth and elevation of the camera [degrees].
+        size: width and height of each picture.
+
+    Raises:
+        StudyError: there is no OpenGL to draw with, or the demonstration ends before a moment.
+    """
+    shots: list[UInt8[np.ndarray, "h w 3"]] = []
+    left = list(moments)
+
+    def seen(physics: ScenePhysics, state: SceneState) -> None:
+        if left and state.time >= left[0] - 1e-6:
+            left.pop(0)
+            shots.append(_shot(physics, view, size))
+
+    for _ in play(demonstration, seen=seen):
+        pass
+    if left:
+        raise StudyError(f"the demonstration of {demonstration.task!r} ends before {left[0]} s")
+    return np.concatenate(shots, axis=1)
+
+
+def save_film_strip(task: str, path: str | Path) -> None:
+    """Write the film strip of a task's demonstration as a PNG with few colours.
+
+    Raises:
+        StudyError: there is no OpenGL to draw with.
+        OutputError: the file can't be written.
+    """
+    from PIL import Image
+
+    strip = film_strip(load_demonstration(task), _MOMENTS[task], _VIEWS[task])
+    small = Image.fromarray(strip).quantize(_COLORS, dither=Image.Dither.NONE)
+    try:
+        with atomic_write(path) as file:
+            small.save(file, format="PNG", optimize=True)
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def _shot(
+    physics: ScenePhysics, view: tuple[float, float], size: tuple[int, int]
+) -> UInt8[np.ndarray, "h w 3"]:
+    try:
+        renderer = mujoco.Renderer(physics.model, size[1], size[0])
+    except Exception as error:  # whatever the OpenGL at hand, or its absence, comes up with
+        raise StudyError(
+            f"no picture of the scene: MuJoCo has no OpenGL here ({error}); set MUJOCO_GL=egl or "
+            f"osmesa before Python starts (now {os.environ.get('MUJOCO_GL', 'not set')})"
+        ) from error
+    try:
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = physics.scene.start[0]
+        camera.distance, (camera.azimuth, camera.elevation) = _DISTANCE, view
+        renderer.update_scene(physics.data, camera)
+        return np.array(renderer.render())
+    finally:
+        renderer.close()
