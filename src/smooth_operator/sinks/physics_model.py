@@ -143,7 +143,10 @@ def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
     data.qpos[addresses] = hand.expand(hand.neutral)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
+    try:
+        mujoco.mj_fullM(model, data, full)
+    except TypeError:  # up to MuJoCo 3.3 it takes the packed matrix, and the result comes first
+        mujoco.mj_fullM(model, full, data.qM)
     matrix = hand.expansion[0]
     reduced = matrix.T @ full[np.ix_(dofs, dofs)] @ matrix
     return np.asarray(np.diag(reduced))
