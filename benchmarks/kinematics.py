@@ -9,29 +9,33 @@ MJX is optional: ``python -m pip install mujoco-mjx``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import tyro
 from report import BenchmarkError, Report, interleaved, percentiles
 
 from smooth_operator import Hand, SmoothOperatorError, load_hand
+from smooth_operator.ablations.fk_libraries import (
+    AGREEMENT,
+    BOUNDED,
+    MJX,
+    MUJOCO,
+    WALK,
+    Library,
+    Run,
+    disagreement,
+    make_library,
+    missing,
+    random_poses,
+)
 
-try:
-    from mujoco import mjx
-except ImportError:
-    mjx = None
-
-AGREEMENT = 1e-5  # [m]
 LOOP_LIMIT = 8192  # a Python loop says nothing new beyond that
 
-WALK, BOUNDED, POSITIONS = "walk", "walk within limits", "positions"
-MJX, MUJOCO = "MJX", "MuJoCo C, loop"
+POSITIONS = "positions"
 
 
 @dataclass(frozen=True)
@@ -57,40 +61,23 @@ class Settings:
     compare: Path | None = None
 
 
-@dataclass(frozen=True)
-class Tips:
-    """Where the fingertips are in the compiled MuJoCo model, in its world frame."""
-
-    bodies: np.ndarray  # (F,)
-    offsets: np.ndarray  # (F, 3) in the body's frame [m]
-    palm: int
-
-    @classmethod
-    def of(cls, hand: Hand) -> Tips:
-        tips = [f.tip.mirrored if hand.spec.mirror else f.tip for f in hand.spec.fingers]
-        return cls(
-            np.array([hand.model.body(tip.body).id for tip in tips]),
-            np.array([tip.offset for tip in tips]),
-            int(hand.model.body(hand.spec.palm).id),
-        )
-
-
 def main(settings: Settings) -> None:
     report = Report("kinematics", vars(settings))
     hand = load_hand(settings.hand, settings.side)
-    tips = Tips.of(hand)
-    bodies = programs(hand, tips)
-    if mjx is None:
-        report.notes.append("MJX: not measured; it needs `python -m pip install mujoco-mjx`")
-    worst = check(hand, tips, bodies, np.random.default_rng(settings.seed))
+    libraries = programs(hand)
+    if (why := missing(MJX)) is not None:
+        report.notes.append(f"MJX: {why}; it needs `python -m pip install mujoco-mjx`")
+    worst = check(hand, libraries, settings.seed)
     report.add("disagreement_m", worst)
 
     rows, ratios = [], []
     for batch in settings.batches:
-        q = poses(hand, batch, np.random.default_rng(settings.seed))
-        work = {name: ready(program, q) for name, program in bodies.items()}
-        if batch <= LOOP_LIMIT:
-            work[MUJOCO] = loop(hand.model, tips, q)
+        q = random_poses(hand, batch, settings.seed)
+        work = {
+            name: library.prepare(q)
+            for name, library in libraries.items()
+            if name != MUJOCO or batch <= LOOP_LIMIT
+        }
         times = interleaved(work, settings.seconds)
         medians = {}
         for name, samples in times.items():
@@ -122,93 +109,40 @@ def main(settings: Settings) -> None:
     report.finish(settings.output, settings.compare)
 
 
-Program = tuple[Callable[[jax.Array], jax.Array], bool]
-"""A compiled function of joint positions, and whether the batch is its last axis."""
-
-
-def programs(hand: Hand, tips: Tips) -> dict[str, Program]:
-    """name -> program; all but ``positions`` give fingertips."""
-
-    def walk(q: jax.Array, within_limits: bool) -> jax.Array:
-        points = hand.tree.walk(list(q), hand.tip_names, within_limits=within_limits)
-        return jnp.stack([jnp.broadcast_to(c, q.shape[1:]) for p in points for c in p])
-
-    found: dict[str, Program] = {
-        WALK: (jax.jit(lambda q: walk(q, False)), True),
-        BOUNDED: (jax.jit(lambda q: walk(q, True)), True),
-        POSITIONS: (jax.jit(hand.tree.positions), False),
+def programs(hand: Hand) -> dict[str, Library]:
+    """name -> library: those of the experiment ``fk`` that are here, and the public interface."""
+    found = {
+        name: make_library(name, hand)
+        for name in (WALK, BOUNDED, MJX, MUJOCO)
+        if missing(name) is None
     }
-    if mjx is not None:
-        model = mjx.put_model(hand.model)
-        data = mjx.make_data(model)
+    compiled = jax.jit(hand.tree.positions)
+    at = [hand.tree.names.index(name) for name in hand.tip_names]
 
-        def one(q: jax.Array) -> jax.Array:
-            moved = mjx.kinematics(model, data.replace(qpos=q))
-            turned = jnp.einsum("fij,fj->fi", moved.xmat[tips.bodies], tips.offsets)
-            world: jax.Array = moved.xpos[tips.bodies] + turned
-            return world
+    def prepare(q: np.ndarray) -> Run:
+        on_device = jnp.asarray(q, jnp.float32)  # batch first
+        return lambda: compiled(on_device).block_until_ready()
 
-        found[MJX] = (jax.jit(jax.vmap(one)), False)
+    found[POSITIONS] = Library(POSITIONS, prepare, lambda points: np.asarray(points, float)[:, at])
     return found
 
 
-def poses(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, n) random positions of all joints [rad], couplings respected."""
-    return hand.expand(rng.uniform(hand.limits[:, 0], hand.limits[:, 1], (count, len(hand.limits))))
-
-
-def ready(program: Program, q: np.ndarray) -> Callable[[], object]:
-    compiled, batch_last = program
-    on_device = jnp.asarray(q.T if batch_last else q, jnp.float32)
-    return lambda: compiled(on_device).block_until_ready()
-
-
-def loop(model: mujoco.MjModel, tips: Tips, q: np.ndarray) -> Callable[[], object]:
-    data = mujoco.MjData(model)
-    qpos, xpos, xmat = data.qpos, data.xpos, data.xmat  # views: the loop pays for little but C
-    points, matrices = np.empty((len(q), *xpos.shape)), np.empty((len(q), *xmat.shape))
-
-    def run() -> np.ndarray:
-        for i, pose in enumerate(q):
-            qpos[:] = pose
-            mujoco.mj_kinematics(model, data)
-            points[i], matrices[i] = xpos, xmat
-        turn = matrices[:, tips.bodies].reshape(len(q), -1, 3, 3)
-        turned = np.einsum("nfij,fj->nfi", turn, tips.offsets)
-        world: np.ndarray = points[:, tips.bodies] + turned
-        return world
-
-    return run
-
-
-def check(
-    hand: Hand, tips: Tips, bodies: dict[str, Program], rng: np.random.Generator
-) -> dict[str, float]:
+def check(hand: Hand, libraries: dict[str, Library], seed: int) -> dict[str, float]:
     """Largest distance of each program from MuJoCo's [m].
 
     Raises:
         BenchmarkError: if one is beyond AGREEMENT: what is wrong need not be timed.
     """
-    q = poses(hand, 1000, rng)
-    world = loop(hand.model, tips, q)()
-    palm = mujoco.MjData(hand.model)
-    mujoco.mj_kinematics(hand.model, palm)  # fixed to the world, so any pose will do
-    rotation, origin = palm.xmat[tips.palm].reshape(3, 3), palm.xpos[tips.palm]
-    truth = (np.asarray(world) - origin) @ rotation
-    at = [hand.tree.names.index(name) for name in hand.tip_names]
-    worst = {}
-    for name, program in bodies.items():
-        found = np.asarray(ready(program, q)(), float)
-        if name == POSITIONS:
-            found = found[:, at]
-        elif name == MJX:
-            found = (found - origin) @ rotation
-        else:
-            found = found.T.reshape(len(q), -1, 3)
-        worst[name] = float(np.linalg.norm(found - truth, axis=-1).max())
-        if not worst[name] < AGREEMENT:
+    q = random_poses(hand, 1000, seed)
+    worst = {
+        name: disagreement(library, hand, q)
+        for name, library in libraries.items()
+        if name != MUJOCO
+    }
+    for name, error in worst.items():
+        if not error < AGREEMENT:
             raise BenchmarkError(
-                f"{name} is {worst[name]:.1e} m from MuJoCo's kinematics; at most "
+                f"{name} is {error:.1e} m from MuJoCo's kinematics; at most "
                 f"{AGREEMENT:.0e} m were expected, so there is nothing to time"
             )
     return worst

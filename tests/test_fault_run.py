@@ -15,9 +15,9 @@ BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 @pytest.mark.skipif(sys.platform == "win32", reason="ends processes by POSIX signals")
 def test_nothing_bad_happens_when_everything_goes_wrong(tmp_path: Path) -> None:
     output = tmp_path / "faults.json"
+    program = [sys.executable, "teleop.py", "--faults", "--seconds", "12"]
     done = subprocess.run(
-        [sys.executable, "teleop.py", "--faults", "--seconds", "12", "--method", "joint_angle"]
-        + ["--output", str(output)],
+        [*program, "--method", "joint_angle", "--output", str(output)],
         cwd=BENCHMARKS,
         capture_output=True,
         text=True,

@@ -7,6 +7,7 @@ from typing import Final, TypeAlias
 
 import tyro
 
+from smooth_operator.cli.ablate_options import Ablate, Paper
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.calibrate_options import Calibrate
 from smooth_operator.cli.convert_options import Convert
@@ -15,6 +16,7 @@ from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.hands_options import Hands
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.view_options import View
@@ -32,6 +34,8 @@ _EXAMPLES = """Examples:
       both into one file of another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
       which method, and how good? a table, results.json and a report
+  smooth-operator paper --output out
+      the paper's experiments re-run, claim by claim; ablate NAME runs one
   smooth-operator calibrate glove.npz --output operator.json
       the operator's hand on the robot's, for --operator; with a report
   smooth-operator train geort glove.npz --output my-geort
@@ -40,20 +44,25 @@ _EXAMPLES = """Examples:
       a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
+  smooth-operator study analyze trials.csv tlx.csv --output out
+      a user study: models, corrected p-values, a report
 
 Each command has its own help: smooth-operator retarget --help
 """
 
 
 Command: TypeAlias = (
-    Bench
+    Ablate
+    | Bench
     | Calibrate
     | Convert
     | Demo
     | GloveSimulate
     | Hands
     | Latency
+    | Paper
     | Retarget
+    | Study
     | Teleop
     | Train
     | View
@@ -67,10 +76,13 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "view": View,
     "convert": Convert,
     "bench": Bench,
+    "paper": Paper,
+    "ablate": Ablate,
     "train": Train,
     "hands": Hands,
     "calibrate": Calibrate,
     "glove-simulator": GloveSimulate,
+    "study": Study,
 }
 
 

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, UInt32
+from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.solvers.normals import (
@@ -70,6 +70,7 @@ def sample_minimise(
     key: UInt32[Array, "2"],
     config: SamplingConfig,
     sigma: Float[Array, ""] | float | None = None,
+    cycles: Int[Array, ""] | int | None = None,
 ) -> Float[Array, " m"]:
     """Minimise a cost within bounds by Algorithm 1.
 
@@ -83,6 +84,7 @@ def sample_minimise(
         key: two random words; unused when the base normals are fixed.
         config: hyper-parameters.
         sigma: initial standard deviation [rad], instead of the configured one; may be traced.
+        cycles: L, instead of the configured one and no more than that; may be traced.
 
     Returns:
         (m,) the final mean, clipped to the bounds.
@@ -142,5 +144,10 @@ def sample_minimise(
     width = config.sigma if sigma is None else sigma
     factor = jnp.sqrt(width**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     words = random_words(key, config.cycles - 1)
-    (mean, _), _ = lax.scan(cycle, (mean, factor), words)
+    if cycles is None:
+        (mean, _), _ = lax.scan(cycle, (mean, factor), words)
+    else:
+        mean, _ = lax.fori_loop(
+            0, cycles - 1, lambda i, carry: cycle(carry, words[i])[0], (mean, factor)
+        )
     return jnp.clip(mean, low, high)  # line 14

@@ -1,0 +1,67 @@
+"""Options of ``smooth-operator study analyze``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analyze(Common):
+    """Success, time and workload of a study: models, comparisons, learning, a report."""
+
+    details: ClassVar[
+        str
+    ] = """STUDY is the folder of a study that was run, its study.db, or the URL
+of a database; or a folder with trials.csv, tlx.csv and, if there is one, sim_metrics.csv; or such
+tables by any name and in any order; or one JSON file of study export. Every value is checked, and
+what is wrong is named by row and column. Columns:
+  trials      operator, task, retargeter, block, trial_in_block, trial_global, score, time_s
+  tlx         operator, task, retargeter, block, point, and the six scales
+  simulation  operator, retargeter, and a column for each metric
+
+Where trials.csv is given and sim_metrics.csv lies beside it, that is read, too.
+
+Both modes are computed: small-sample (what to report) and paper (as published; right for many
+operators only). FOLDER gets results.json, CSV tables, methods.txt, figures/ and report.html.
+
+Exit status: 0 done, 1 done but for parts that were refused with a reason, 2 the data can't be used.
+
+Examples:
+  smooth-operator study analyze trials.csv tlx.csv --baseline dexpilot --output out
+  smooth-operator study analyze my-study/ --output out --no-report"""
+
+    study: Annotated[Positional[tuple[str, ...]], arg(metavar="STUDY|CSV...")]
+    """The data."""
+
+    name: Annotated[str | None, arg(metavar="TEXT")] = None
+    """Name of the study, where a database holds several."""
+
+    baseline: Annotated[str, arg(metavar="NAME")] = "dexpilot"
+    """The retargeter that the others are compared with."""
+
+    output: Annotated[Path, arg(metavar="FOLDER")]
+    """Folder to write, made if need be."""
+
+    seed: int = 11
+    """Of the bootstrap over operators."""
+
+    no_report: bool = False
+    """Write the results, but no report and no figures."""
+
+    json: bool = False
+    """results.json on standard output instead of the tables."""
+
+    quiet: bool = False
+    """No progress on standard error, no tables on standard output."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.study_analyze import analyze_command
+
+        analyze_command(self)

@@ -1,0 +1,65 @@
+"""``smooth-operator study export`` and ``study erase``: data out, and data away."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from smooth_operator.cli.study_data_options import Erase, Export
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
+from smooth_operator.study.store.export import export_study
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.tables import FILE
+
+
+def export_data(options: Export) -> None:
+    """Writes the files and names them.
+
+    Raises:
+        StudyError: there is no such study.
+        OutputError: a file can't be written.
+    """
+    _check_there(options.study)
+    with open_study(options.study, name=options.name) as store:
+        files = export_study(store, options.output, operators=options.operator or None)
+    print(f"written: {', '.join(str(path) for path in files)}")
+
+
+def erase_data(options: Erase) -> None:
+    """Deletes, after asking; the plan in the folder loses the operator, too.
+
+    Raises:
+        StudyError: there is no such study.
+        UnknownNameError: there is no such operator.
+        ConfigError: it may not ask, and was not told to go on.
+    """
+    _check_there(options.study)
+    with open_study(options.study, name=options.name) as store:
+        if options.operator not in (*store.plan.codes, *store.erased):
+            raise UnknownNameError("operator", options.operator, store.plan.codes)
+        count = len(store.records(options.operator))
+        if not options.yes:
+            if not sys.stdin.isatty():
+                raise ConfigError(
+                    f"{count} events of {options.operator} would be deleted for good; say --yes"
+                )
+            question = f"Delete {count} events of {options.operator} for good? Type the code: "
+            if input(question).strip() != options.operator:
+                raise ConfigError("nothing was deleted")
+        gone = store.erase(options.operator)
+    file = Path(options.study) / NAME
+    if file.is_file():
+        plan = read_plan(file)
+        if options.operator in plan.codes:
+            write_plan(plan.withdraw(options.operator), file)
+    print(f"deleted: {gone} events of {options.operator}; exported copies are yours to delete")
+
+
+def _check_there(study: str) -> None:
+    """Opening would make a store where there is none."""
+    if "://" in study:
+        return
+    path = Path(study) / FILE if Path(study).is_dir() else Path(study)
+    if not path.is_file():
+        raise ConfigError(f"nothing is stored at {path}; give the folder of a study that was run")

@@ -1,0 +1,67 @@
+"""Options of ``smooth-operator study export`` and ``study erase``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stored(Common):
+    """Options of commands about stored data."""
+
+    study: Annotated[Positional[str], arg(metavar="STUDY")]
+    """Folder of the study, its study.db, or the URL of a database."""
+
+    name: Annotated[str | None, arg(metavar="TEXT")] = None
+    """Name of the study, where a database holds several."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(_Stored):
+    """What was stored, as trials.csv, tlx.csv and one study.json with the whole log."""
+
+    details: ClassVar[str] = """Examples:
+  smooth-operator study export my-study --output data
+  smooth-operator study export my-study --operator P07 --output data-of-P07
+  smooth-operator study export postgresql://me@host/studies --name four --output data"""
+
+    output: Annotated[Path, arg(metavar="FOLDER")]
+    """Where the files go."""
+
+    operator: Annotated[tuple[str, ...], arg(metavar="CODE ...")] = ()
+    """Only of these operators; all if left out."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.study_data import export_data
+
+        export_data(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Erase(_Stored):
+    """Deletes all that is stored of one operator, for good."""
+
+    details: ClassVar[str] = """The code stays taken, and the operator is taken off the plan. Copies
+that were exported are not touched.
+
+Example:
+  smooth-operator study erase my-study P07 --yes"""
+
+    operator: Annotated[Positional[str], arg(metavar="CODE")]
+    """Whose data."""
+
+    yes: bool = False
+    """Don't ask."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.study_data import erase_data
+
+        erase_data(self)

@@ -1,0 +1,185 @@
+"""``smooth-operator study new`` and ``study enrol``: a plan, on paper and in files."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.study_new_options import Enrol, New
+from smooth_operator.cli.study_questions import ask_protocol
+from smooth_operator.errors import ConfigError
+from smooth_operator.recording.atomic import atomic_write
+from smooth_operator.study.design.plan import Plan, make_plan, scaled
+from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
+from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
+from smooth_operator.study.design.rubrics import PAPER_TASKS
+from smooth_operator.study.design.schedule import (
+    imbalances,
+    schedule_csv,
+    schedule_table,
+    schedule_text,
+)
+
+PAPER_CONDITIONS: Final = ("sbr", "dexpilot", "geort", "hybrid")
+PAPER_OPERATORS: Final = 18
+_STORE: Final = "study.db"
+
+
+def new_study(options: New) -> None:
+    """Makes a plan, writes it, prints the schedule.
+
+    Raises:
+        StudyError: what was asked for is no study, or one is there.
+        OutputError: a file can't be written.
+    """
+    folder = options.folder
+    file = folder / NAME
+    if file.exists() and not options.overwrite:
+        raise ConfigError(
+            f"there is a study in {folder} already; --overwrite replaces its plan, study enrol "
+            "adds operators"
+        )
+    if file.exists() and (folder / _STORE).exists():
+        raise ConfigError(
+            f"something is stored of the study in {folder} ({_STORE}); its plan can't be "
+            "replaced: use another folder"
+        )
+    if options.from_ is not None:
+        plan = read_plan(options.from_)
+        if _given(options):
+            raise ConfigError("--from takes all from the file; change it there, or leave it out")
+    else:
+        protocol = _protocol(options)
+        asking = sys.stdin.isatty() and sys.stdout.isatty()
+        if asking and not options.no_wizard and not _given(options):
+            protocol = ask_protocol(protocol, Console(highlight=False))
+        plan = make_plan(protocol)
+    with folder_for(folder):
+        files = _write(plan, folder)
+    _print(plan)
+    print(f"written: {', '.join(str(path) for path in files)}")
+
+
+def enrol_operator(options: Enrol) -> None:
+    """Adds an operator to the plan, in the file; the store takes it over when it is opened next.
+
+    Raises:
+        StudyError: there is no such study, or the operator does these tasks already.
+        OutputError: a file can't be written.
+    """
+    folder = options.study if options.study.is_dir() else options.study.parent
+    plan = read_plan(options.study)
+    plan = plan.enrol(options.operator, options.tasks or None)
+    if (folder / _STORE).exists():  # what is stored decides: the code may be that of one erased
+        from smooth_operator.study.store.opening import open_study
+
+        with open_study(folder, plan):
+            pass
+    _write(plan, folder)
+    for task in plan.enrolment(options.operator).rows:
+        order = " → ".join(b.condition.label for b in plan.blocks(options.operator, task))
+        print(f"{options.operator}, task {task}: {order}")
+
+
+def _given(options: New) -> bool:
+    return any(
+        (
+            options.name is not None,
+            options.conditions,
+            options.baseline is not None,
+            options.tasks,
+            options.operators is not None,
+            options.familiarisation is not None,
+            options.questionnaires,
+            options.weights,
+            options.seed is not None,
+        )
+    )
+
+
+def _protocol(options: New) -> Protocol:
+    conditions = tuple(_condition(text) for text in options.conditions or PAPER_CONDITIONS)
+    names = [condition.name for condition in conditions]
+    known = {task.name: task for task in PAPER_TASKS}
+    operators = options.operators
+    if options.tasks:
+        tasks = tuple(_task(text, known) for text in options.tasks)
+        operators = PAPER_OPERATORS if operators is None else operators
+    else:
+        tasks = PAPER_TASKS
+        if operators is not None and operators != PAPER_OPERATORS:
+            # As many as were asked for, in the paper's shares of the tasks.
+            share = Protocol("draft", conditions, tasks, names[0], PAPER_OPERATORS)
+            tasks = scaled(share, operators).tasks
+        operators = operators or PAPER_OPERATORS
+    asked = options.questionnaires or POINTS
+    if "none" in asked and len(asked) > 1:
+        raise ConfigError("--questionnaires none goes with no other")
+    return Protocol(
+        name=options.name or options.folder.absolute().name,
+        conditions=conditions,
+        tasks=tasks,
+        baseline=options.baseline or ("dexpilot" if "dexpilot" in names else names[0]),
+        operators=operators,
+        familiarisation_s=120.0 if options.familiarisation is None else options.familiarisation,
+        questionnaires=tuple(point for point in POINTS if point in asked),
+        weights=options.weights,
+        seed=options.seed or 0,
+    )
+
+
+def _condition(text: str) -> Condition:
+    name, _, what = text.partition("=")
+    method, _, preset = what.partition(":")
+    return Condition(name, method or name, preset or None)
+
+
+def _task(text: str, known: dict[str, Task]) -> Task:
+    name, *numbers = text.split(":")
+    try:
+        counts = [int(number) for number in numbers]
+    except ValueError:
+        counts = []
+    if len(counts) != len(numbers) or len(counts) > 2:
+        raise ConfigError(f"--tasks {text}: expected NAME, NAME:TRIALS or NAME:TRIALS:OPERATORS")
+    task = replace(known[name], operators=None) if name in known else Task(name)
+    if counts:
+        task = replace(task, trials=counts[0])
+    return replace(task, operators=counts[1]) if len(counts) > 1 else task
+
+
+def _write(plan: Plan, folder: Path) -> list[Path]:
+    written = [write_plan(plan, folder / NAME)]
+    texts = {"schedule.csv": schedule_csv(plan), "schedule.txt": schedule_text(plan)}
+    for name, text in texts.items():
+        with atomic_write(folder / name) as file:
+            file.write(text.encode("utf-8"))
+        written.append(folder / name)
+    return written
+
+
+def _print(plan: Plan) -> None:
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 140
+    protocol = plan.protocol
+    table = Table(title=f"{protocol.name}: schedule", box=box.SIMPLE_HEAD, pad_edge=False,
+                  title_justify="left")  # fmt: skip
+    heading, *rows = schedule_table(plan, blind=False)
+    for name in heading[:-1]:
+        table.add_column(name)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row[:-1]))
+    console.print(table)
+    labels = ", ".join(f"{c.label} = {c.name}" for c in protocol.conditions)
+    console.print(f"labels for operators: {labels}", markup=False, soft_wrap=True)
+    for note in imbalances(plan):
+        console.print(f"note: {note}", markup=False, soft_wrap=True)

@@ -1,0 +1,99 @@
+"""Options of ``smooth-operator study new`` and ``study enrol``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from tyro.conf import Positional, arg
+
+from smooth_operator.cli.common_options import Common
+
+
+@dataclass(frozen=True, kw_only=True)
+class New(Common):
+    """A plan: conditions, tasks, balanced orders, who does what when. Asks, in a terminal."""
+
+    details: ClassVar[str] = """Written are study.toml (the plan, to read and mend), schedule.csv
+(with the conditions, for the experimenter) and schedule.txt (with labels only, for the wall).
+Without options a terminal asks; elsewhere, and with --no-wizard, what is left out is as in the
+paper: four retargeters, three tasks, 18 operators.
+
+Examples:
+  smooth-operator study new my-study
+  smooth-operator study new my-study --conditions sbr dexpilot ako --baseline dexpilot \\
+      --tasks pinch:12 turn:12:8 --operators 15
+  smooth-operator study new my-study --from draft.toml"""
+
+    folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
+    """Of the new study."""
+
+    name: Annotated[str | None, arg(metavar="TEXT")] = None
+    """Name of the study; the folder's if left out."""
+
+    conditions: Annotated[tuple[str, ...], arg(metavar="NAME[=METHOD[:PRESET]] ...")] = ()
+    """What is compared; the name alone if the method is called so."""
+
+    baseline: Annotated[str | None, arg(metavar="NAME")] = None
+    """Condition that the others are compared with; dexpilot, or the first."""
+
+    tasks: Annotated[tuple[str, ...], arg(metavar="NAME[:TRIALS[:OPERATORS]] ...")] = ()
+    """What is done; 10 trials a block and all operators if left out."""
+
+    operators: Annotated[int | None, arg(metavar="INT")] = None
+    """How many take part."""
+
+    familiarisation: Annotated[float | None, arg(metavar="SECONDS")] = None
+    """Free movement before the trials of a block [s]; 120 if left out."""
+
+    questionnaires: Annotated[
+        tuple[Literal["initial", "midpoint", "final", "none"], ...],
+        arg(metavar="initial midpoint final|none"),
+    ] = ()
+    """NASA-TLX after the first, middle and last trial of a block: all three if left out."""
+
+    weights: bool = False
+    """Ask for the 15 pairwise comparisons of NASA-TLX at the end of a block."""
+
+    seed: Annotated[int | None, arg(metavar="INT")] = None
+    """Of all that is drawn: orders, rows, labels; 0 if left out."""
+
+    from_: Annotated[Path | None, arg(name="from", metavar="TOML")] = None
+    """A file to take the plan from, as study.toml; its orders are drawn if they are missing."""
+
+    no_wizard: bool = False
+    """Ask nothing, even in a terminal."""
+
+    overwrite: bool = False
+    """Replace the plan of a study of which nothing is stored yet."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.study_new import new_study
+
+        new_study(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Enrol(Common):
+    """One operator more, or further tasks for one: gets the row that is used least."""
+
+    details: ClassVar[str] = """Examples:
+  smooth-operator study enrol my-study P19
+  smooth-operator study enrol my-study P03 --tasks C"""
+
+    study: Annotated[Positional[Path], arg(metavar="STUDY")]
+    """Folder of the study."""
+
+    operator: Annotated[Positional[str], arg(metavar="CODE")]
+    """Pseudonym; never a name."""
+
+    tasks: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
+    """What the operator does; all tasks if left out."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.study_new import enrol_operator
+
+        enrol_operator(self)

@@ -1,0 +1,148 @@
+"""``smooth-operator study power``: simulated studies, tables and a plot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
+from smooth_operator.cli.study_power_options import Power
+from smooth_operator.errors import ConfigError
+from smooth_operator.study.analysis.results import MODES
+from smooth_operator.study.design.plan_file import read_plan
+from smooth_operator.study.design.protocol import Condition, Protocol
+from smooth_operator.study.design.rubrics import PAPER_TASKS
+from smooth_operator.study.power.assumptions import Spread, assumptions_for
+from smooth_operator.study.power.report import TITLES, Tallies, found, power_json, write_power
+from smooth_operator.study.power.run import PowerSettings, run_power
+from smooth_operator.study.power.tally import Rate
+
+_SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
+_WIDTH_OF_A_FILE: Final = 140
+
+
+def simulate_power(options: Power) -> None:
+    """Simulates, prints, writes.
+
+    Raises:
+        StudyError: there is no such study, or the assumptions can't be.
+        OutputError: the folder can't be written to.
+    """
+    settings = _settings(options)
+    folder = options.output or (_home(options.study) / "power")
+    progress = Progressing(quiet=options.json)
+    with folder_for(folder):
+        with progress.bar("simulating studies") as show:
+
+            def report(done: int, total: int) -> None:
+                show(f"simulating studies ({done} of {total})", done / total)
+
+            tallies = run_power(settings, folder, workers=options.workers, report=report)
+        files = write_power(settings, tallies, folder)
+    if options.json:
+        print(json.dumps(power_json(settings, tallies)))
+        return
+    for scope in settings.scopes:
+        _print(settings, tallies, scope)
+    print(f"written: {', '.join(str(path) for path in files)}")
+
+
+def _home(study: Path | None) -> Path:
+    if study is None:
+        return Path()
+    return study if study.is_dir() else study.parent
+
+
+def _settings(options: Power) -> PowerSettings:
+    if options.study is None:
+        conditions = tuple(Condition(name) for name in PAPER_CONDITIONS)
+        protocol = Protocol(
+            "the paper's design", conditions, PAPER_TASKS, "dexpilot", PAPER_OPERATORS
+        )
+    else:
+        protocol = read_plan(options.study).protocol
+    truth = assumptions_for(
+        protocol.condition_names,
+        success=_values(options.success, "--success"),
+        time_s=_values(options.time, "--time"),
+        workload=_values(options.workload, "--workload"),
+        operators=Spread(*options.operators_differ),
+        interaction=Spread(*options.preferences_differ),
+        trials=Spread(0.0, *options.trials_differ),
+    )
+    planned = sorted({max(3, round(share * protocol.operators)) for share in _SHARES})
+    return PowerSettings(
+        protocol,
+        truth,
+        tuple(options.operators or planned),
+        options.studies,
+        options.per_task,
+        options.seed,
+    )
+
+
+def _values(texts: Sequence[str], option: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            raise ConfigError(f"{option} {text}: expected NAME=NUMBER, such as sbr=0.5") from None
+    return found
+
+
+def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
+    console = Console(highlight=False)
+    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
+        console.width = _WIDTH_OF_A_FILE
+    baseline = settings.protocol.baseline
+    others = [name for name in settings.protocol.condition_names if name != baseline]
+    table = Table(
+        title=f"{settings.protocol.name}, {scope}: power against {baseline} (Dunnett) and "
+        f"family-wise error, {settings.studies} studies each, ± Monte-Carlo standard error [%]",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for header in ("operators", "outcome", "mode", *others, "all", "error if none differs"):
+        table.add_column(header, justify="left" if header in ("outcome", "mode") else "right")
+    for operators in settings.operators:
+        for outcome in TITLES:
+            if outcome == "tlx" and not settings.protocol.questionnaires:
+                continue
+            for mode in MODES:
+                what = [f"dunnett:{name}" for name in (*others, "all")]
+                cells = [
+                    found(tallies[operators, "effects"], outcome, scope, mode, each)
+                    for each in what
+                ]
+                error = found(tallies[operators, "null"], outcome, scope, mode, "family:dunnett")
+                table.add_row(
+                    str(operators), TITLES[outcome], mode, *map(_percent, [*cells, error])
+                )
+    console.print(table)
+    refused = sum(
+        counts["refused"]
+        for tally in tallies.values()
+        for key, counts in tally.counts.items()
+        if key.split("/")[1] == scope
+    )
+    if refused:
+        console.print(
+            f"{refused} analyses were refused (too few successes or operators); they count as "
+            "nothing found",
+            soft_wrap=True,
+        )
+
+
+def _percent(rate: Rate) -> str:
+    return f"{100 * rate.rate:.1f} ± {100 * rate.se:.1f}"

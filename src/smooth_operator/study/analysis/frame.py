@@ -1,0 +1,182 @@
+"""Rows of one analysis: outcome, retargeter, task, operator, standardised index of trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from smooth_operator.errors import StudyError
+
+INTERCEPT: Final = "(Intercept)"
+INDEX: Final = "t"
+_DEPENDENT: Final = 1e-9
+"""Share of a column's length that earlier columns may leave unexplained, and it still counts as
+told by them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Rows of one analysis, with treatment coding: the baseline and the first task are references.
+
+    Attributes:
+        outcome: y (n,).
+        retargeters: names, the baseline first if it is there.
+        retargeter: index into ``retargeters`` of each row (n,).
+        tasks: names.
+        task: index into ``tasks`` of each row (n,).
+        operators: codes.
+        group: index into ``operators`` of each row (n,).
+        index: count of trials or questionnaires (n,).
+        baseline: the retargeter to compare with; it need not be there.
+    """
+
+    outcome: Float[np.ndarray, " n"]
+    retargeters: tuple[str, ...]
+    retargeter: Int[np.ndarray, " n"]
+    tasks: tuple[str, ...]
+    task: Int[np.ndarray, " n"]
+    operators: tuple[str, ...]
+    group: Int[np.ndarray, " n"]
+    index: Float[np.ndarray, " n"]
+    baseline: str
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    @property
+    def index_mean(self) -> float:
+        """Mean of the index."""
+        return float(self.index.mean())
+
+    @property
+    def index_sd(self) -> float:
+        """Standard deviation of the index (n - 1)."""
+        return float(self.index.std(ddof=1)) if len(self) > 1 else 0.0
+
+    @property
+    def standardised(self) -> Float[np.ndarray, " n"]:
+        """z-score of the index; zero where it never varies."""
+        centred = self.index - self.index_mean
+        return centred / self.index_sd if self.index_sd > 0 else centred
+
+    def factors(self) -> tuple[Float[np.ndarray, "n p"], list[str]]:
+        """Columns of intercept, retargeters and tasks, and their names."""
+        columns, names = [np.ones(len(self))], [INTERCEPT]
+        for j, name in enumerate(self.retargeters[1:], 1):
+            columns.append((self.retargeter == j).astype(float))
+            names.append(f"retargeter{name}")
+        for k, name in enumerate(self.tasks[1:], 1):
+            columns.append((self.task == k).astype(float))
+            names.append(f"task{name}")
+        return np.column_stack(columns), names
+
+    def design(self) -> tuple[Float[np.ndarray, "n p"], list[str]]:
+        """The factors and the standardised index (left out where it never varies)."""
+        columns, names = self.factors()
+        if self.index_sd == 0:
+            return columns, names
+        return np.column_stack([columns, self.standardised]), [*names, INDEX]
+
+    def grid(self, width: int) -> Float[np.ndarray, "r k p"]:
+        """Rows of the design for each retargeter and task at the mean index.
+
+        Args:
+            width: number of columns; those beyond the factors are zero.
+        """
+        found = np.zeros((len(self.retargeters), len(self.tasks), width))
+        found[:, :, 0] = 1
+        for j in range(1, len(self.retargeters)):
+            found[j, :, j] = 1
+        for k in range(1, len(self.tasks)):
+            found[:, k, len(self.retargeters) - 1 + k] = 1
+        return found
+
+
+def make_frame(
+    outcome: Float[np.ndarray, " n"],
+    retargeter: np.ndarray,
+    task: np.ndarray,
+    operator: np.ndarray,
+    index: np.ndarray,
+    baseline: str,
+) -> Frame:
+    """Rows with names turned to indices; only names that occur count.
+
+    Args:
+        outcome: y, without NaN.
+        retargeter: names (n,).
+        task: names (n,).
+        operator: codes (n,).
+        index: count of trials (n,).
+        baseline: comes first among the retargeters, if it occurs.
+    """
+    names = sorted({str(name) for name in retargeter}, key=lambda name: (name != baseline, name))
+    place = {name: j for j, name in enumerate(names)}
+    tasks, task_codes = np.unique(task, return_inverse=True)
+    operators, groups = np.unique(operator, return_inverse=True)
+    return Frame(
+        outcome=np.asarray(outcome, float),
+        retargeters=tuple(names),
+        retargeter=np.array([place[str(name)] for name in retargeter], int),
+        tasks=tuple(str(name) for name in tasks),
+        task=task_codes.astype(int),
+        operators=tuple(str(name) for name in operators),
+        group=groups.astype(int),
+        index=np.asarray(index, float),
+        baseline=baseline,
+    )
+
+
+def check_frame(frame: Frame) -> None:
+    """Whether the rows carry an analysis at all.
+
+    Raises:
+        StudyError: no rows, one operator, one retargeter, a constant outcome, or columns that tell
+            the same.
+    """
+    if not len(frame):
+        raise StudyError("there are no rows to analyse")
+    if len(frame.operators) < 2:
+        raise StudyError(
+            f"all rows are of one operator ({frame.operators[0]}): nothing can be said about "
+            "operators in general; at least two are needed, and ten or more to be worth it"
+        )
+    if len(frame.retargeters) < 2:
+        raise StudyError(
+            f"all rows are of one retargeter ({frame.retargeters[0]}): there is nothing to compare "
+            "it with"
+        )
+    if np.ptp(frame.outcome) == 0:
+        raise StudyError(
+            f"the outcome is constant, {frame.outcome[0]:g} in all {len(frame)} rows: no effect "
+            "and no variance can be estimated"
+        )
+    design, names = frame.design()
+    told = dependent_columns(design)
+    if told:
+        raise StudyError(
+            f"{', '.join(names[j] for j in told)} can't be told from the other terms: retargeters, "
+            "tasks and trials were not crossed in these rows"
+        )
+    if len(frame) <= len(names):
+        raise StudyError(f"{len(frame)} rows are too few for {len(names)} coefficients")
+
+
+def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
+    """Columns that are linear combinations of those before them."""
+    basis: list[np.ndarray] = []
+    found = []
+    for j in range(design.shape[1]):
+        rest = design[:, j].astype(float)
+        length = float(np.linalg.norm(rest))
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            for direction in basis:
+                rest = rest - direction * (direction @ rest)
+        if np.linalg.norm(rest) <= _DEPENDENT * max(length, 1e-300):
+            found.append(j)
+        else:
+            basis.append(rest / np.linalg.norm(rest))
+    return found

@@ -1,0 +1,114 @@
+"""Learning: slopes of the outcomes over the count of trials, in all and within a block.
+
+One index at a time, adjusted for retargeter (and task, when pooled), for a step of one trial.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.dunnett import two_sided
+from smooth_operator.study.analysis.frame import Frame, check_frame
+from smooth_operator.study.analysis.gee import fit_gee
+from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.separation import separating
+
+
+def linear_slope(frame: Frame) -> dict[str, Any]:
+    """Slope of time or workload over the index of the frame.
+
+    Returns:
+        ``slope`` per step with ``se``, ``z`` and ``p_z`` (mode paper), ``df_satterthwaite`` and
+        ``p_satterthwaite`` (small-sample), ``n``, ``sd_x``; ``per_retargeter`` the same with a
+        slope for each. ``refused`` in place of them where there is none.
+    """
+    try:
+        _check(frame)
+        factors, _ = frame.factors()
+        centred = frame.index - frame.index_mean
+        found: dict[str, Any] = {**_tested(np.column_stack([factors, centred]), frame, 1)[0]}
+        found |= {"n": len(frame), "sd_x": frame.index_sd}
+    except StudyError as error:
+        return {"refused": str(error), "n": len(frame)}
+    try:
+        own = (frame.retargeter[:, None] == np.arange(len(frame.retargeters))) * centred[:, None]
+        slopes = _tested(np.column_stack([factors, own]), frame, len(frame.retargeters))
+        found["per_retargeter"] = dict(zip(frame.retargeters, slopes, strict=True))
+    except (StudyError, np.linalg.LinAlgError) as error:
+        found["per_retargeter"] = {"refused": str(error)}
+    return found
+
+
+def logistic_slope(frame: Frame) -> dict[str, Any]:
+    """Slope of the log-odds of success over the index of the frame.
+
+    Returns:
+        ``slope_logit`` per step with ``se`` (sandwich), ``z`` and ``p_z`` (mode paper),
+        ``se_mancl_derouen``, ``df`` and ``p_t`` (small-sample); ``ame_prob_per_unit`` and
+        ``ame_se``, the average change of the probability per step; ``n``, ``sd_x``.
+    """
+    try:
+        _check(frame)
+        factors, _ = frame.factors()
+        design = np.column_stack([factors, frame.index - frame.index_mean])
+        if separating(design, frame.outcome) is not None:
+            raise StudyError("separation: the model has infinite odds")
+        fit = fit_gee(design, frame.outcome, frame.group)
+    except StudyError as error:
+        return {"refused": str(error), "n": len(frame)}
+    slope, df = float(fit.beta[-1]), float(fit.operators - 1)
+    se = float(np.sqrt(fit.robust[-1, -1]))
+    probability = expit(design @ fit.beta)
+    spread = probability * (1 - probability)
+    gradient = slope * np.mean((spread * (1 - 2 * probability))[:, None] * design, axis=0)
+    gradient[-1] += spread.mean()
+    found = {
+        "slope_logit": slope,
+        "se": se,
+        "z": slope / se,
+        "p_z": two_sided(slope / se, np.inf),
+        "ame_prob_per_unit": slope * float(spread.mean()),
+        "ame_se": float(np.sqrt(gradient @ fit.robust @ gradient)),
+        "n": len(frame),
+        "sd_x": frame.index_sd,
+    }
+    if fit.mancl_derouen is not None:
+        corrected = float(np.sqrt(fit.mancl_derouen[-1, -1]))
+        found |= {
+            "se_mancl_derouen": corrected,
+            "df": df,
+            "p_t": two_sided(slope / corrected, df),
+        }
+    return found
+
+
+def _check(frame: Frame) -> None:
+    check_frame(frame)
+    if frame.index_sd == 0:
+        raise StudyError("the index never varies, so there is no slope over it")
+
+
+def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[dict[str, float]]:
+    """The last coefficients of a mixed model, each with both tests."""
+    fit = fit_mixed(design, frame.outcome, frame.group)
+    found = []
+    width = design.shape[1]
+    for j in range(width - count, width):
+        slope, se = float(fit.beta[j]), float(np.sqrt(fit.covariance[j, j]))
+        df = fit.satterthwaite(np.eye(width)[j])
+        found.append(
+            {
+                "slope": slope,
+                "se": se,
+                "z": slope / se,
+                "p_z": two_sided(slope / se, np.inf),
+                "df_satterthwaite": df,
+                "p_satterthwaite": two_sided(slope / se, df),
+            }
+        )
+    return found

@@ -1,0 +1,118 @@
+"""What an analysis comes to, and how it looks as JSON.
+
+``results.json`` is ``{mode: {outcome: {scope: ...}}}``, beside it ``learning``, ``spearman``,
+``tlx_items``, ``operator_variance`` and ``study``. Numbers that do not exist are null; a refused
+analysis has its reason in ``refused``, empty tables, and never a number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, TypeAlias
+
+Mode: TypeAlias = Literal["small-sample", "paper"]
+Outcome: TypeAlias = Literal["success", "time", "tlx"]
+
+MODES: Final[tuple[Mode, ...]] = ("small-sample", "paper")
+"""The default first."""
+OUTCOMES: Final[tuple[Outcome, ...]] = ("success", "time", "tlx")
+POOLED: Final = "pooled"
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient of the model: on the logit scale for success."""
+
+    estimate: float
+    se: float
+    df: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Mean:
+    """An estimated marginal mean with its 95 % interval."""
+
+    estimate: float
+    se: float
+    df: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Against:
+    """A retargeter minus the baseline; the interval is simultaneous over all of them, 95 %."""
+
+    difference: float
+    se: float
+    df: float
+    statistic: float
+    p_raw: float
+    p_dunnett: float
+    lower: float
+    upper: float
+    effect: float
+    effect_words: str
+
+
+@dataclass(frozen=True)
+class Pair:
+    """``a`` minus ``b``."""
+
+    a: str
+    b: str
+    difference: float
+    se: float
+    df: float
+    statistic: float
+    p_raw: float
+    p_holm: float
+    effect: float
+    effect_words: str
+
+
+@dataclass(frozen=True)
+class ScopeResult:
+    """One outcome, over all tasks or one of them, in one mode.
+
+    Attributes:
+        coefficients: by name.
+        emm: by retargeter.
+        dunnett: by retargeter, without the baseline.
+        pairs: by ``a-b``.
+        n: rows of the model.
+        operators: clusters of the model.
+        model: facts of the fit: formula, variances, working correlation.
+        diagnostics: what was checked, and what came of it.
+        observed: rows, mean and spread of each retargeter as they are, without a model.
+        warnings: what to know before believing it.
+        refused: why there are no figures; None if there are.
+    """
+
+    coefficients: Mapping[str, Coefficient] = field(default_factory=dict)
+    emm: Mapping[str, Mean] = field(default_factory=dict)
+    dunnett: Mapping[str, Against] = field(default_factory=dict)
+    pairs: Mapping[str, Pair] = field(default_factory=dict)
+    n: int = 0
+    operators: int = 0
+    model: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    observed: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    refused: str | None = None
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses and mappings as JSON values; what is not a finite number becomes null."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
+    return value

@@ -1,0 +1,149 @@
+"""Do simulation metrics foretell what operators achieve? Rank correlations of the two.
+
+A point is one operator with one retargeter: the metric, and the operator's mean outcome. Points of
+one operator are not independent, so the interval to believe is the bootstrap's, which draws whole
+operators; Fisher's, which takes points for independent, is given beside it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.study.analysis.dunnett import quantile, two_sided
+from smooth_operator.study.analysis.effects import correlation_in_words
+from smooth_operator.study.data.rows import StudyData
+
+_DIGITS: Final = 9
+"""Means are rounded before ranking: equal ones must tie, whatever the order they were summed in."""
+_FEWEST: Final = 4
+DRAWS: Final = 4000
+
+
+def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict[str, Any]:
+    """Spearman's ρ of each metric with each outcome.
+
+    Args:
+        data: with metrics.
+        seed: of the bootstrap.
+        draws: of the bootstrap.
+
+    Returns:
+        ``METRIC~OUTCOME`` -> ``rho``, ``n``, ``operators``, ``p_t``, ``ci_fisher`` and
+        ``ci_boot_operators`` with ``lcl`` and ``ucl``, ``effect_words``; or ``refused``. Outcomes
+        are ``success``, ``time_s`` and ``raw_tlx``. Empty without metrics.
+    """
+    if data.metrics is None:
+        return {}
+    means = _means(data)
+    found: dict[str, Any] = {}
+    for j, metric in enumerate(data.metrics.names):
+        for name, mean in means.items():
+            points = [
+                (operator, value, mean[operator, retargeter])
+                for operator, retargeter, value in zip(
+                    map(str, data.metrics.operator),
+                    map(str, data.metrics.retargeter),
+                    np.round(data.metrics.values[:, j], _DIGITS),
+                    strict=True,
+                )
+                if np.isfinite(value) and (operator, retargeter) in mean
+            ]
+            # Each pair draws the same operators, so that figures are comparable.
+            rng = np.random.default_rng(seed)
+            found[f"{metric}~{name}"] = _correlate(points, rng, draws)
+    return found
+
+
+def _means(data: StudyData) -> dict[str, dict[tuple[str, str], float]]:
+    trials = data.trials
+    timed = trials.success & np.isfinite(trials.time)
+    found = {
+        "success": _by_pair(trials.operator, trials.retargeter, trials.success.astype(float)),
+        "time_s": _by_pair(trials.operator[timed], trials.retargeter[timed], trials.time[timed]),
+    }
+    if data.questionnaires is not None:
+        table = data.questionnaires
+        known = np.isfinite(table.workload)
+        found["raw_tlx"] = _by_pair(
+            table.operator[known], table.retargeter[known], table.workload[known]
+        )
+    return found
+
+
+def _by_pair(
+    operator: np.ndarray, retargeter: np.ndarray, values: Float[np.ndarray, " n"]
+) -> dict[tuple[str, str], float]:
+    gathered: dict[tuple[str, str], list[float]] = {}
+    for one, other, value in zip(operator, retargeter, values, strict=True):
+        gathered.setdefault((str(one), str(other)), []).append(float(value))
+    return {key: round(float(np.mean(group)), _DIGITS) for key, group in gathered.items()}
+
+
+def spearman(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
+    """Correlation of mean ranks; NaN where one of the two is constant."""
+    return float(_weighted(x, y, np.ones((1, len(x))))[0])
+
+
+def _weighted(
+    x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], times: Float[np.ndarray, "k n"]
+) -> Float[np.ndarray, " k"]:
+    """ρ of samples that hold point i ``times[:, i]`` times; NaN where one is constant."""
+    total = times.sum(axis=1, keepdims=True)
+    a, b = (_ranks(values, times) - (total + 1) / 2 for values in (x, y))
+    scale = np.sqrt(np.sum(times * a**2, axis=1) * np.sum(times * b**2, axis=1))
+    product = np.sum(times * a * b, axis=1)
+    constant = np.full(len(times), np.nan)
+    return np.asarray(np.divide(product, scale, out=constant, where=scale > 0))
+
+
+def _ranks(
+    values: Float[np.ndarray, " n"], times: Float[np.ndarray, "k n"]
+) -> Float[np.ndarray, "k n"]:
+    """Mean ranks of the points of each sample."""
+    _, level = np.unique(values, return_inverse=True)
+    counts = np.zeros((len(times), int(level.max()) + 1))
+    for i, j in enumerate(level):
+        counts[:, j] += times[:, i]
+    below = np.cumsum(counts, axis=1) - counts
+    return np.asarray((below + (counts + 1) / 2)[:, level])
+
+
+def _correlate(
+    points: list[tuple[str, float, float]], rng: np.random.Generator, draws: int
+) -> dict[str, Any]:
+    count = len(points)
+    operators = sorted({operator for operator, _, _ in points})
+    if count < _FEWEST or len(operators) < 2:
+        return {
+            "refused": f"{count} points of {len(operators)} operator(s): at least {_FEWEST} points "
+            "of two operators are needed",
+            "n": count,
+        }
+    x, y = np.array([p[1] for p in points]), np.array([p[2] for p in points])
+    rho = spearman(x, y)
+    if np.isnan(rho):
+        return {"refused": "the metric or the outcome is constant", "n": count}
+    place = {operator: i for i, operator in enumerate(operators)}
+    owner = np.array([place[operator] for operator, _, _ in points])
+    drawn_operators = rng.integers(len(operators), size=(draws, len(operators)))
+    times = np.array([np.bincount(row, minlength=len(operators)) for row in drawn_operators])
+    drawn = _weighted(x, y, times[:, owner].astype(float))
+    low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    reach = quantile(np.inf) / np.sqrt(count - 3)
+    exact = abs(rho) >= 1 - 1e-12
+    statistic = np.inf if exact else rho * np.sqrt((count - 2) / (1 - rho**2))
+    return {
+        "rho": rho,
+        "n": count,
+        "operators": len(operators),
+        "p_t": two_sided(statistic, count - 2),
+        "ci_fisher": {
+            "lcl": rho if exact else float(np.tanh(np.arctanh(rho) - reach)),
+            "ucl": rho if exact else float(np.tanh(np.arctanh(rho) + reach)),
+        },
+        "ci_boot_operators": {"lcl": float(low), "ucl": float(high)},
+        "effect_words": correlation_in_words(rho),
+    }

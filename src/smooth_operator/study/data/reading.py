@@ -1,0 +1,207 @@
+"""Files of a study: CSV tables told apart by their columns, a folder of them, or one JSON file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
+from smooth_operator.study.data.tables import (
+    METRIC_COLUMNS,
+    QUESTIONNAIRE_COLUMNS,
+    TRIAL_COLUMNS,
+    Rows,
+    make_metrics,
+    make_questionnaires,
+    make_trials,
+)
+
+NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
+"""Names of the tables in a folder."""
+KEYS: Final = ("trials", "questionnaires", "simulation_metrics")
+"""Names of the tables in a JSON file."""
+
+_KINDS: Final = {
+    "trials": frozenset(TRIAL_COLUMNS),
+    "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
+}
+_TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
+"""Columns that tell a table although others are missing."""
+
+
+def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] = ()) -> StudyData:
+    """Reads a study.
+
+    Args:
+        paths: a folder with trials.csv and, where there are, tlx.csv and sim_metrics.csv; or such
+            tables under any name and in any order; or one JSON file.
+        texts: (name, content) of JSON that is in no file, as a store exports it.
+
+    Returns:
+        The data, each value checked.
+
+    Raises:
+        StudyError: no trials among the files, two tables of a kind, a column is missing, or values
+            are not what their columns hold; says which by row and column.
+    """
+    files = [file for path in paths for file in _files(Path(path))]
+    tables: dict[str, tuple[str, Rows, str]] = {}
+    read = [(name, _from_json(name, text)) for name, text in texts]
+    read += [(file.name, _tables(file)) for file in files]
+    for name, found in read:
+        for kind, rows, unit in found:
+            if kind in tables:
+                raise StudyError(f"{name} and {tables[kind][0]} both hold {kind}; give one")
+            tables[kind] = (name, rows, unit)
+    if "trials" not in tables:
+        raise StudyError(
+            f"no trials in {', '.join(name for name, _ in read) or 'no files'}: expected a "
+            f"table with the columns {', '.join(TRIAL_COLUMNS)}"
+        )
+    trials, notes = make_trials(*tables["trials"])
+    data = StudyData(trials, notes=notes, sources=tuple(name for name, _ in read))
+    if "questionnaires" in tables:
+        questionnaires, more = make_questionnaires(*tables["questionnaires"])
+        data = replace(data, questionnaires=questionnaires, notes=data.notes + more)
+    if "simulation_metrics" in tables:
+        data = replace(data, metrics=make_metrics(*tables["simulation_metrics"]))
+    notes = _strange_names(data, {kind: table[0] for kind, table in tables.items()})
+    return replace(data, notes=data.notes + notes)
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_dir():
+        found = [path / name for name in NAMES if (path / name).is_file()]
+        if not found:
+            raise StudyError(
+                f"the folder {str(path)!r} holds no study: expected {', '.join(NAMES[:-1])} and, "
+                f"if there is one, {NAMES[-1]}"
+            )
+        return found
+    if not path.is_file():
+        raise StudyError(f"no such file: {str(path)!r}; expected tables (.csv), JSON, or a folder")
+    return [path]
+
+
+def _tables(file: Path) -> list[tuple[str, Rows, str]]:
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise StudyError(
+            f"{file.name} is no text in UTF-8; expected a table (.csv) or JSON"
+        ) from None
+    except OSError as error:
+        raise StudyError(f"can't read {str(file)!r}: {error.strerror or error}") from error
+    if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
+        return _from_json(file.name, text)
+    return [_from_csv(file.name, text)]
+
+
+def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
+    first = text.split("\n", 1)[0]
+    delimiter = max(",;\t", key=first.count)
+    reader = csv.reader(io.StringIO(text), delimiter=delimiter)
+    try:
+        header = [word.strip() for word in next(reader, [])]
+        rows: list[tuple[int, dict[str, str]]] = []
+        for values in reader:
+            if not any(value.strip() for value in values):
+                continue
+            if len(values) != len(header):
+                raise StudyError(
+                    f"{name} can't be used:\n  row {reader.line_num}: expected {len(header)} "
+                    f"fields as in the header, came {len(values)}"
+                )
+            rows.append((reader.line_num, dict(zip(header, values, strict=True))))
+    except csv.Error as error:
+        raise StudyError(f"{name}, row {reader.line_num}: no readable CSV: {error}") from None
+    twice = sorted({word for word in header if header.count(word) > 1})
+    if twice:
+        raise StudyError(f"{name}: the column {twice[0]!r} is there twice; keep one")
+    kind = _kind(name, header)
+    if not rows:
+        raise StudyError(f"{name} holds a header and no rows")
+    return kind, rows, "row"
+
+
+def _kind(name: str, header: Sequence[str]) -> str:
+    columns = set(header)
+    for kind, needed in _KINDS.items():
+        if needed <= columns:
+            return kind
+    for column, kind in _TELLING.items():
+        if column in columns:
+            missing = [word for word in _KINDS[kind] if word not in columns]
+            raise StudyError(
+                f"{name} looks like a table of {kind}, but has no column "
+                f"{', '.join(repr(word) for word in sorted(missing))}; it has {', '.join(header)}"
+            )
+    if set(METRIC_COLUMNS) < columns and "task" not in columns:
+        return "simulation_metrics"
+    raise StudyError(
+        f"{name} is no table of a study. Expected the columns {', '.join(TRIAL_COLUMNS)} (trials), "
+        f"{', '.join(QUESTIONNAIRE_COLUMNS)} (questionnaires), or {', '.join(METRIC_COLUMNS)} and "
+        f"metrics; came {', '.join(header) or 'nothing'}"
+    )
+
+
+def _from_json(name: str, text: str) -> list[tuple[str, Rows, str]]:
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise StudyError(f"{name}, line {error.lineno}: no readable JSON: {error.msg}") from None
+    if not isinstance(content, Mapping) or not isinstance(content.get("trials"), list):
+        raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
+    needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
+    found: list[tuple[str, Rows, str]] = []
+    for key in KEYS:
+        entries = content.get(key)
+        if not entries:
+            continue
+        if not isinstance(entries, list) or not all(isinstance(e, Mapping) for e in entries):
+            raise StudyError(f"{name}: {key!r} must be a list of objects")
+        rows: list[tuple[int, Mapping[str, Any]]] = []
+        columns = list(dict.fromkeys(column for entry in entries for column in entry))
+        for number, entry in enumerate(entries, 1):
+            lacking = [column for column in needed[key] if column not in entry]
+            if lacking and lacking != ["time_s"]:
+                raise StudyError(f"{name}: entry {number} of {key!r} has no {lacking[0]!r}")
+            wanted = dict.fromkeys([*needed[key], *columns])
+            rows.append((number, {**wanted, **entry}))
+        found.append((key, rows, f"{key} entry"))
+    return found
+
+
+def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]:
+    """Names in other tables that no trial has: a typing error would go unseen."""
+    others: list[tuple[str, Questionnaires | SimulationMetrics]] = []
+    if data.questionnaires is not None:
+        others.append(("questionnaires", data.questionnaires))
+    if data.metrics is not None:
+        others.append(("simulation_metrics", data.metrics))
+    notes = []
+    for kind, table in others:
+        for column in ("operator", "task", "retargeter"):
+            if not hasattr(table, column):
+                continue
+            known = _distinct(data.trials, column)
+            strange = [word for word in _distinct(table, column) if word not in known]
+            if strange:
+                more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
+                notes.append(
+                    f"{files[kind]}, column {column}: {', '.join(strange[:5])}{more} not in "
+                    f"{files['trials']}; a typing error?"
+                )
+    return tuple(notes)
+
+
+def _distinct(table: Trials | Questionnaires | SimulationMetrics, column: str) -> list[str]:
+    return [str(word) for word in np.unique(getattr(table, column))]

@@ -1,0 +1,164 @@
+"""Rows with named columns into trials, questionnaires and metrics, every value checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.study.data.cells import Checked
+from smooth_operator.study.data.rows import (
+    ITEMS,
+    POINTS,
+    SCORES,
+    SUCCESS,
+    Questionnaires,
+    SimulationMetrics,
+    Trials,
+)
+
+TRIAL_COLUMNS: Final = (
+    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
+)  # fmt: skip
+QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
+METRIC_COLUMNS: Final = ("operator", "retargeter")
+"""And a column for each metric."""
+
+Rows = Sequence[tuple[int, Mapping[str, Any]]]
+
+
+def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple[str, ...]]:
+    """Trials and what is odd about them.
+
+    Args:
+        name: of the file, for messages.
+        rows: (number, values by column), with all of :data:`TRIAL_COLUMNS`.
+        unit: what the number counts.
+
+    Returns:
+        (trials, notes).
+
+    Raises:
+        StudyError: a value is not what its column holds; says which, by row and column.
+    """
+    table = Checked(name, rows, unit)
+    trials = Trials(
+        operator=np.array(table.words("operator")),
+        task=np.array(table.words("task")),
+        retargeter=np.array(table.words("retargeter")),
+        block=np.array(table.counts("block"), int),
+        trial_in_block=np.array(table.counts("trial_in_block"), int),
+        trial_global=np.array(table.counts("trial_global"), int),
+        score=np.array(
+            table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False)
+        ),
+        time=np.array(
+            table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0)
+        ),
+    )
+    table.unique(("operator", "task", "block", "trial_in_block"))
+    table.unique(("operator", "task", "trial_global"))
+    table.raise_if_any()
+    notes = []
+    untimed = [
+        number
+        for (number, _), score, time in zip(rows, trials.score, trials.time, strict=True)
+        if score >= SUCCESS and np.isnan(time)
+    ]
+    if untimed:
+        shown = ", ".join(str(number) for number in untimed[:8])
+        shown += f" and {len(untimed) - 8} more" if len(untimed) > 8 else ""
+        plural = "trials have" if len(untimed) > 1 else "trial has"
+        notes.append(
+            f"{len(untimed)} successful {plural} no time_s and can't enter the analysis of time "
+            f"({name}, {unit} {shown})"
+        )
+    notes += _mixed_blocks(name, trials)
+    return trials, tuple(notes)
+
+
+def make_questionnaires(
+    name: str, rows: Rows, unit: str = "row"
+) -> tuple[Questionnaires, tuple[str, ...]]:
+    """Questionnaires and what is odd about them.
+
+    Args:
+        name: of the file, for messages.
+        rows: (number, values by column), with all of :data:`QUESTIONNAIRE_COLUMNS`.
+        unit: what the number counts.
+
+    Returns:
+        (questionnaires, notes).
+
+    Raises:
+        StudyError: a value is not what its column holds; says which, by row and column.
+    """
+    table = Checked(name, rows, unit)
+    points = []
+    for (number, _), word in zip(rows, table.words("point"), strict=True):
+        if word.lower() not in POINTS:
+            table.complain(number, "point", f"expected {', '.join(POINTS)}; came {word!r}")
+        points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
+    answers = [
+        table.numbers(item, "0 to 100, or nothing", lambda x: 0 <= x <= 100) for item in ITEMS
+    ]
+    found = Questionnaires(
+        operator=np.array(table.words("operator")),
+        task=np.array(table.words("task")),
+        retargeter=np.array(table.words("retargeter")),
+        block=np.array(table.counts("block"), int),
+        point=np.array(points, int),
+        answers=np.array(answers).T.reshape(-1, len(ITEMS)),
+    )
+    table.unique(("operator", "task", "block", "point"))
+    table.raise_if_any()
+    missing = int(np.isnan(found.workload).sum())
+    notes = []
+    if missing:
+        notes.append(
+            f"{missing} of {len(found)} questionnaires have an answer left out and can't enter the "
+            f"analysis of workload ({name})"
+        )
+    return found, tuple(notes)
+
+
+def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
+    """Metrics from simulation.
+
+    Raises:
+        StudyError: a value is not what its column holds; says which, by row and column.
+    """
+    table = Checked(name, rows, unit)
+    names = tuple(column for column in rows[0][1] if column not in METRIC_COLUMNS)
+    if not names:
+        table.problems.append("expected a column for each metric beside operator and retargeter")
+    values = [table.numbers(metric, "a number, or nothing", lambda x: True) for metric in names]
+    found = SimulationMetrics(
+        operator=np.array(table.words("operator")),
+        retargeter=np.array(table.words("retargeter")),
+        names=names,
+        values=np.array(values).T.reshape(-1, len(names)),
+    )
+    table.unique(METRIC_COLUMNS)
+    table.raise_if_any()
+    return found
+
+
+def _mixed_blocks(name: str, trials: Trials) -> list[str]:
+    """A block belongs to one retargeter; where two share one, indices within it mean little."""
+    first: dict[tuple[str, str, int], str] = {}
+    mixed = set()
+    for operator, task, block, retargeter in zip(
+        trials.operator, trials.task, trials.block, trials.retargeter, strict=True
+    ):
+        key = (str(operator), str(task), int(block))
+        if first.setdefault(key, str(retargeter)) != retargeter:
+            mixed.add(key)
+    if not mixed:
+        return []
+    operator, task, block = min(mixed)
+    return [
+        f"{len(mixed)} block(s) hold trials of more than one retargeter, the first is block "
+        f"{block} of operator {operator} in task {task} ({name})"
+    ]

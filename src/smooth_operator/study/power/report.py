@@ -1,0 +1,167 @@
+"""What a power simulation comes to: JSON, and a plot of operators against power."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from smooth_operator.errors import OutputError
+from smooth_operator.recording.atomic import atomic_write, output_error
+from smooth_operator.study.analysis.results import MODES, POOLED, Mode, Outcome
+from smooth_operator.study.power.run import PowerSettings, Truth
+from smooth_operator.study.power.tally import Rate, Tally, rate, rates
+from smooth_operator.study.power.verdicts import ALPHA
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FORMAT: Final = 1
+RESULT: Final = "power.json"
+PLOT: Final = "power.png"
+TITLES: Final[dict[Outcome, str]] = {"success": "success", "time": "time", "tlx": "workload"}
+ENOUGH: Final = 0.8
+"""Power that is usually asked for."""
+
+Tallies = Mapping[tuple[int, Truth], Tally]
+
+_LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
+
+
+def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
+    """The content of ``power.json``.
+
+    ``cells`` is a list of one number of operators, truth, outcome, scope and mode each; ``power``
+    holds how often the true difference of a condition from the baseline was found (``dunnett``) and
+    that of a pair (``holm``), ``all`` of them together; ``family_error`` how often any difference
+    was called that is none.
+    """
+    cells = []
+    for (operators, truth), tally in tallies.items():
+        for key, found in rates(tally).items():
+            outcome, scope, mode = key.split("/", 2)
+            power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}}
+            for what, value in found.items():
+                family, _, name = what.partition(":")
+                if family in power:
+                    power[family][name] = asdict(value)
+            cells.append(
+                {
+                    "operators": operators,
+                    "truth": truth,
+                    "outcome": outcome,
+                    "scope": scope,
+                    "mode": mode,
+                    "studies": tally.studies,
+                    "power": power,
+                    "family_error": {
+                        "dunnett": asdict(found["family:dunnett"]),
+                        "holm": asdict(found["family:holm"]),
+                    },
+                    "refused": asdict(found["refused"]),
+                }
+            )
+    return {"format": FORMAT, "alpha": ALPHA, "settings": settings.to_json(), "cells": cells}
+
+
+def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list[Path]:
+    """Writes ``power.json`` and ``power.png`` into a folder.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    text = json.dumps(power_json(settings, tallies), indent=1) + "\n"
+    with atomic_write(folder / RESULT) as file:
+        file.write(text.encode("utf-8"))
+    draw_power(settings, tallies, folder / PLOT)
+    return [folder / RESULT, folder / PLOT]
+
+
+def found(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
+    """One rate; zero if it never happened."""
+    counts = tally.counts.get(f"{outcome}/{scope}/{mode}")
+    return rate(0 if counts is None else counts[what], tally.studies)
+
+
+def draw_power(
+    settings: PowerSettings, tallies: Tallies, path: Path, *, scope: str = POOLED
+) -> None:
+    """Operators against power, a panel an outcome; below, the family-wise error if nothing differs.
+
+    Raises:
+        OutputError: the file can't be written.
+    """
+    from matplotlib.figure import Figure  # not pyplot: no global state, no display
+
+    truth = settings.truth
+    values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
+    outcomes = [o for o in TITLES if o != "tlx" or settings.protocol.questionnaires]
+    figure = Figure(figsize=(4.2 * len(outcomes), 7.0), layout="constrained")
+    axes = figure.subplots(2, len(outcomes), sharex=True, sharey="row", squeeze=False)
+    baseline = settings.protocol.baseline
+    others = [name for name in settings.protocol.condition_names if name != baseline]
+    for column, outcome in enumerate(outcomes):
+        top, bottom = axes[0, column], axes[1, column]
+        for number, name in enumerate(others):
+            difference = values[outcome][name] - values[outcome][baseline]
+            if difference == 0:
+                continue
+            for mode in MODES:
+                shown = f"{name} ({_shown(outcome, difference)})" if mode == MODES[0] else None
+                _line(top, settings, tallies, (outcome, scope, mode), "effects",
+                      f"dunnett:{name}", f"C{number}", shown)  # fmt: skip
+        for mode in MODES:
+            _line(bottom, settings, tallies, (outcome, scope, mode), "null", "family:dunnett",
+                  "black", mode)  # fmt: skip
+        top.set_title(f"{TITLES[outcome]}, against {baseline}")
+        top.axhline(ENOUGH, color="0.7", linewidth=0.8, zorder=0)
+        bottom.axhline(ALPHA, color="0.7", linewidth=0.8, zorder=0)
+        bottom.set_xlabel("operators")
+        top.legend(fontsize=8, loc="lower right")
+    axes[0, 0].set_ylim(-0.02, 1.02)
+    axes[0, 0].set_ylabel("power (solid small-sample, dashed paper)")
+    axes[1, 0].set_ylim(0.0, None)
+    axes[1, 0].set_ylabel("family-wise error if nothing differs")
+    axes[1, 0].legend(fontsize=8)
+    figure.suptitle(
+        f"{settings.protocol.name}: {settings.studies} simulated studies each, bars 95 %",
+        fontsize=10,
+    )
+    try:
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise output_error(path, error) from error
+    except ValueError as error:
+        raise OutputError(f"can't write {str(path)!r}: {error}") from error
+
+
+def _line(
+    axes: Axes,
+    settings: PowerSettings,
+    tallies: Tallies,
+    where: tuple[Outcome, str, Mode],
+    truth: Truth,
+    what: str,
+    colour: str,
+    label: str | None,
+) -> None:
+    outcome, scope, mode = where
+    numbers = sorted(settings.operators)
+    rows = [found(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
+    middle = [row.rate for row in rows]
+    bars = [
+        [row.rate - row.lower for row in rows],
+        [row.upper - row.rate for row in rows],
+    ]
+    axes.errorbar(
+        numbers, middle, yerr=bars, color=colour, linestyle=_LINES[mode], marker="o",
+        markersize=3, linewidth=1.2, elinewidth=0.8, label=label,
+    )  # fmt: skip
+
+
+def _shown(outcome: Outcome, difference: float) -> str:
+    if outcome == "success":
+        return f"{100 * difference:+.1f} %"
+    return f"{difference:+.1f} {'s' if outcome == 'time' else 'points'}"

@@ -1,0 +1,204 @@
+"""What the analysis would say of a simulated study: which differences it calls significant.
+
+The same models and tests as ``study analyze``, without what a report needs and a verdict does not:
+intervals, effect sizes, diagnostics. A test holds the two to the same verdicts. Dunnett's integral
+is worked out only where its bounds leave the verdict open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.dunnett import two_sided
+from smooth_operator.study.analysis.emm import MarginalMeans, linear_means, response_means
+from smooth_operator.study.analysis.frame import Frame, check_frame
+from smooth_operator.study.analysis.gee import fit_gee
+from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.multivariate import outside
+from smooth_operator.study.analysis.results import POOLED, Mode, Outcome
+from smooth_operator.study.power.layout import Layout, Rows
+from smooth_operator.study.power.simulation import Simulated
+
+ALPHA: Final = 0.05
+_EXACT: Final = 1e-5
+
+Freedom = Callable[[Float[np.ndarray, " p"]], float]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One outcome in one scope and mode.
+
+    Attributes:
+        outcome: which.
+        scope: ``pooled`` or a task.
+        mode: of the analysis.
+        against: condition -> sign of its significant difference from the baseline, else 0; by
+            Dunnett.
+        pairs: (condition, condition) -> likewise, of the first minus the second; by Holm.
+        refused: why the analysis gives no figures; None if it does.
+    """
+
+    outcome: Outcome
+    scope: str
+    mode: Mode
+    against: dict[str, int]
+    pairs: dict[tuple[str, str], int]
+    refused: str | None = None
+
+
+class Analyst:
+    """Analyses simulated studies of one layout.
+
+    Args:
+        layout: rows of the study.
+        scopes: ``pooled`` and tasks.
+    """
+
+    def __init__(self, layout: Layout, scopes: tuple[str, ...] = (POOLED,)) -> None:
+        self._layout = layout
+        self._scopes = scopes
+
+    def verdicts(self, study: Simulated) -> Iterator[Verdict]:
+        """All outcomes and scopes, in both modes."""
+        trials, asked = self._layout.trials, self._layout.questionnaires
+        for scope in self._scopes:
+            rows = self._within(trials, scope)
+            yield from self._success(self._frame(trials, study.success.astype(float), rows), scope)
+            yield from self._linear(
+                self._frame(trials, study.time_s, rows & study.success), "time", scope
+            )
+            if len(asked.index):
+                frame = self._frame(asked, study.workload, self._within(asked, scope))
+                yield from self._linear(frame, "tlx", scope)
+
+    def _within(self, rows: Rows, scope: str) -> Bool[np.ndarray, " n"]:
+        if scope == POOLED:
+            return np.ones(len(rows.index), bool)
+        return np.asarray(rows.task == self._layout.tasks.index(scope))
+
+    def _frame(
+        self, rows: Rows, outcome: Float[np.ndarray, " n"], kept: Bool[np.ndarray, " n"]
+    ) -> Frame:
+        conditions, condition = np.unique(rows.condition[kept], return_inverse=True)
+        tasks, task = np.unique(rows.task[kept], return_inverse=True)
+        operators, group = np.unique(rows.operator[kept], return_inverse=True)
+        return Frame(
+            outcome=outcome[kept],
+            retargeters=tuple(self._layout.conditions[k] for k in conditions),
+            retargeter=condition,
+            tasks=tuple(self._layout.tasks[k] for k in tasks),
+            task=task,
+            operators=tuple(self._layout.operators[k] for k in operators),
+            group=group,
+            index=rows.index[kept].astype(float),
+            baseline=self._layout.conditions[0],
+        )
+
+    def _success(self, frame: Frame, scope: str) -> Iterator[Verdict]:
+        try:
+            check_frame(frame)
+            for codes in (frame.retargeter, frame.task):
+                rates = np.bincount(codes, frame.outcome) / np.bincount(codes)
+                if np.any((rates == 0) | (rates == 1)):
+                    raise StudyError("separation: a condition or task always or never succeeds")
+            with np.errstate(all="ignore"):  # a fit that leaves the numbers is refused there
+                fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
+        except StudyError as error:
+            yield from _refusals("success", scope, str(error))
+            return
+        means = response_means(frame, fit.beta)
+        yield _verdict("success", scope, "paper", frame, means, fit.robust, lambda _: np.inf)
+        if fit.mancl_derouen is None:
+            reason = "an operator's leverage can't be corrected"
+            yield Verdict("success", scope, "small-sample", {}, {}, reason)
+            return
+        df = float(fit.operators - 1)
+        yield _verdict(
+            "success", scope, "small-sample", frame, means, fit.mancl_derouen, lambda _: df
+        )
+
+    def _linear(self, frame: Frame, outcome: Outcome, scope: str) -> Iterator[Verdict]:
+        try:
+            check_frame(frame)
+            fit = fit_mixed(frame.design()[0], frame.outcome, frame.group)
+        except StudyError as error:
+            yield from _refusals(outcome, scope, str(error))
+            return
+        means = linear_means(frame, fit.beta)
+        freedom: dict[Mode, Freedom] = {
+            "paper": lambda _: np.inf,
+            "small-sample": fit.satterthwaite,
+        }
+        for mode, of in freedom.items():
+            yield _verdict(outcome, scope, mode, frame, means, fit.covariance, of)
+
+
+def _refusals(outcome: Outcome, scope: str, reason: str) -> Iterator[Verdict]:
+    blank = Verdict(outcome, scope, "paper", {}, {}, reason)
+    yield blank
+    yield replace(blank, mode="small-sample")
+
+
+def _verdict(
+    outcome: Outcome,
+    scope: str,
+    mode: Mode,
+    frame: Frame,
+    means: MarginalMeans,
+    covariance: Float[np.ndarray, "p p"],
+    freedom: Freedom,
+) -> Verdict:
+    names = means.names
+    statistics: dict[tuple[int, int], tuple[float, float]] = {}
+    for a, b in combinations(range(len(names)), 2):
+        contrast = means.gradient[a] - means.gradient[b]
+        variance = float(contrast @ covariance @ contrast)
+        if not variance > 0:
+            return Verdict(outcome, scope, mode, {}, {}, "a difference has no estimated error")
+        difference = float(means.values[a] - means.values[b])
+        statistics[a, b] = (difference / np.sqrt(variance), freedom(contrast))
+    raw = {key: two_sided(*test) for key, test in statistics.items()}
+    adjusted = dict(zip(raw, holm(list(raw.values())), strict=True))
+    pairs = {
+        (names[a], names[b]): _sign(statistics[a, b][0], adjusted[a, b] <= ALPHA)
+        for a, b in statistics
+    }
+    against: dict[str, int] = {}
+    if names[0] == frame.baseline:
+        others = range(1, len(names))
+        correlation = _correlation(means.covariance(covariance))
+        for j in others:
+            statistic, df = statistics[0, j]
+            significant = _dunnett_rejects(statistic, raw[0, j], correlation, df)
+            against[names[j]] = _sign(-statistic, significant)
+    return Verdict(outcome, scope, mode, against, pairs)
+
+
+def _dunnett_rejects(
+    statistic: float, raw: float, correlation: Float[np.ndarray, "m m"], df: float
+) -> bool:
+    if raw > ALPHA:  # the adjusted p is no lower than the raw one,
+        return False
+    if len(correlation) * raw <= ALPHA:  # and no higher than Bonferroni's
+        return True
+    return outside(abs(statistic), correlation, df, enough=_EXACT)[0] <= ALPHA
+
+
+def _correlation(covariance: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "m m"]:
+    """Of each mean minus the first."""
+    spread = covariance[1:, 1:] + covariance[0, 0] - covariance[1:, :1] - covariance[:1, 1:]
+    scale = np.sqrt(np.diag(spread))
+    return np.asarray(spread / np.outer(scale, scale))
+
+
+def _sign(statistic: float, significant: bool) -> int:
+    return int(np.sign(statistic)) if significant else 0

@@ -1,0 +1,215 @@
+"""What was stored, as files for analysis: tables, and one JSON file with everything.
+
+``trials.csv`` and ``tlx.csv`` hold what counts; ``study.json`` holds the same rows with more
+columns, and the whole log: void trials, undone events, notes, breaks. ``study analyze`` reads
+either.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import OutputError
+from smooth_operator.recording.atomic import atomic_write, output_error
+from smooth_operator.study.data.tables import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
+from smooth_operator.study.design.plan_file import plan_table
+from smooth_operator.study.store.events import payload
+from smooth_operator.study.store.progress import Progress, Trial
+from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.workload import (
+    SCALE_NAMES,
+    raw_workload,
+    weighted_workload,
+    weights,
+)
+
+FORMAT: Final = 1
+"""Version of ``study.json``."""
+WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
+
+_TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
+
+
+def export_study(
+    store: StudyStore, folder: str | Path, *, operators: Sequence[str] | None = None
+) -> list[Path]:
+    """Writes the files into a folder; those that stand there are replaced.
+
+    Args:
+        store: of the study.
+        folder: made if it is not there.
+        operators: None for all.
+
+    Returns:
+        The files: trials.csv, tlx.csv and tlx_weights.csv where there are such rows, study.json.
+
+    Raises:
+        OutputError: a file can't be written.
+        UnknownNameError: there is no such operator.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    everything = study_json(store, operators)
+    files = {
+        _TRIALS: (TRIAL_COLUMNS, everything["trials"]),
+        _TLX: (QUESTIONNAIRE_COLUMNS, everything["questionnaires"]),
+        _WEIGHTS: (WEIGHT_COLUMNS, everything["weights"]),
+    }
+    written = []
+    for name, (columns, rows) in files.items():
+        if rows or name == _TRIALS:
+            written.append(_write(folder / name, _table(columns, rows)))
+        else:
+            _remove(folder / name)  # of an earlier export, when there was more
+    text = json.dumps(everything, indent=1, allow_nan=False) + "\n"
+    written.append(_write(folder / _ALL, text))
+    return written
+
+
+def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dict[str, Any]:
+    """Everything that is stored, as plain values of ``export_schema``.
+
+    Args:
+        store: of the study.
+        operators: None for all.
+    """
+    plan = store.plan
+    codes = plan.codes if operators is None else tuple(operators)
+    made: dict[str, Any] = {
+        "format": FORMAT,
+        "study": plan_table(plan),
+        "erased": list(store.erased),
+        "trials": [],
+        "questionnaires": [],
+        "weights": [],
+        "operators": [],
+    }
+    for code in codes:
+        progress = store.progress(code)
+        made["trials"] += [_trial(code, trial) for trial in progress.trials if _counts(trial)]
+        made["questionnaires"] += list(_questionnaires(progress))
+        made["weights"] += list(_weights(progress))
+        made["operators"].append(_operator(progress))
+    return made
+
+
+def _counts(trial: Trial) -> bool:
+    return trial.score is not None and trial.void is None
+
+
+def _trial(code: str, trial: Trial) -> dict[str, Any]:
+    assert trial.score is not None
+    assert trial.time_s is not None
+    block = trial.block
+    return {
+        "operator": code,
+        "task": block.task.name,
+        "retargeter": block.condition.name,
+        "block": block.number,
+        "trial_in_block": trial.number,
+        "trial_global": block.trial_global(trial.number),
+        "score": trial.score,
+        # The time of a failure is not the time that the task takes.
+        "time_s": trial.time_s if trial.score > 0 and trial.time_s > 0 else None,
+        "duration_s": trial.time_s,
+        "line": trial.line,
+        "resets": trial.resets,
+        "started_at": trial.started.isoformat(),
+    }
+
+
+def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
+    for asked in progress.questionnaires:
+        block = asked.block
+        winners = progress.winners.get((block.task.name, block.number))
+        yield {
+            "operator": progress.operator,
+            "task": block.task.name,
+            "retargeter": block.condition.name,
+            "block": block.number,
+            "point": asked.point,
+            **{name: asked.ratings[name] for name in SCALE_NAMES},
+            "raw_workload": raw_workload(asked.ratings),
+            "weighted_workload": winners and weighted_workload(asked.ratings, winners),
+            "answered_at": asked.at.isoformat(),
+        }
+
+
+def _weights(progress: Progress) -> Iterator[dict[str, Any]]:
+    conditions = {(b.task.name, b.number): b.condition.name for b in progress.blocks}
+    for (task, block), winners in progress.winners.items():
+        yield {
+            "operator": progress.operator,
+            "task": task,
+            "retargeter": conditions[task, block],
+            "block": block,
+            **weights(winners),
+        }
+
+
+def _operator(progress: Progress) -> dict[str, Any]:
+    step = progress.step
+    return {
+        "operator": progress.operator,
+        "done": step.what == "done",
+        "notes": [{"at": at.isoformat(), "text": text} for at, text in progress.notes],
+        "breaks": [
+            {"started_at": start.isoformat(), "ended_at": end and end.isoformat()}
+            for start, end in progress.breaks
+        ],
+        "voided": [
+            {
+                "task": trial.block.task.name,
+                "block": trial.block.number,
+                "trial_in_block": trial.number,
+                "reason": trial.void,
+            }
+            for trial in progress.trials
+            if trial.void is not None
+        ],
+        "events": [
+            {
+                "number": record.number,
+                "at": record.at.isoformat(),
+                "author": record.author,
+                "kind": record.event.kind,
+                "fields": payload(record.event),
+            }
+            for record in progress.records
+        ],
+    }
+
+
+def _table(columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:
+    out = io.StringIO()
+    writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(row[name]) for name in columns} for row in rows)
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        return int(value) if value.is_integer() else value  # a score is 1, not 1.0
+    return "" if value is None else value
+
+
+def _write(path: Path, text: str) -> Path:
+    with atomic_write(path) as file:
+        file.write(text.encode("utf-8"))
+    return path
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"can't remove the {path.name} of an earlier export: {error}") from error

@@ -1,0 +1,81 @@
+"""JSON schema of ``study.json``: what another program may rely on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from smooth_operator.study.store.export import FORMAT
+from smooth_operator.study.store.workload import SCALE_NAMES
+
+
+def export_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of ``study.json``."""
+    text, count = {"type": "string"}, {"type": "integer", "minimum": 1}
+    moment = {"type": "string", "format": "date-time"}
+    score = {"enum": [0, 0.5, 1]}
+    seconds = {"type": "number", "minimum": 0}
+    rating = {"type": "integer", "minimum": 0, "maximum": 100, "multipleOf": 5}
+    times = {"type": "integer", "minimum": 0, "maximum": len(SCALE_NAMES) - 1}
+    workload = {"type": ["number", "null"], "minimum": 0, "maximum": 100}
+    where = {"operator": text, "task": text, "retargeter": text, "block": count}
+
+    def rows(**columns: Any) -> dict[str, Any]:
+        return {"type": "array", "items": _object(columns)}
+
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A user study of retargeters: its plan, its data, its log",
+        **_object(
+            {
+                "format": {"const": FORMAT},
+                "study": {"type": "object", "required": ["name", "conditions", "tasks"]},
+                "erased": {"type": "array", "items": text},
+                "trials": rows(
+                    **where,
+                    trial_in_block=count,
+                    trial_global=count,
+                    score=score,
+                    time_s={"type": ["number", "null"], "exclusiveMinimum": 0},
+                    duration_s=seconds,
+                    line=text,
+                    resets={"type": "integer", "minimum": 0},
+                    started_at=moment,
+                ),
+                "questionnaires": rows(
+                    **where,
+                    point={"enum": ["initial", "midpoint", "final"]},
+                    **dict.fromkeys(SCALE_NAMES, rating),
+                    raw_workload=workload,
+                    weighted_workload=workload,
+                    answered_at=moment,
+                ),
+                "weights": rows(
+                    **where,
+                    **dict.fromkeys(SCALE_NAMES, times),
+                ),
+                "operators": rows(
+                    operator=text,
+                    done={"type": "boolean"},
+                    notes=rows(at=moment, text=text),
+                    breaks=rows(started_at=moment, ended_at={"type": ["string", "null"]}),
+                    voided=rows(task=text, block=count, trial_in_block=count, reason=text),
+                    events=rows(
+                        number=count,
+                        at=moment,
+                        author={"enum": ["experimenter", "operator", "system"]},
+                        kind=text,
+                        fields={"type": "object"},
+                    ),
+                ),
+            }
+        ),
+    }
+
+
+def _object(columns: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": columns,
+        "required": list(columns),
+        "additionalProperties": False,
+    }

@@ -1,0 +1,134 @@
+"""Operators walked through a study by many processes at once, for tests; run as a script.
+
+Forks writers that write event after event to one store and note each acknowledged number in a file
+of their own. As a script of its own it forks before anything starts a thread, and imports little.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+
+from smooth_operator.study.design.plan import Plan, make_plan
+from smooth_operator.study.design.protocol import Condition, Protocol, Task
+from smooth_operator.study.store.events import (
+    Answered,
+    BlockStarted,
+    BreakEnded,
+    Calibrated,
+    Event,
+    FamiliarisationEnded,
+    FamiliarisationStarted,
+    TrialReset,
+    TrialScored,
+    TrialStarted,
+    Weighed,
+)
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.workload import PAIRS, SCALE_NAMES
+
+STUDY = "twenty"
+
+
+def small_plan(operators: int = 20, *, weights: bool = True) -> Plan:
+    conditions = tuple(Condition(name) for name in ("sbr", "dexpilot", "hybrid"))
+    tasks = (Task("A", trials=3), Task("B", trials=3))
+    return make_plan(Protocol(STUDY, conditions, tasks, "dexpilot", operators, weights=weights))
+
+
+def due(progress: Progress, rng: random.Random) -> Event | None:
+    """Something that may happen now; None where the operator is done."""
+    step = progress.step
+    if step.what == "break":
+        return BreakEnded()
+    if step.block is None:
+        return None
+    block, task, number = step.block, step.block.task.name, step.block.number
+    trial = step.trial or 0
+    if step.what == "calibrate":
+        return Calibrated(task)
+    if step.what == "start_block":
+        return BlockStarted(task, number, block.condition.name)
+    if step.what == "start_familiarisation":
+        return FamiliarisationStarted(task, number)
+    if step.what == "familiarise":
+        return FamiliarisationEnded(task, number)
+    if step.what == "start_trial":
+        return TrialStarted(task, number, trial)
+    if step.what == "trial":
+        running = progress.running
+        assert running is not None
+        if not running.resets and rng.random() < 0.2:
+            return TrialReset(task, number, trial)
+        line = rng.choice(block.task.rubric).name
+        seconds = round(rng.uniform(5, 60), 2)
+        return TrialScored(task, number, trial, line, progress.capped(line), seconds)
+    if step.what == "questionnaire":
+        assert step.point is not None
+        ratings = {name: 5 * rng.randint(0, 20) for name in SCALE_NAMES}
+        return Answered(task, number, step.point, ratings)
+    return Weighed(task, number, tuple(rng.choice(pair) for pair in PAIRS))
+
+
+def write(target: str, operator: str, most: int, acknowledged: Path, seed: int) -> None:
+    rng = random.Random(seed)
+    with open_study(target, name=STUDY) as store, acknowledged.open("a") as file:
+        for _ in range(most):
+            event = due(store.progress(operator), rng)
+            if event is None:
+                return
+            record = store.append(operator, event)
+            file.write(f"{record.number} {event.kind}\n")
+            file.flush()
+
+
+def fork_writer(target: str, operator: str, most: int, folder: Path, seed: int) -> int:
+    child = os.fork()
+    if child:
+        return child
+    try:
+        write(target, operator, most, folder / f"{operator}.txt", seed)
+    except BaseException as error:
+        print(f"{operator}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        os._exit(1)
+    os._exit(0)
+
+
+def main(what: str, target: str, folder: str, count: int, most: int) -> None:
+    """``together``: that many operators at once. ``killed``: one, killed that many times."""
+    with contextlib.suppress(ImportError):  # once, and not in every writer
+        import sqlalchemy.dialects.postgresql.psycopg
+        import sqlalchemy.dialects.sqlite.pysqlite  # noqa: F401
+    codes = small_plan().codes
+    if what == "together":
+        made = [
+            fork_writer(target, codes[k % len(codes)], most, Path(folder), k) for k in range(count)
+        ]
+        sys.exit(any(os.waitpid(child, 0)[1] for child in made))
+    rng = random.Random(5)
+    notes = Path(folder) / f"{codes[0]}.txt"
+    notes.touch()
+    kills = 0
+    while kills < count:
+        size = notes.stat().st_size
+        child = fork_writer(target, codes[0], most, Path(folder), kills)
+        while notes.stat().st_size == size and os.waitpid(child, os.WNOHANG)[0] == 0:
+            time.sleep(0.001)
+        time.sleep(rng.uniform(0.0, 0.03))
+        try:
+            os.kill(child, signal.SIGKILL)
+            status = os.waitpid(child, 0)[1]
+        except (ProcessLookupError, ChildProcessError):  # it came to the end of the protocol
+            break
+        kills += os.WIFSIGNALED(status)
+    print(kills)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5]))

@@ -1,0 +1,253 @@
+"""Simulated power: the truth is what was asked for, verdicts are those of the analysis."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.cli import main
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.analyze import analyze_study
+from smooth_operator.study.analysis.results import MODES
+from smooth_operator.study.data import Questionnaires, StudyData, Trials
+from smooth_operator.study.design.plan import make_plan
+from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
+from smooth_operator.study.design.rubrics import PAPER_TASKS
+from smooth_operator.study.power.assumptions import Spread, assumptions_for
+from smooth_operator.study.power.layout import Layout, layout
+from smooth_operator.study.power.report import power_json, write_power
+from smooth_operator.study.power.run import LOG, PowerSettings, run_power
+from smooth_operator.study.power.simulation import Simulated, Simulator
+from smooth_operator.study.power.tally import count, rate
+from smooth_operator.study.power.verdicts import Analyst, Verdict
+
+METHODS = ("sbr", "dexpilot", "geort", "hybrid")
+CONDITIONS = tuple(Condition(name) for name in METHODS)
+PAPER = Protocol("paper", CONDITIONS, PAPER_TASKS, "dexpilot", 18)
+SMALL = Protocol("small", CONDITIONS[:3], (Task("A", trials=6), Task("B", trials=6)), "dexpilot", 8)
+
+
+@pytest.fixture(scope="module")
+def paper() -> Layout:
+    return layout(make_plan(PAPER))
+
+
+def test_the_papers_design_has_its_numbers_of_trials(paper: Layout) -> None:
+    """12 operators x 4 x 10, 8 x 4 x 10, 6 x 4 x 20, and three questionnaires a block."""
+    assert len(paper.trials.index) == 480 + 320 + 480
+    assert len(paper.questionnaires.index) == 26 * 4 * 3
+    assert paper.conditions[0] == "dexpilot"
+    assert paper.trials.index.max() == 80
+    assert paper.questionnaires.index.max() == 12
+
+
+def test_simulated_studies_have_the_means_that_were_assumed(paper: Layout) -> None:
+    truth = assumptions_for(paper.conditions)
+    truth = replace(truth, practice=Spread(0.0, 0.0, 0.0))
+    simulator = Simulator(paper, truth)
+    draws = [simulator.draw(np.random.default_rng([9, k])) for k in range(300)]
+    for c, name in enumerate(paper.conditions):
+        # Tasks weigh alike in what is assumed, so they do here.
+        rows = [
+            (paper.trials.condition == c) & (paper.trials.task == k)
+            for k in range(len(paper.tasks))
+        ]
+        success = np.mean([np.mean([d.success[r].mean() for d in draws]) for r in rows])
+        assert success == pytest.approx(truth.success[name], abs=0.012)
+        seconds = np.mean([np.mean([d.time_s[r].mean() for d in draws]) for r in rows])
+        assert seconds == pytest.approx(truth.time_s[name], abs=0.6)
+        asked = [
+            (paper.questionnaires.condition == c) & (paper.questionnaires.task == k)
+            for k in range(len(paper.tasks))
+        ]
+        points = np.mean([np.mean([d.workload[r].mean() for d in draws]) for r in asked])
+        assert points == pytest.approx(truth.workload[name], abs=1.0)
+    assert min(d.time_s.min() for d in draws) >= 2.0
+
+
+def test_operators_differ_as_was_assumed(paper: Layout) -> None:
+    truth = assumptions_for(paper.conditions, operators=Spread(0.0, 0.0, 20.0))
+    simulator = Simulator(paper, truth)
+    rows = paper.questionnaires
+    spread = []
+    for k in range(60):
+        draw = simulator.draw(np.random.default_rng(k))
+        doing = (rows.task == 0) & (rows.condition == 0)
+        means = [draw.workload[doing & (rows.operator == o)].mean() for o in range(12)
+                 if np.any(doing & (rows.operator == o))]  # fmt: skip
+        spread.append(np.std(means, ddof=1))
+    assert np.mean(spread) == pytest.approx(20.0, rel=0.15)
+
+
+def study_data(rows: Layout, study: Simulated) -> StudyData:
+    """The same study as its tables would hold it."""
+
+    def names(kind: tuple[str, ...], codes: np.ndarray) -> np.ndarray:
+        return np.array(kind)[codes]
+
+    t, q = rows.trials, rows.questionnaires
+    trials = Trials(
+        names(rows.operators, t.operator), names(rows.tasks, t.task),
+        names(rows.conditions, t.condition), np.ones(len(t.index), int), t.index, t.index,
+        study.success.astype(float), study.time_s,
+    )  # fmt: skip
+    asked = Questionnaires(
+        names(rows.operators, q.operator), names(rows.tasks, q.task),
+        names(rows.conditions, q.condition), (q.index - 1) // len(POINTS) + 1,
+        (q.index - 1) % len(POINTS) + 1, np.repeat(study.workload[:, None], 6, axis=1),
+    )  # fmt: skip
+    return StudyData(trials, asked)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_verdicts_are_those_of_the_analysis(seed: int) -> None:
+    """Of every outcome, scope, mode and test: significant there exactly where it is here."""
+    rows = layout(make_plan(SMALL))
+    truth = assumptions_for(rows.conditions, operators=Spread(0.3, 4.0, 10.0))
+    study = Simulator(rows, truth).draw(np.random.default_rng(seed))
+    analysis = analyze_study(study_data(rows, study), "dexpilot")
+    compared = 0
+    for verdict in Analyst(rows, ("pooled", "A", "B")).verdicts(study):
+        result = analysis.results[verdict.mode][verdict.outcome][verdict.scope]
+        assert (verdict.refused is None) == (result.refused is None), (verdict, result.refused)
+        for name, test in result.dunnett.items():
+            sign = np.sign(test.difference) if test.p_dunnett <= 0.05 else 0
+            assert verdict.against[name] == sign, (verdict, test)
+            compared += 1
+        for pair in result.pairs.values():
+            sign = np.sign(pair.difference) if pair.p_holm <= 0.05 else 0
+            assert verdict.pairs[pair.a, pair.b] == sign, (verdict, pair)
+            compared += 1
+    assert compared == 3 * 3 * 2 * (2 + 3)
+    found = [v for v in Analyst(rows).verdicts(study) if any(v.against.values())]
+    assert found, "nothing is significant in this study: it compares nothing"
+
+
+def test_small_studies_are_refused_not_guessed() -> None:
+    """Whoever always fails leaves no odds to estimate: counted as nothing found."""
+    rows = layout(make_plan(replace(SMALL, operators=3)))
+    truth = assumptions_for(rows.conditions, success=dict.fromkeys(rows.conditions, 0.01))
+    study = Simulator(rows, truth).draw(np.random.default_rng(0))
+    refused = {v.outcome: v.refused for v in Analyst(rows).verdicts(study)}
+    assert refused["success"] is not None
+    assert count(Verdict("success", "pooled", "paper", {}, {}, "none"), truth, "dexpilot") == {
+        "refused": 1
+    }
+
+
+def test_what_a_verdict_gets_right_and_wrong() -> None:
+    truth = assumptions_for(("sbr", "dexpilot", "geort"), success={"geort": 0.44, "sbr": 0.54})
+    against = {"sbr": 1, "geort": -1}  # the first is true, the second is not
+    pairs = {("dexpilot", "geort"): 0, ("dexpilot", "sbr"): -1, ("geort", "sbr"): 1}
+    counts = count(Verdict("success", "pooled", "paper", against, pairs), truth, "dexpilot")
+    assert counts == {
+        "dunnett:sbr": 1, "dunnett:all": 1, "family:dunnett": 1, "holm:dexpilot-sbr": 1,
+        "family:holm": 1,
+    }  # fmt: skip
+    null = truth.null("dexpilot")
+    assert set(null.success.values()) == {0.44}
+    assert count(Verdict("success", "pooled", "paper", against, {}), null, "dexpilot") == {
+        "family:dunnett": 1
+    }
+
+
+def test_monte_carlo_errors() -> None:
+    half = rate(500, 1000)
+    assert half.se == pytest.approx(0.0158, abs=1e-4)
+    assert (half.lower, half.upper) == pytest.approx((0.469, 0.531), abs=1e-3)
+    assert rate(0, 1000).lower == 0.0
+    assert rate(0, 1000).upper == pytest.approx(0.0038, abs=1e-4)  # not zero
+
+
+def test_any_number_of_workers_and_any_interruption_give_the_same(tmp_path: Path) -> None:
+    truth = assumptions_for(SMALL.condition_names)
+    settings = PowerSettings(SMALL, truth, (4,), studies=20)
+    folders = [tmp_path / name for name in ("alone", "many", "broken")]
+    for folder in folders:
+        folder.mkdir()
+    alone = run_power(settings, folders[0], workers=0)
+    many = run_power(settings, folders[1], workers=2)
+    assert power_json(settings, alone) == power_json(settings, many)
+    # A run that was killed in the middle of a line, after one chunk of four.
+    lines = (folders[0] / LOG).read_text().splitlines(keepends=True)
+    assert len(lines) == 4
+    (folders[2] / LOG).write_text(lines[0] + lines[1][:40])
+    told: list[tuple[int, int]] = []
+    resumed = run_power(settings, folders[2], workers=0, report=lambda *n: told.append(n))
+    assert told[0] == (10, 40)
+    assert told[-1] == (40, 40)
+    assert power_json(settings, resumed) == power_json(settings, alone)
+    # More studies only add to what is there.
+    told.clear()
+    more = replace(settings, studies=23)
+    run_power(more, folders[2], workers=0, report=lambda *n: told.append(n))
+    assert told[0] == (40, 46)
+    # Another truth shares nothing.
+    told.clear()
+    other = replace(settings, truth=replace(truth, scales=4.0), studies=3)
+    run_power(other, folders[2], workers=0, report=lambda *n: told.append(n))
+    assert told[0] == (0, 6)
+    files = write_power(settings, alone, tmp_path)
+    assert files[1].read_bytes().startswith(b"\x89PNG")
+    cells = json.loads(files[0].read_text())["cells"]
+    assert len(cells) == 2 * 3 * len(MODES)
+    assert {cell["studies"] for cell in cells} == {20}
+
+
+def test_honest_tests_err_less_and_find_less(tmp_path: Path) -> None:
+    """Of 60 studies of the paper's design each: the gap that many more show is seen already."""
+    settings = PowerSettings(PAPER, assumptions_for(METHODS), (18,), studies=60, seed=4)
+    tallies = run_power(settings, tmp_path)
+    cells = {
+        (c["truth"], c["outcome"], c["mode"]): c for c in power_json(settings, tallies)["cells"]
+    }
+    power = {
+        mode: cells["effects", "success", mode]["power"]["dunnett"]["sbr"]["rate"] for mode in MODES
+    }
+    error = {mode: cells["null", "success", mode]["family_error"]["dunnett"] for mode in MODES}
+    assert 0.30 < power["small-sample"] < power["paper"] < 0.90  # of thousands: 0.52 and 0.68
+    assert error["small-sample"]["lower"] < 0.06
+    assert error["small-sample"]["rate"] <= error["paper"]["rate"]
+    assert cells["effects", "tlx", "small-sample"]["power"]["dunnett"]["geort"]["rate"] == 1.0
+    assert cells["null", "tlx", "small-sample"]["power"]["dunnett"] == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--operators", "2"], "from 3 on"),
+        (["--success", "sbr=1.5"], "probability from 0.005 to 0.995"),
+        (["--success", "ako=0.5"], "given for 'ako'"),
+        (["--time", "sbr"], "NAME=NUMBER"),
+        (["--studies", "0"], "one simulated study"),
+        (["--operators", "6", "6"], "comes twice"),
+    ],
+)
+def test_study_power_refuses(
+    tmp_path: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", "power", "--output", str(tmp_path / "out"), *arguments]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_study_power_of_a_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / "mine")
+    assert main(["study", "new", folder, "--conditions", "dexpilot", "mine", "--tasks", "T:6",
+                 "--operators", "6"]) == 0  # fmt: skip
+    arguments = ["study", "power", folder, "--studies", "4", "--operators", "6", "--workers", "0"]
+    assert main(arguments) == 2
+    assert "what success of mine is to be expected" in capsys.readouterr().err
+    assumed = ["--success", "mine=0.8", "--time", "mine=20", "--workload", "mine=30"]
+    assert main([*arguments, *assumed]) == 0
+    assert "family-wise" in capsys.readouterr().out
+    assert (tmp_path / "mine/power/power.json").is_file()
+
+
+def test_assumptions_that_can_not_be() -> None:
+    with pytest.raises(StudyError, match="can't be negative"):
+        assumptions_for(METHODS, operators=Spread(-1.0, 0.0, 0.0))

@@ -1,0 +1,194 @@
+"""``smooth-operator study analyze``: what it writes and prints, and how it refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import random
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from study_cases import Row, simulate, write_rows
+
+from smooth_operator.cli import main
+from smooth_operator.study.analysis.citations import CITATIONS
+
+FIGURES = (
+    "success", "time", "tlx-radar", "learning", "operators-success", "operators-time",
+    "operators-tlx", "correlations",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    simulate(3, operators=range(6)).write(folder)
+    metrics: list[Row] = [
+        {"operator": f"P{i:02d}", "retargeter": name, "<b>odd & $ö": i - j}
+        for i in range(6)
+        for j, name in enumerate(("dexpilot", "geort", "hybrid", "sbr"))
+    ]
+    write_rows(folder / "sim_metrics.csv", metrics)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def output(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("out") / "new" / "folder"
+    files = [str(data / "tlx.csv"), str(data / "trials.csv")]
+    assert main(["study", "analyze", *files, "--output", str(folder), "--quiet"]) == 0
+    return folder
+
+
+class Tags(HTMLParser):
+    """Whether tags close, and what is loaded from elsewhere."""
+
+    VOID = frozenset({"meta", "br", "path", "use", "image", "rect", "line", "stop", "img"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.loaded: list[str] = []
+        self.ids: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href") and value and not value.startswith(("#", "data:")):
+                self.loaded.append(value)
+            if name == "id" and value:
+                self.ids.append(value)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+
+def test_the_page_is_whole_and_needs_nothing_else(output: Path) -> None:
+    text = (output / "report.html").read_text(encoding="utf-8")
+    page = Tags()
+    page.feed(text)
+    assert page.open == []
+    assert page.loaded == []
+    assert len(page.ids) == len(set(page.ids))
+    assert text.count("<figure") == len(FIGURES)
+    assert "&lt;b&gt;odd &amp; $ö" in text  # the name of a metric is text, never markup
+    assert "<b>odd" not in text
+    for citation in CITATIONS:
+        assert f"[{citation.key}]" in text
+    for word in ("small-sample", "paper", "Dunnett", "operators took part", "only 6 operators"):
+        assert word in text
+    for stem in FIGURES:
+        assert (output / "figures" / f"{stem}.png").stat().st_size > 5000
+        assert (output / "figures" / f"{stem}.svg").stat().st_size > 2000
+
+
+def test_tables_hold_the_numbers_of_the_results(output: Path) -> None:
+    results = json.loads((output / "results.json").read_text(encoding="utf-8"))
+    for family in ("coefficients", "emm", "dunnett", "pairs"):
+        with (output / f"{family}.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        label = {"coefficients": "name", "pairs": "pair"}.get(family, "retargeter")
+        count = 0
+        for row in rows:
+            entry = results[row["mode"]][row["outcome"]][row["scope"]][family][row[label]]
+            assert float(row["se"]) == entry["se"]
+            count += 1
+        expected = sum(
+            len(scope[family])
+            for mode in ("paper", "small-sample")
+            for outcome in results[mode].values()
+            for scope in outcome.values()
+        )
+        assert count == expected > 0
+    with (output / "spearman.csv").open(encoding="utf-8", newline="") as file:
+        (first, *_) = csv.DictReader(file)
+    assert first["metric"] == "<b>odd & $ö"
+    assert -1 <= float(first["rho"]) <= 1
+    with (output / "learning.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["index"] for row in csv.DictReader(file)} == {
+            "trial_global", "trial_in_block", "tlx_index", "in_block",
+        }  # fmt: skip
+    methods = (output / "methods.txt").read_text(encoding="utf-8")
+    assert methods.startswith("6 operators took part")
+
+
+def test_both_modes_are_printed(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["study", "analyze", str(data), "--output", str(tmp_path), "--no-report"]
+    assert main(arguments) == 0
+    printed = capsys.readouterr()
+    assert re.search(r"success rate \[%\], pooled: \d+ rows, 6 operators", printed.out)
+    assert "p Dunnett" in printed.out
+    assert "paper" in printed.out
+    assert "only 6 operators" in printed.out
+    assert "results.json" in printed.err
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_refused_parts_give_a_reason_and_status_1(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = simulate(3, operators=range(6))
+    lost: list[Row] = [
+        row | {"score": 0, "time_s": ""} if row["retargeter"] == "geort" else row
+        for row in case.trials
+    ]
+    file = write_rows(tmp_path / "trials.csv", lost)
+    out = tmp_path / "out"
+    assert main(["study", "analyze", str(file), "--output", str(out)]) == 1
+    printed = capsys.readouterr().out
+    assert "refused: separation: retargeter geort has 0 successes" in printed
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert "separation: retargeter geort" in text
+    assert "no questionnaires were given" in text
+
+
+def test_bad_data_write_nothing_and_give_status_2(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows: list[Row] = [dict(row) for row in simulate(3, operators=range(6)).trials]
+    rows[3]["score"] = 0.25
+    file = write_rows(tmp_path / "trials.csv", rows)
+    out = tmp_path / "out"
+    assert main(["study", "analyze", str(file), "--output", str(out)]) == 2
+    assert "row 5, column score: expected 0, 0.5 or 1, came '0.25'" in capsys.readouterr().err
+    assert not out.exists()
+    good = str(data / "trials.csv")
+    assert main(["study", "analyze", good, "--baseline", "sbt", "--output", str(out)]) == 2
+    assert "Did you mean 'sbr'?" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["study", "analyze", str(tmp_path / "none.db"), "--output", str(out)]) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_a_study_that_was_run_is_analysed_from_its_store(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("sqlalchemy")
+    from study_writers import due, small_plan
+
+    from smooth_operator.study.store.opening import open_study
+
+    with open_study(tmp_path / "study", small_plan(3)) as store:
+        for seed, operator in enumerate(store.plan.codes):
+            draw = random.Random(seed)
+            while (event := due(store.progress(operator), draw)) is not None:
+                store.append(operator, event)
+    out = tmp_path / "out"
+    arguments = ["study", "analyze", str(tmp_path / "study"), "--output", str(out), "--no-report"]
+    assert main(arguments) in (0, 1)
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert results["study"]["trials"] == 3 * 2 * 3 * 3
+    assert results["study"]["questionnaires"] == 3 * 2 * 3 * 3
+    assert results["study"]["retargeters"] == ["dexpilot", "hybrid", "sbr"]
+    assert "only 3 operators" in capsys.readouterr().out

@@ -1,0 +1,381 @@
+"""Models and corrections against closed forms, other implementations, and R's figures."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+from study_cases import Case, holes, simulate
+from study_reference import REFERENCE
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.analyze import success_frame, time_frame
+from smooth_operator.study.analysis.dunnett import dunnett, quantile, two_sided
+from smooth_operator.study.analysis.gee import fit_gee
+from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.linear_outcome import analyze_linear
+from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.multivariate import outside
+from smooth_operator.study.analysis.separation import separating
+from smooth_operator.study.analysis.spearman import _weighted, spearman
+from smooth_operator.study.analysis.success_outcome import analyze_success
+from smooth_operator.study.data.tables import make_trials
+
+# Mixed models.
+
+
+def balanced(
+    spread: float, operators: int = 9, levels: int = 4, repeats: int = 3, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    groups = np.repeat(np.arange(operators), levels * repeats)
+    level = np.tile(np.repeat(np.arange(levels), repeats), operators)
+    y = level + spread * rng.normal(size=operators)[groups] + rng.normal(size=len(groups))
+    design = np.column_stack([np.ones(len(y)), *(level == j for j in range(1, levels))])
+    return design.astype(float), y, groups
+
+
+def test_reml_of_a_balanced_design_is_anova() -> None:
+    """Variances from mean squares, contrasts with the residual's degrees of freedom."""
+    design, y, groups = balanced(2.0)
+    operators, levels, repeats = 9, 4, 3
+    fit = fit_mixed(design, y, groups)
+    cells = y.reshape(operators, levels, repeats)
+    between = levels * repeats * np.sum((cells.mean((1, 2)) - y.mean()) ** 2) / (operators - 1)
+    model = cells.mean((1, 2))[:, None] + cells.mean((0, 2))[None] - y.mean()
+    freedom = len(y) - operators - levels + 1
+    residual = np.sum((cells - model[:, :, None]) ** 2) / freedom
+    assert fit.sd_residual**2 == pytest.approx(residual, rel=1e-10)
+    assert fit.sd_operator**2 == pytest.approx((between - residual) / (levels * repeats), rel=1e-9)
+    contrast = np.array([0.0, 1.0, -1.0, 0.0])
+    error = np.sqrt(contrast @ fit.covariance @ contrast)
+    assert error == pytest.approx(np.sqrt(2 * residual / (operators * repeats)), rel=1e-10)
+    assert fit.satterthwaite(contrast) == pytest.approx(freedom, rel=1e-8)
+    # The overall mean varies with the operators alone.
+    mean = np.array([1.0, 0.25, 0.25, 0.25])
+    assert fit.satterthwaite(mean) == pytest.approx(operators - 1, rel=1e-8)
+    assert mean @ fit.covariance @ mean == pytest.approx(between / len(y), rel=1e-9)
+
+
+def test_a_singular_fit_is_ordinary_regression() -> None:
+    design, y, groups = balanced(0.0, seed=3)
+    y = y - np.bincount(groups, y)[groups] / np.bincount(groups)[groups]  # less alike than chance
+    fit = fit_mixed(design, y, groups)
+    assert fit.singular
+    assert fit.sd_operator == 0
+    beta, squares, *_ = np.linalg.lstsq(design, y, rcond=None)
+    np.testing.assert_allclose(fit.beta, beta, atol=1e-12)
+    assert fit.sd_residual**2 == pytest.approx(squares[0] / (len(y) - 4), rel=1e-12)
+    assert fit.satterthwaite(np.eye(4)[1]) == pytest.approx(len(y) - 4, rel=1e-12)
+
+
+def test_reml_finds_the_minimum_that_a_search_finds() -> None:
+    """The criterion written out with whole matrices, minimised by brute force."""
+    rng = np.random.default_rng(8)
+    groups = np.repeat(np.arange(7), [2, 9, 4, 12, 3, 7, 5])
+    x = np.column_stack([np.ones(42), rng.normal(size=(42, 2))])
+    y = x @ [1.0, 2.0, -1.0] + 0.8 * rng.normal(size=7)[groups] + rng.normal(size=42)
+    fit = fit_mixed(x, y, groups)
+    same = (groups[:, None] == groups).astype(float)
+
+    def deviance(ratio: float, variance: float) -> float:
+        v = variance * (np.eye(42) + ratio * same)
+        inverse = np.linalg.inv(v)
+        information = x.T @ inverse @ x
+        r = y - x @ np.linalg.solve(information, x.T @ inverse @ y)
+        logs = np.linalg.slogdet(v)[1] + np.linalg.slogdet(information)[1]
+        return float(logs + r @ inverse @ r + 39 * np.log(2 * np.pi))
+
+    assert not fit.singular
+    here = deviance(fit.ratio, fit.residual_variance)
+    assert here == pytest.approx(-2 * fit.log_likelihood, abs=1e-9)
+    for ratio in np.linspace(0, 3, 61):
+        for variance in np.linspace(0.4, 2, 33):
+            assert deviance(ratio, variance) > here - 1e-9
+    # Satterthwaite's from numerical derivatives of the same deviance.
+    at = np.array([fit.ratio, fit.residual_variance])
+    h = 1e-4 * at
+    steps = np.diag(h)
+    hessian = np.empty((2, 2))
+    for i in range(2):
+        for j in range(2):
+            corners = [
+                a * b * deviance(*(at + a * steps[i] + b * steps[j]))
+                for a in (1, -1)
+                for b in (1, -1)
+            ]
+            hessian[i, j] = sum(corners) / (4 * h[i] * h[j])
+
+    def variance_of(ratio: float, variance: float) -> float:
+        v = variance * (np.eye(42) + ratio * same)
+        return float(np.linalg.inv(x.T @ np.linalg.inv(v) @ x)[1, 1])
+
+    gradient = np.array(
+        [(variance_of(*(at + s)) - variance_of(*(at - s))) / (2 * s.sum()) for s in steps]
+    )
+    spread = gradient @ np.linalg.inv(hessian / 2) @ gradient
+    expected = 2 * variance_of(*at) ** 2 / spread
+    assert fit.satterthwaite(np.eye(3)[1]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_operators_that_differ_hugely_lose_no_digits() -> None:
+    design, y, groups = balanced(1.0, seed=5)
+    fit = fit_mixed(design, y + 1e5 * groups, groups)
+    assert fit.ratio > 1e8
+    # Within operators all is as if they were fixed effects.
+    dummies = np.column_stack([design[:, 1:], groups[:, None] == np.arange(9)])
+    beta = np.linalg.lstsq(dummies, y, rcond=None)[0]
+    np.testing.assert_allclose(fit.beta[1:], beta[:3], rtol=1e-8)
+
+
+def test_an_outcome_without_residual_is_refused() -> None:
+    design, _, groups = balanced(1.0)
+    with pytest.raises(StudyError, match="without any residual"):
+        fit_mixed(design, design @ [1.0, 2, 3, 4] + groups, groups)
+    with pytest.raises(StudyError, match="more rows"):
+        fit_mixed(design[:4], np.arange(4.0), np.array([0, 0, 1, 1]))
+
+
+# GEE.
+
+
+def test_gee_of_means_is_closed_form() -> None:
+    """One mean of equal clusters: errors are those between clusters, leverage is 1 / clusters."""
+    y = np.array([[1, 1, 0, 1], [0, 0, 1, 0], [1, 1, 1, 1], [0, 1, 0, 0], [1, 0, 1, 0]], float)
+    count, size = y.shape
+    fit = fit_gee(np.ones((y.size, 1)), y.ravel(), np.repeat(np.arange(count), size))
+    mean = y.mean()
+    assert fit.beta[0] == pytest.approx(np.log(mean / (1 - mean)), rel=1e-12)
+    spread = mean * (1 - mean)
+    between = np.sum((y.mean(axis=1) - mean) ** 2) / count**2
+    assert fit.robust[0, 0] == pytest.approx(between / spread**2, rel=1e-12)
+    assert fit.mancl_derouen is not None
+    leverage = 1 - 1 / count  # of a cluster's own mean in the overall one
+    assert fit.mancl_derouen[0, 0] == pytest.approx(between / spread**2 / leverage**2, rel=1e-12)
+    residuals = (y - mean) / np.sqrt(spread)
+    assert fit.phi == pytest.approx(np.mean(residuals**2), rel=1e-12)
+    products = [residuals[:, a] * residuals[:, b] for a, b in combinations(range(size), 2)]
+    assert fit.alpha == pytest.approx(np.mean(products) / fit.phi, rel=1e-12)
+
+
+def test_gee_is_what_whole_matrices_say() -> None:
+    """Estimating equation and both covariances with D, V and H written out for each operator."""
+    rng = np.random.default_rng(2)
+    groups = rng.permutation(np.repeat(np.arange(8), [3, 9, 6, 12, 5, 7, 8, 10]))
+    x = np.column_stack([np.ones(60), rng.normal(size=(60, 2))])
+    y = (rng.random(60) < 1 / (1 + np.exp(-x @ [0.2, 0.7, -0.4]))).astype(float)
+    fit = fit_gee(x, y, groups)
+    mean = 1 / (1 + np.exp(-x @ fit.beta))
+    bread, parts = np.zeros((3, 3)), []
+    for i in range(8):
+        rows = groups == i
+        n, m = rows.sum(), mean[rows]
+        root = np.sqrt(m * (1 - m))
+        d = x[rows] * (root**2)[:, None]
+        working = (1 - fit.alpha) * np.eye(n) + fit.alpha
+        v = root[:, None] * working * root
+        parts.append((d, np.linalg.inv(v), y[rows] - m))
+        bread += d.T @ parts[-1][1] @ d
+    assert np.max(np.abs(sum(d.T @ w @ r for d, w, r in parts))) < 1e-10
+    inverse = np.linalg.inv(bread)
+    plain, corrected = np.zeros((3, 3)), np.zeros((3, 3))
+    for d, w, r in parts:
+        hat = d @ inverse @ d.T @ w
+        score, fixed = d.T @ w @ r, d.T @ w @ np.linalg.solve(np.eye(len(r)) - hat, r)
+        plain += np.outer(score, score)
+        corrected += np.outer(fixed, fixed)
+    np.testing.assert_allclose(fit.robust, inverse @ plain @ inverse, rtol=1e-10)
+    np.testing.assert_allclose(fit.mancl_derouen, inverse @ corrected @ inverse, rtol=1e-10)
+    np.testing.assert_allclose(fit.naive, fit.phi * inverse, rtol=1e-10)
+
+
+def test_separation_is_found_and_overlap_is_not_called_so() -> None:
+    x = np.column_stack([np.ones(8), np.arange(8.0)])
+    assert separating(x, (np.arange(8) > 3).astype(float)) is not None
+    assert separating(x, np.array([0, 1, 0, 1, 0, 1, 0, 1.0])) is None
+    half = np.column_stack([np.ones(6), [0, 0, 0, 1, 1, 1]])  # only where the second is one
+    assert separating(half, np.array([0, 1, 0, 1, 1, 1.0])) is not None
+
+
+# Figures of R on studies that no optimiser of ours was made with.
+
+
+CASES: dict[str, Case] = {
+    "holes": simulate(4, keep=holes),
+    "alternate": simulate(5, alternate=True, spread=0.0, effect=0.0),
+}
+
+
+@pytest.mark.parametrize("scope", ["pooled", "A"])
+@pytest.mark.parametrize("name", list(CASES))
+def test_times_are_as_r_has_them(name: str, scope: str) -> None:
+    expected = REFERENCE[name][f"time {scope}"]
+    trials, _ = make_trials("trials", list(enumerate(_text(CASES[name].trials), 2)))
+    found = analyze_linear(time_frame(trials, scope, "dexpilot"), limits=False)["small-sample"]
+    assert list(found.coefficients) == expected["names"]
+    of = found.coefficients.values()
+    np.testing.assert_allclose([c.estimate for c in of], expected["estimate"], rtol=1e-6)
+    np.testing.assert_allclose([c.se for c in of], expected["se"], rtol=1e-6)
+    np.testing.assert_allclose([c.df for c in of], expected["df"], rtol=1e-5)
+    means = found.emm.values()
+    np.testing.assert_allclose([m.estimate for m in means], expected["emm"], rtol=1e-6)
+    np.testing.assert_allclose([m.se for m in means], expected["emm_se"], rtol=1e-6)
+    np.testing.assert_allclose([m.df for m in means], expected["emm_df"], rtol=1e-5)
+    pairs = found.pairs.values()
+    np.testing.assert_allclose([p.df for p in pairs], expected["pair_df"], rtol=1e-5)
+    np.testing.assert_allclose([p.p_raw for p in pairs], expected["pair_p"], atol=1e-6)
+    assert found.model["log_likelihood"] == pytest.approx(expected["log_likelihood"], abs=1e-7)
+
+
+@pytest.mark.parametrize("scope", ["pooled", "A"])
+@pytest.mark.parametrize("name", list(CASES))
+def test_success_is_as_r_has_it(name: str, scope: str) -> None:
+    expected = REFERENCE[name][f"success {scope}"]
+    trials, _ = make_trials("trials", list(enumerate(_text(CASES[name].trials), 2)))
+    by_mode = analyze_success(success_frame(trials, scope, "dexpilot"))
+    for mode, suffix in (("paper", ""), ("small-sample", "_mancl_derouen")):
+        found = by_mode[mode]  # type: ignore[index]
+        assert list(found.coefficients) == expected["names"]
+        of = found.coefficients.values()
+        np.testing.assert_allclose([c.estimate for c in of], expected["estimate"], rtol=1e-8)
+        np.testing.assert_allclose([c.se for c in of], expected[f"se{suffix}"], rtol=1e-8)
+        means = found.emm.values()
+        np.testing.assert_allclose([m.estimate for m in means], expected["emm"], rtol=1e-8)
+        np.testing.assert_allclose([m.se for m in means], expected[f"emm_se{suffix}"], rtol=1e-8)
+    assert by_mode["paper"].model["alpha"] == pytest.approx(expected["alpha"], rel=1e-8)
+    assert by_mode["paper"].model["phi"] == pytest.approx(expected["phi"], rel=1e-8)
+    errors = [pair.se for pair in by_mode["paper"].pairs.values()]
+    np.testing.assert_allclose(errors, expected["pair_se"], rtol=1e-8)
+    if name == "alternate":
+        assert by_mode["paper"].model["alpha"] < 0
+        assert any("working correlation" in text for text in by_mode["paper"].warnings)
+
+
+def _text(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: str(value) for key, value in row.items()} for row in rows]
+
+
+# Dunnett, Holm.
+
+
+@pytest.mark.parametrize(
+    ("comparisons", "freedom", "critical"),
+    # Dunnett's table of two-sided 5 % points (1964), equal group sizes: correlation 0.5.
+    [(2, 10, 2.57), (2, 20, 2.38), (3, 5, 3.29), (3, 10, 2.76), (3, 20, 2.54), (3, 60, 2.41),
+     (4, 12, 2.81), (3, np.inf, 2.35), (6, np.inf, 2.57)],
+)  # fmt: skip
+def test_critical_values_are_dunnetts(comparisons: int, freedom: float, critical: float) -> None:
+    correlation = np.full((comparisons, comparisons), 0.5) + 0.5 * np.eye(comparisons)
+    found = dunnett([1.0], correlation[:1, :1], [freedom]).critical[0]
+    assert found == pytest.approx(quantile(freedom))  # one comparison is a plain test
+    probability, error = outside(critical, correlation, freedom)
+    assert probability == pytest.approx(0.05, abs=8e-4)  # the table has two decimals
+    assert error < 1e-5
+
+
+def test_dunnett_is_scipys_for_one_way_layouts() -> None:
+    rng = np.random.default_rng(0)
+    control, *others = (rng.normal(m, 1, n) for m, n in ((0, 12), (0.9, 8), (0.2, 10), (-0.6, 9)))
+    reference = scipy.stats.dunnett(*others, control=control, rng=np.random.default_rng(1))
+    sizes = np.array([len(x) for x in others])
+    groups = [control, *others]
+    freedom = sum(len(x) - 1 for x in groups)
+    variance = sum(np.sum((x - x.mean()) ** 2) for x in groups) / freedom
+    statistics = [
+        (x.mean() - control.mean()) / np.sqrt(variance * (1 / len(x) + 1 / 12)) for x in others
+    ]
+    share = np.sqrt(sizes / (sizes + 12))
+    correlation = np.outer(share, share)
+    np.fill_diagonal(correlation, 1)
+    found = dunnett(statistics, correlation, [float(freedom)] * 3)
+    np.testing.assert_allclose(statistics, reference.statistic, rtol=1e-12)
+    np.testing.assert_allclose(found.p, reference.pvalue, atol=2e-3)  # scipy's is random
+
+
+def test_the_integral_is_what_one_factor_says() -> None:
+    """With equal correlations it is one integral over the shared factor, and one over chi."""
+    for count, freedom in ((3, np.inf), (3, 7.3), (4, np.inf)):
+        points, weights = np.polynomial.hermite_e.hermegauss(120)
+        scales = np.ones(1) if np.isinf(freedom) else np.sqrt(
+            scipy.stats.chi2(freedom).ppf((np.arange(20000) + 0.5) / 20000) / freedom
+        )  # fmt: skip
+        limit = 2.1 * scales[:, None]
+        shared = np.sqrt(0.4) * points
+        inside = scipy.stats.norm.cdf((limit - shared) / np.sqrt(0.6))
+        inside = inside - scipy.stats.norm.cdf((-limit - shared) / np.sqrt(0.6))
+        expected = 1 - np.mean(inside**count @ weights) / np.sqrt(2 * np.pi)
+        correlation = np.full((count, count), 0.4) + 0.6 * np.eye(count)
+        found, error = outside(2.1, correlation, freedom)
+        assert found == pytest.approx(expected, abs=3e-6)  # of the midpoint rule over chi
+        assert error < 1e-7
+
+
+def test_more_variables_than_nodes_can_do_come_out_the_same() -> None:
+    correlation = np.full((7, 7), 0.5) + 0.5 * np.eye(7)
+    points, weights = np.polynomial.hermite_e.hermegauss(120)
+    shared = np.sqrt(0.5) * points
+    inside = scipy.stats.norm.cdf((2.5 - shared) / np.sqrt(0.5))
+    inside = inside - scipy.stats.norm.cdf((-2.5 - shared) / np.sqrt(0.5))
+    expected = 1 - inside**7 @ weights / np.sqrt(2 * np.pi)
+    found, error = outside(2.5, correlation)
+    assert abs(found - expected) < max(error, 1e-6)
+    assert error < 1e-5
+    assert outside(2.5, correlation) == (found, error)  # no randomness
+
+
+def test_singular_correlations_are_exact() -> None:
+    one = np.ones((3, 3))
+    assert outside(1.7, one)[0] == pytest.approx(two_sided(1.7, np.inf), abs=1e-12)
+    assert outside(1.7, one, 6.0)[0] == pytest.approx(two_sided(1.7, 6.0), abs=1e-12)
+    # The third is told by the first two: x, y, (x + y) / sqrt 2.
+    factor = np.array([[1, 0], [0, 1], [1, 1]]) / np.array([[1], [1], [np.sqrt(2)]])
+    x = np.linspace(-2, 2, 40001)[:-1] + 5e-5
+    low, high = np.maximum(-2, -2 * np.sqrt(2) - x), np.minimum(2, 2 * np.sqrt(2) - x)
+    inside = scipy.stats.norm.cdf(high) - scipy.stats.norm.cdf(low)
+    expected = 1 - np.sum(scipy.stats.norm.pdf(x) * inside) * 1e-4
+    assert outside(2.0, factor @ factor.T)[0] == pytest.approx(expected, abs=1e-8)
+
+
+def test_dunnett_lies_between_its_bounds() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(8):
+        root = rng.normal(size=(3, 4))
+        spread = root @ root.T
+        scale = np.sqrt(np.diag(spread))
+        statistics = 3 * rng.normal(size=3)
+        freedom = [float(f) for f in rng.uniform(3, 40, 3)]
+        found = dunnett(statistics, spread / np.outer(scale, scale), freedom, level=None)
+        for p, statistic, df in zip(found.p, statistics, freedom, strict=True):
+            raw = two_sided(statistic, df)
+            assert raw <= p <= min(1, 3 * raw)
+
+
+def test_simultaneous_limits_agree_with_p_values() -> None:
+    correlation = np.array([[1, 0.3, 0.6], [0.3, 1, 0.2], [0.6, 0.2, 1]])
+    found = dunnett([2.0, 2.0, 2.0], correlation, [9.0, 20.0, np.inf])
+    for critical, df in zip(found.critical, (9.0, 20.0, np.inf), strict=True):
+        assert outside(critical, correlation, df)[0] == pytest.approx(0.05, abs=2e-4)
+
+
+def test_holm_steps_down() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    assert holm([]) == []
+
+
+# Rank correlation.
+
+
+def test_spearman_is_scipys_with_ties_and_with_repeats() -> None:
+    rng = np.random.default_rng(6)
+    x, y = rng.integers(0, 6, 30).astype(float), rng.integers(0, 5, 30).astype(float)
+    assert spearman(x, y) == pytest.approx(scipy.stats.spearmanr(x, y).statistic, abs=1e-13)
+    times = rng.integers(0, 3, (5, 30)).astype(float)
+    for row, found in zip(times, _weighted(x, y, times), strict=True):
+        drawn = np.repeat(np.arange(30), row.astype(int))
+        expected = scipy.stats.spearmanr(x[drawn], y[drawn]).statistic
+        assert found == pytest.approx(expected, abs=1e-12)
+    assert np.isnan(spearman(np.ones(5), np.arange(5.0)))
