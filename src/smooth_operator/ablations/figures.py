@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -66,12 +66,12 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
     if len(several) > 1:
         from matplotlib.lines import Line2D
 
-        empty = {"color": INK, "linestyle": "", "marker": "o"}
+        empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
         told = [("without velocity term", "white"),
                 (f"with w_v = {several[-1].velocity_weight:g}", INK)]  # fmt: skip
         figure.legend(
             handles=[
-                Line2D([], [], markerfacecolor=face, label=text, **empty)  # type: ignore[arg-type]
+                Line2D([], [], markerfacecolor=face, label=text, **empty)
                 for text, face in told
             ],
             loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8,
