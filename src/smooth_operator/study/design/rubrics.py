@@ -22,7 +22,6 @@ CARD_PICKUP: Final = Task(
     rubric=(
         RubricLine("done", 1.0, "slid over the edge and held in a pinch, without a reset"),
         _RESET,
-        RubricLine("no-edge", 0.5, "pinched and lifted without having been slid over the edge"),
         RubricLine(
             "out-of-reach", 0.5, "out of reach or flicked across the top; pinched after a reset"
         ),
@@ -39,7 +38,6 @@ CUBE_ROTATION: Final = Task(
     operators=8,
     rubric=(
         RubricLine("done", 1.0, "turned by 90 degrees about the vertical, without a reset"),
-        _RESET,
         RubricLine("misaligned", 0.5, "turned, after a reset for faces badly misaligned"),
         RubricLine("flipped", 0.5, "turned, but the cube flipped onto another face on the way"),
         _DROPPED,
