@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,17 +28,27 @@ def picture(page: Any, width: int, height: int) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB"), float)
 
 
-def settled(page: Any, width: int, height: int, bare: float = 20.0) -> np.ndarray:
-    """The picture once two in a row are alike and there is something on it."""
-    last = picture(page, width, height)
+def settled(
+    page: Any,
+    width: int,
+    height: int,
+    shows: Callable[[np.ndarray], object] = lambda _: True,
+    seconds: float = 45.0,
+) -> np.ndarray:
+    """The picture once two in a row are alike, something is on it, and it shows what it should.
 
-    def still() -> np.ndarray | None:
-        nonlocal last
+    Two alike may both be from before a change: on a busy machine the browser draws seconds late.
+    """
+    end = time.monotonic() + seconds
+    last = picture(page, width, height)
+    while time.monotonic() < end:
         page.wait_for_timeout(150)
         before, last = last, picture(page, width, height)
-        return last if np.abs(last - before).max() < 8 and last.max() > bare else None
+        if np.abs(last - before).max() < 8 and last.max() > 20.0 and shows(last):
+            return last
+    raise AssertionError("the page never came to show it and to rest")
 
-    for _ in range(60):
-        if (found := still()) is not None:
-            return found
-    raise AssertionError("the picture never came to rest")
+
+def changed(picture: np.ndarray, other: np.ndarray) -> float:
+    """The fraction of pixels that clearly differ."""
+    return float((np.abs(picture - other).max(axis=-1) > 30).mean())

@@ -18,11 +18,10 @@ from typing import Any, Final
 import numpy as np
 
 import smooth_operator
+from smooth_operator.benchmark import store as benchmark_store
 from smooth_operator.benchmark.store import write_json
-from smooth_operator.errors import OutputError
 from smooth_operator.offline import environment
 from smooth_operator.offline.environment import package_version
-from smooth_operator.offline.finished import read_configuration
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import atomic_write, output_error, to_json
 
@@ -50,19 +49,7 @@ def check_folder(folder: Path) -> None:
     Raises:
         OutputError: a file stands there, or the folder holds something other than experiments.
     """
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise OutputError(f"can't write into {str(folder)!r}: a file stands there; name a folder")
-    try:
-        empty = not any(folder.iterdir())
-    except OSError as error:
-        raise output_error(folder, error) from error
-    if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != COMMAND:
-        raise OutputError(
-            f"can't write into {str(folder)!r}: it holds something other than earlier experiments; "
-            "give another folder with --output"
-        )
+    benchmark_store.check_folder(folder, COMMAND, "earlier experiments")
 
 
 class Store:

@@ -61,11 +61,18 @@ class Kept:
     seconds: float | None
 
 
-def check_folder(folder: Path) -> None:
-    """Looks whether a benchmark may be written into a folder; writes nothing.
+def check_folder(
+    folder: Path, command: str = COMMAND, former: str = "an earlier benchmark"
+) -> None:
+    """Looks whether results may be written into a folder; writes nothing.
+
+    Args:
+        folder: where to.
+        command: whose results may stand there already.
+        former: what those are, for the message.
 
     Raises:
-        OutputError: a file stands there, or the folder holds something other than a benchmark.
+        OutputError: a file stands there, or the folder holds something other than such results.
     """
     if not folder.exists():
         return
@@ -75,13 +82,10 @@ def check_folder(folder: Path) -> None:
         empty = not any(folder.iterdir())
     except OSError as error:
         raise output_error(folder, error) from error
-    if empty:
-        return
-    former = read_configuration(folder / CONFIG) or {}
-    if former.get("command") != COMMAND:
+    if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != command:
         raise OutputError(
-            f"can't write into {str(folder)!r}: it holds something other than an earlier "
-            "benchmark; give another folder with --output"
+            f"can't write into {str(folder)!r}: it holds something other than {former}; give "
+            "another folder with --output"
         )
 
 

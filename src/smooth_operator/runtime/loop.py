@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.runtime.statistics import LoopStatistics
 from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.tick import Tick
-from smooth_operator.sources.live import Arrival, LiveSource, Mailbox
+from smooth_operator.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
 
 PLAY: Final = 0.8
@@ -120,11 +121,11 @@ class TeleopLoop:
             now = clock()
             if duration is not None and now - start >= duration:
                 return
-            if self.source.health().state in ("ended", "failed"):
-                # What the tracker failing means has been decided: hold, then ease. A source that
-                # ended by itself ends the loop when that is done.
+            if self.source.health().state == "ended":
+                # As a recording does: the policies for silence run their course first. One that
+                # failed is silence and no end.
                 ended = now if ended is None else ended
-                if now - ended > self.config.safety.lost_s and self.source_done:
+                if now - ended > self.config.safety.lost_s:
                     return
             self._wait(now, sides)
             for change in self.controls.drain():
@@ -134,10 +135,9 @@ class TeleopLoop:
             for side in sides:
                 self._serve(side)
 
-    @property
-    def source_done(self) -> bool:
-        """Whether the source ended by itself, as a recording does."""
-        return self.source.health().state == "ended"
+    def _opens(self, side: Side) -> float:
+        """When a frame of a hand may be answered again [s]."""
+        return self._answered.get(side, -math.inf) + PLAY * self.config.period
 
     def _wait(self, now: float, sides: Sequence[Side]) -> None:
         """Sleep until something is to be done."""
@@ -145,7 +145,7 @@ class TeleopLoop:
             return
         period = self.config.period
         until = min(self._commanded.values()) + PATIENCE * period
-        opens = {side: self._answered.get(side, -1e9) + PLAY * period for side in sides}
+        opens = {side: self._opens(side) for side in sides}
         free = [side for side in sides if opens[side] <= now]
         # a hand that may be answered a little later has to be looked at then
         until = min([until, *(at for at in opens.values() if at > now)])
@@ -158,9 +158,8 @@ class TeleopLoop:
         """Answer the newest frame of a hand, or keep its pace."""
         clock, period = self.mailbox.clock, self.config.period
         now = clock()
-        arrival: Arrival | None = None
-        if now >= self._answered.get(side, -1e9) + PLAY * period:
-            arrival = self.mailbox.take(side)
+        opens = self._opens(side)
+        arrival = self.mailbox.take(side) if now >= opens else None
         due = self._commanded[side] + PATIENCE * period
         if side in self._asked:
             self._asked.remove(side)
@@ -168,7 +167,7 @@ class TeleopLoop:
         if arrival is None and now < due:
             return
         if arrival is not None:
-            due = max(arrival.received, self._answered.get(side, -1e9) + PLAY * period)
+            due = max(arrival.received, opens)
             self._answered[side] = now
         self._commanded[side] = now
         tick = self.pipelines[side].step(now, arrival)

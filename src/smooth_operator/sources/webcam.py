@@ -15,8 +15,43 @@ from smooth_operator.sources.video_file import VideoFile
 from smooth_operator.types import HandFrame
 
 
+class _Pictures(ThreadedSource):
+    """What a camera and a video share: how hands are looked for, and how it ends.
+
+    Both are dataclasses with the fields of :class:`PictureConfig`.
+    """
+
+    mirrored: bool
+    max_hands: int
+    confidence: float
+    points: Points
+    smoothing: float
+    model: Path | None
+
+    def stop(self) -> None:
+        """Stop; see :class:`LiveSource`."""
+        super().stop()
+        atexit.unregister(self.stop)
+
+    def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
+        """Keep what was opened for the thread."""
+        # the settings are frozen, these are none
+        object.__setattr__(self, "_opened", (pictures, tracker))
+        atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
+
+    def _config(self) -> PictureConfig:
+        return PictureConfig(
+            mirrored=self.mirrored,
+            max_hands=self.max_hands,
+            confidence=self.confidence,
+            points=self.points,
+            smoothing=self.smoothing,
+            model=self.model,
+        )
+
+
 @dataclass(frozen=True)
-class Webcam(ThreadedSource):
+class Webcam(_Pictures):
     """A camera.
 
     A stamp is the time when its picture was read, by the clock of the loop; a frame counts as
@@ -59,11 +94,6 @@ class Webcam(ThreadedSource):
         """What it is, in a few words."""
         return f"camera {self.camera}"
 
-    def stop(self) -> None:
-        """Stop; see :class:`LiveSource`."""
-        super().stop()
-        atexit.unregister(self.stop)
-
     def open(self) -> None:
         """Load the model and open the camera; errors reach the caller."""
         tracker = PictureTracker(self._config())
@@ -72,8 +102,7 @@ class Webcam(ThreadedSource):
         except BaseException:
             tracker.close()
             raise
-        object.__setattr__(self, "_opened", (camera, tracker))  # settings are frozen, this is none
-        atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
+        self._hold(camera, tracker)
 
     def run(self, running: Running) -> None:
         """Post the hands of the newest picture, again and again."""
@@ -91,19 +120,9 @@ class Webcam(ThreadedSource):
                     running.mailbox.post(frame, session=picture.session)
                 _say(running, f"camera {self.camera}", frames)
 
-    def _config(self) -> PictureConfig:
-        return PictureConfig(
-            mirrored=self.mirrored,
-            max_hands=self.max_hands,
-            confidence=self.confidence,
-            points=self.points,
-            smoothing=self.smoothing,
-            model=self.model,
-        )
-
 
 @dataclass(frozen=True)
-class Video(ThreadedSource):
+class Video(_Pictures):
     """A video file, as if it were a camera.
 
     A stamp is the time of its picture in the video. A picture that is due before the last one is
@@ -143,11 +162,6 @@ class Video(ThreadedSource):
         """What it is, in a few words."""
         return f"video {self.path.name}"
 
-    def stop(self) -> None:
-        """Stop; see :class:`LiveSource`."""
-        super().stop()
-        atexit.unregister(self.stop)
-
     def open(self) -> None:
         """Open the file and load the model; errors reach the caller."""
         video = VideoFile(self.path)
@@ -156,8 +170,7 @@ class Video(ThreadedSource):
         except BaseException:
             video.close()
             raise
-        object.__setattr__(self, "_opened", (video, tracker))  # settings are frozen, this is none
-        atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
+        self._hold(video, tracker)
 
     def run(self, running: Running) -> None:
         """Post the hands of each picture when it is due."""
@@ -200,16 +213,6 @@ class Video(ThreadedSource):
                 running.mailbox.post(frame, session=session)
             counts.hands += bool(frames)
             _say(running, self.label, frames)
-
-    def _config(self) -> PictureConfig:
-        return PictureConfig(
-            mirrored=self.mirrored,
-            max_hands=self.max_hands,
-            confidence=self.confidence,
-            points=self.points,
-            smoothing=self.smoothing,
-            model=self.model,
-        )
 
 
 @dataclass
