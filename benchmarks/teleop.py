@@ -105,10 +105,7 @@ def main() -> None:
     parser.add_argument("--page", action="store_true")
     parser.add_argument("--method", default="sbr")
     parser.add_argument("--hand", default="mimic_p050")
-    parser.add_argument(
-        "--priority", type=int, default=0,
-        help="niceness of loop and glove, below 0 needs privileges: for a machine that is busy",
-    )  # fmt: skip
+    parser.add_argument("--priority", choices=("high", "normal"), default="high")
     parser.add_argument("--keep", type=Path, help="keep the recording here")
     parser.add_argument("--output", type=Path)
     parser.add_argument("--compare", type=Path)
@@ -140,7 +137,9 @@ def main() -> None:
     report.add("run", figures)
     report.table("Checks on the recording", ("", "held"), [[k, str(v)] for k, v in checks.items()])
     shares = {mode: f"{100 * share:.1f} %" for mode, share in summary["mode_share"].items()}
-    report.notes.append(f"modes: {shares}; refused: {summary['frames_refused']}")
+    report.notes.append(
+        f"priority: {summary['priority']}; modes: {shares}; refused: {summary['frames_refused']}"
+    )
     report.finish(options.output, options.compare)
     if not all(checks.values()):
         raise SystemExit(1)
@@ -163,7 +162,8 @@ def run(
         program(
             "teleop", "--source", f"manus:{gloves}", "--sink", f"zmq:{commands}",
             f"record:{record}", "--rate", str(RATE), "--duration", str(options.seconds),
-            "--method", options.method, "--hand", options.hand, "--json", *page,
+            "--method", options.method, "--hand", options.hand, "--json",
+            "--priority", options.priority, *page,
         ),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -178,9 +178,6 @@ def run(
     threading.Thread(target=listen, daemon=True).start()
     glove.start()
     robot.start()
-    if options.priority:
-        for running in (loop, glove.running):
-            os.setpriority(os.PRIO_PROCESS, running.pid if running else 0, options.priority)
     try:
         start = time.monotonic()
         with visitor(options.page, told) as visit:

@@ -30,6 +30,7 @@ from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.runtime.controls import Controls
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.priority import going_first
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.sinks.catalogue import build_sink
 from smooth_operator.sinks.runner import SinkRunner
@@ -101,6 +102,7 @@ def _drive(
         loop=config,
     )
     trials = TaskTrials(options, acting, sides, progress)
+    facts = {"priority": "normal"}
     started = time.perf_counter()
     where = ", ".join(sink.label for sink in sinks.health()) or "no sink"
     progress.note(f"from {source.label} to {where}")
@@ -109,16 +111,19 @@ def _drive(
         _interrupts(loop.controls) as interrupted,
         _keyboard(loop.controls, progress, trials),
         _remote(loop, options.control, progress),
+        contextlib.ExitStack() as first,
     ):
 
         def opened() -> None:
+            if options.priority == "high":
+                facts["priority"] = first.enter_context(going_first())
             _announce(source, progress)
             trials.begin()
 
         loop.run(options.duration, configuration, started=opened)
     seconds = time.perf_counter() - started
     trials.end()
-    _report(options, loop, seconds, progress, trials.summary())
+    _report(options, loop, seconds, progress, facts | trials.summary())
     if interrupted.is_set():
         raise KeyboardInterrupt
     if any(sink.failed for sink in sinks.report()):

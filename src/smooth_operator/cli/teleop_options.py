@@ -96,6 +96,10 @@ Examples:
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """Of what leaves the loop."""
 
+    priority: Literal["high", "normal"] = "high"
+    """Whether the loop goes before other programs, where the system lets it: what it got is in
+    the summary (docs/teleop.md)."""
+
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Take stop, release, pause, resume, quit and status from other programs on this ZeroMQ
     address, such as tcp://127.0.0.1:5558 (extra zmq): a pedal, a red button."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,13 +14,12 @@ from smooth_operator.runtime.limiter import Limiter
 from smooth_operator.runtime.pipeline import HandPipeline
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.runtime.statistics import LoopStatistics
+from smooth_operator.runtime.turns import Turns
 from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.tick import Tick
 from smooth_operator.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
 
-PLAY: Final = 0.8
-"""Shortest time between two frames that are answered, over the period: trackers are uneven."""
 PATIENCE: Final = 1.25
 """Longest time between two commands, over the period: a frame that is a little late still finds the
 loop free."""
@@ -66,7 +64,7 @@ class TeleopLoop:
         self.statistics = LoopStatistics(config.period)
         self.watch = watch
         self._beat = self.mailbox.clock()
-        self._answered: dict[Side, float] = {}
+        self._turns = {side: Turns() for side in self.pipelines}
         self._commanded: dict[Side, float] = {}
         self._asked: set[Side] = set()  # hands that something was changed of
 
@@ -135,17 +133,13 @@ class TeleopLoop:
             for side in sides:
                 self._serve(side)
 
-    def _opens(self, side: Side) -> float:
-        """When a frame of a hand may be answered again [s]."""
-        return self._answered.get(side, -math.inf) + PLAY * self.config.period
-
     def _wait(self, now: float, sides: Sequence[Side]) -> None:
         """Sleep until something is to be done."""
         if self.controls.waiting:
             return
         period = self.config.period
         until = min(self._commanded.values()) + PATIENCE * period
-        opens = {side: self._opens(side) for side in sides}
+        opens = {side: self._turns[side].opens(period) for side in sides}
         free = [side for side in sides if opens[side] <= now]
         # a hand that may be answered a little later has to be looked at then
         until = min([until, *(at for at in opens.values() if at > now)])
@@ -158,7 +152,7 @@ class TeleopLoop:
         """Answer the newest frame of a hand, or keep its pace."""
         clock, period = self.mailbox.clock, self.config.period
         now = clock()
-        opens = self._opens(side)
+        opens = self._turns[side].opens(period)
         arrival = self.mailbox.take(side) if now >= opens else None
         due = self._commanded[side] + PATIENCE * period
         if side in self._asked:
@@ -168,7 +162,7 @@ class TeleopLoop:
             return
         if arrival is not None:
             due = max(arrival.received, opens)
-            self._answered[side] = now
+            self._turns[side].take(now, period)
         self._commanded[side] = now
         tick = self.pipelines[side].step(now, arrival)
         before = clock()
