@@ -13,6 +13,7 @@ from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.recording.readers import read_recording
+from smooth_operator.runtime import statistics as run_statistics
 from smooth_operator.runtime.delay import TrackerDelay
 from smooth_operator.runtime.limiter import Limiter
 from smooth_operator.runtime.pipeline import HandPipeline
@@ -382,3 +383,17 @@ def test_what_a_run_came_to(retargeter: Retargeter, motion: HandRecording) -> No
     assert summary["rate_hz"] == pytest.approx(100, rel=0.01)
     assert sum(summary["mode_share"].values()) == pytest.approx(1)
     assert percentiles([]) == {}
+
+
+def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_statistics, "_KEPT", 100)
+    times = run_statistics._Times()
+    assert len(times.newest()) == 0
+    for i in range(90):
+        times.append(float(i))
+    assert sorted(times.newest()) == list(range(90))
+    for i in range(90, 1050):
+        times.append(float(i))
+    assert sorted(times.newest()) == list(range(950, 1050))
+    assert sorted(times.newest(7)) == list(range(1043, 1050))
+    assert times._kept.nbytes == 400

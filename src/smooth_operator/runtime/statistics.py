@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Mapping
-from itertools import islice
 from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float32
 
 from smooth_operator.sinks.tick import Mode, Tick
 from smooth_operator.types import Side, Status
@@ -15,6 +15,23 @@ from smooth_operator.types import Side, Status
 _PERCENTILES: Final = (50.0, 95.0, 99.0)
 _KEPT: Final = 200_000
 """Frames whose times are kept, over 30 minutes at 100 Hz; older ones make room."""
+
+
+class _Times:
+    """The newest times of a stage [ms], in memory that is taken once: a run lasts for hours."""
+
+    def __init__(self) -> None:
+        self._kept = np.full(_KEPT, np.nan, np.float32)
+        self._count = 0
+
+    def append(self, ms: float) -> None:
+        self._kept[self._count % _KEPT] = ms
+        self._count += 1
+
+    def newest(self, count: int = _KEPT) -> Float32[np.ndarray, " n"]:
+        """A copy, in no order."""
+        there = min(self._count, count, _KEPT)
+        return self._kept[np.arange(self._count - there, self._count) % _KEPT]
 
 
 class LoopStatistics:
@@ -26,8 +43,8 @@ class LoopStatistics:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._added: deque[float] = deque(maxlen=_KEPT)
-        self._stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=_KEPT))
+        self._added = _Times()
+        self._stages: dict[str, _Times] = defaultdict(_Times)
         self._commands: dict[Side, int] = defaultdict(int)
         self._answered = 0
         self._unusable = 0
@@ -62,9 +79,8 @@ class LoopStatistics:
     def recent(self, count: int = 500) -> dict[str, dict[str, float]]:
         """Percentiles of the last frames [ms]: ``total`` (received to sent) and the stages."""
         return {
-            # from its end: of a long run, a copy of all would keep the loop waiting
-            name: percentiles(list(islice(reversed(values), count)))
-            for name, values in {"total": self._added, **self._stages}.items()
+            name: percentiles(times.newest(count))
+            for name, times in {"total": self._added, **self._stages}.items()
         }
 
     @property
@@ -94,8 +110,8 @@ class LoopStatistics:
             "frames_unusable": self._unusable,
             "deadlines_missed": self._missed,
             "deadlines_missed_share": self.missed_share,
-            "added_latency_ms": percentiles(self._added),
-            "stages_ms": {name: percentiles(values) for name, values in self._stages.items()},
+            "added_latency_ms": percentiles(self._added.newest()),
+            "stages_ms": {name: percentiles(t.newest()) for name, t in self._stages.items()},
             "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},
         }
 
