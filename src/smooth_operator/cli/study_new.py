@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from rich import box
@@ -16,16 +15,14 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_questions import ask_protocol
 from smooth_operator.errors import ConfigError
-from smooth_operator.recording.atomic import atomic_write
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
-from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
+from smooth_operator.study.design.plan_file import NAME, read_plan
+from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
 from smooth_operator.study.design.rubrics import PAPER_TASKS
 from smooth_operator.study.design.schedule import (
     imbalances,
-    schedule_csv,
     schedule_table,
-    schedule_text,
 )
 
 PAPER_CONDITIONS: Final = ("sbr", "dexpilot", "geort", "hybrid")
@@ -63,7 +60,7 @@ def new_study(options: New) -> None:
             protocol = ask_protocol(protocol, Console(highlight=False))
         plan = make_plan(protocol)
     with folder_for(folder):
-        files = _write(plan, folder)
+        files = write_plan_files(plan, folder)
     _print(plan)
     print(f"written: {', '.join(str(path) for path in files)}")
 
@@ -83,7 +80,7 @@ def enrol_operator(options: Enrol) -> None:
 
         with open_study(folder, plan):
             pass
-    _write(plan, folder)
+    write_plan_files(plan, folder)
     for task in plan.enrolment(options.operator).rows:
         order = " → ".join(b.condition.label for b in plan.blocks(options.operator, task))
         print(f"{options.operator}, task {task}: {order}")
@@ -154,16 +151,6 @@ def _task(text: str, known: dict[str, Task]) -> Task:
     if counts:
         task = replace(task, trials=counts[0])
     return replace(task, operators=counts[1]) if len(counts) > 1 else task
-
-
-def _write(plan: Plan, folder: Path) -> list[Path]:
-    written = [write_plan(plan, folder / NAME)]
-    texts = {"schedule.csv": schedule_csv(plan), "schedule.txt": schedule_text(plan)}
-    for name, text in texts.items():
-        with atomic_write(folder / name) as file:
-            file.write(text.encode("utf-8"))
-        written.append(folder / name)
-    return written
 
 
 def _print(plan: Plan) -> None:

@@ -9,20 +9,24 @@ reach the page, whoever opens it must know the token.
 from __future__ import annotations
 
 import contextlib
-import hmac
 import http
-import ipaddress
 import secrets
 import threading
 from collections.abc import Callable, Iterator
-from http.cookies import CookieError, SimpleCookie
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
 from viser.infra import _infra
 
+from smooth_operator.web.origin import (
+    cookie,
+    is_loopback,
+    names_this_machine,
+    same_origin,
+    same_secret,
+)
+
 _COOKIE: Final = "smooth-operator-page"
-_LOCAL_NAMES: Final = ("localhost", "127.0.0.1", "::1")
 _PATCHING = threading.Lock()
 
 
@@ -42,20 +46,18 @@ class Gate:
 
     def __call__(self, connection: Any, request: Any) -> Any:
         """A response that refuses or redirects; None to let the request pass."""
-        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+        if not same_origin(request):
             return connection.respond(
                 http.HTTPStatus.FORBIDDEN, "this page may not be used from another one\n"
             )
         if self.token is None:
-            if (_name_of(host) or "") in _LOCAL_NAMES or _is_loopback(_name_of(host)):
+            if names_this_machine(request):
                 return None
-            # A name that an attacker points at this machine is same-origin to their own page.
             return connection.respond(
                 http.HTTPStatus.FORBIDDEN, "open this page as http://localhost\n"
             )
         name = f"{_COOKIE}-{connection.local_address[1]}"  # cookies know no ports
-        if self._knows(_cookie(request.headers.get("Cookie", ""), name)):
+        if self._knows(cookie(request, name)):
             return None
         url = urlsplit(request.path)
         if not self._knows(parse_qs(url.query).get("token", [""])[0]):
@@ -74,12 +76,12 @@ class Gate:
 
     def _knows(self, given: str) -> bool:
         assert self.token is not None
-        return hmac.compare_digest(given.encode(), self.token.encode())
+        return same_secret(given, self.token)
 
 
 def gate_for(host: str) -> Gate:
     """The gate for a page that listens on ``host``: a token unless only this machine reaches it."""
-    local = host == "localhost" or _is_loopback(host)
+    local = host == "localhost" or is_loopback(host)
     return Gate(None if local else secrets.token_urlsafe(24))
 
 
@@ -123,26 +125,3 @@ def _asking(gate: Gate, serve: Callable[..., Any]) -> Callable[..., Any]:
         )
 
     return guarded_serve
-
-
-def _cookie(header: str, name: str) -> str:
-    try:
-        found = SimpleCookie(header).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
-
-
-def _name_of(host: str) -> str | None:
-    """The name in a ``Host`` header, without its port."""
-    try:
-        return urlsplit(f"//{host}").hostname
-    except ValueError:
-        return None
-
-
-def _is_loopback(host: str | None) -> bool:
-    try:
-        return ipaddress.ip_address(host or "").is_loopback
-    except ValueError:
-        return False

@@ -54,7 +54,7 @@ def names_of(host: str) -> tuple[str, ...]:
     return (*LOCAL, *lan_addresses(host), *own)
 
 
-def page_addresses(host: str, port: int) -> tuple[str, ...]:
+def page_addresses(host: str, port: int, scheme: str = "https") -> tuple[str, ...]:
     """Addresses of the page, the one to type first."""
     if is_local(host):
         names: tuple[str, ...] = ("localhost",)
@@ -62,7 +62,9 @@ def page_addresses(host: str, port: int) -> tuple[str, ...]:
         names = lan_addresses(host) or ("localhost",)
     else:
         names = (host,)
-    return tuple(f"https://[{n}]:{port}" if ":" in n else f"https://{n}:{port}" for n in names)
+    return tuple(
+        f"{scheme}://[{n}]:{port}" if ":" in n else f"{scheme}://{n}:{port}" for n in names
+    )
 
 
 def _reachable(address: str) -> bool:

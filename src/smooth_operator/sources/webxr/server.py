@@ -8,7 +8,6 @@ import logging
 import socket
 import ssl
 from collections.abc import Callable
-from importlib import resources
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
@@ -16,27 +15,15 @@ from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.sources.webxr.certificate import Certificate
 from smooth_operator.sources.webxr.link import Link
 from smooth_operator.sources.webxr.packet import MAX_BYTES
+from smooth_operator.web.files import answer_with, page_files
+from smooth_operator.web.listening import listen as web_listen
+from smooth_operator.web.origin import same_origin
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
 
 SOCKET_PATH: Final = "/link"
-_TYPES: Final = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-}
-_HEADERS: Final = {
-    "Cache-Control": "no-store",
-    # Nothing from elsewhere; wss: since older Safaris don't count it as 'self'.
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self'; connect-src 'self' wss:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
 _MOST_CONNECTIONS: Final = 32
 _LOOK_EVERY: Final = 0.05  # [s]
 
@@ -52,30 +39,12 @@ def listen(host: str, port: int) -> socket.socket:
         SourceError: the address is not one of this machine's, or the port is taken.
     """
     try:
-        family, _, _, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        return socket.create_server(
-            (str(address[0]), port),
-            family=family,
-            dualstack_ipv6=host == "::" and socket.has_dualstack_ipv6(),
-        )
+        return web_listen(host, port)
     except OSError as error:
         raise SourceError(
             f"can't listen on {host!r} port {port}: {error.strerror or error}; name another port "
             "(port=...), or host=127.0.0.1 for this machine, host=0.0.0.0 for its networks"
         ) from error
-
-
-def page_files() -> dict[str, tuple[bytes, str]]:
-    """Path -> (content, type) of all that belongs to the page."""
-    folder = resources.files(__package__) / "page"
-    found = {
-        f"/{file.name}": (file.read_bytes(), _TYPES[f".{file.name.rsplit('.')[-1]}"])
-        for file in folder.iterdir()
-        if f".{file.name.rsplit('.')[-1]}" in _TYPES
-    }
-    return found | {"/": found["/index.html"]}
 
 
 async def serve(
@@ -98,27 +67,22 @@ async def serve(
         MissingExtraError: websockets is not installed.
     """
     websockets = _websockets()
-    site = page_files() | {"/certificate.crt": (certificate.public, "application/x-x509-ca-cert")}
+    site = page_files(__package__)
+    site["/"] = site["/index.html"]
+    site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
     crowd: set[ServerConnection] = set()
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
         path = urlsplit(request.path).path
         if path == SOCKET_PATH:
-            if not _same_origin(request):
+            if not same_origin(request):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "not from this page\n")
             if len(crowd) >= _MOST_CONNECTIONS:
                 return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "too many\n")
             return None
         if path not in site:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
-        body, kind = site[path]
-        response = connection.respond(http.HTTPStatus.OK, "")
-        response.body = body
-        for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
-            del response.headers[name]
-            response.headers[name] = value
-        response.headers.update(_HEADERS)
-        return response
+        return answer_with(connection, *site[path])
 
     async def talk(connection: ServerConnection) -> None:
         crowd.add(connection)
@@ -144,12 +108,6 @@ async def serve(
     ):
         while watch():
             await asyncio.sleep(_LOOK_EVERY)
-
-
-def _same_origin(request: Request) -> bool:
-    """Programs say no origin; a browser says that of the page that wants to connect."""
-    origin = request.headers.get("Origin")
-    return origin is None or urlsplit(origin).netloc == request.headers.get("Host")
 
 
 def _websockets() -> type:

@@ -163,6 +163,12 @@ class Progress:
         return Step("start_trial", block, done + 1)
 
     @property
+    def begun(self) -> Block | None:
+        """The block that is on and was begun: its condition is what the hand should run."""
+        block = self._block()
+        return block if block and (block.task.name, block.number) in self._started else None
+
+    @property
     def running(self) -> Trial | None:
         """The trial whose clock runs."""
         last = self.trials[-1] if self.trials else None

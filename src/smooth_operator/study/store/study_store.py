@@ -7,6 +7,7 @@ write to one store; those about the same operator take turns, each decides on wh
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,6 +41,7 @@ class StudyStore:
         self._id = study_id
         self._progress: dict[str, Progress] = {}
         self._newest: tuple[int, Plan] | None = None
+        self._file = self._file_now()
         self._lock = threading.RLock()
         self.name = name
         """Of the study."""
@@ -116,6 +118,30 @@ class StudyStore:
             )
         # The cache learns of it on the next look: only what was committed is ever folded.
         return record
+
+    def recorded(self, token: str) -> tuple[str, Record] | None:
+        """The operator and the event that a token was written with; None if none was."""
+        with self._reading() as connection:
+            return self._by_token(connection, token)
+
+    def newest(self) -> tuple[int, dict[str, int]]:
+        """Differs from before if anything was written meanwhile, by whomever.
+
+        Returns:
+            Which version of the plan is the newest, and operator -> number of events.
+        """
+        from sqlalchemy import func, select
+
+        events, plans = self._tables["events"].c, self._tables["plans"].c
+        counts = (
+            select(events.operator, func.count())
+            .where(events.study_id == self._id)
+            .group_by(events.operator)
+        )
+        plan = select(func.max(plans.id)).where(plans.study_id == self._id)
+        with self._reading() as connection:
+            found = {str(operator): int(count) for operator, count in connection.execute(counts)}
+            return int(connection.execute(plan).scalar_one()), found
 
     def progress(self, operator: str) -> Progress:
         """Where an operator is.
@@ -215,7 +241,8 @@ class StudyStore:
         try:
             with self._engine.begin() as connection:
                 yield connection
-        except SQLAlchemyError as error:
+                self._check_there()
+        except (SQLAlchemyError, OSError) as error:
             raise StudyError(f"nothing was written: {reason(error)}") from error
 
     @contextmanager
@@ -224,9 +251,25 @@ class StudyStore:
 
         try:
             with self._engine.connect().execution_options(reads=True) as connection:
+                self._check_there()
                 yield connection
-        except SQLAlchemyError as error:
+        except (SQLAlchemyError, OSError) as error:
             raise StudyError(f"the store can't be read: {reason(error)}") from error
+
+    def _check_there(self) -> None:
+        """SQLite writes into a file that was deleted or moved away, and says nothing."""
+        try:
+            now = self._file_now()
+        except FileNotFoundError:
+            raise OSError(f"{self._engine.url.database} was deleted or moved away") from None
+        if now != self._file:
+            raise OSError(f"{self._engine.url.database} was replaced by another file")
+
+    def _file_now(self) -> int | None:
+        """What tells the file of SQLite from another one at its place."""
+        if self._engine.dialect.name != "sqlite" or not self._engine.url.database:
+            return None
+        return os.stat(self._engine.url.database).st_ino
 
     def _take_turn(self, connection: Connection, operator: str) -> None:
         """Until the transaction ends, nobody else writes about this operator."""

@@ -1,0 +1,144 @@
+"""``smooth-operator study run``: opens the study, serves its console until Ctrl-C."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import socket
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from smooth_operator.cli.study_run_options import Run
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.sources.webxr.addresses import is_local
+from smooth_operator.study.console.desk import Desk
+from smooth_operator.study.console.gate import gate_for
+from smooth_operator.study.console.server import Console, check_installed
+from smooth_operator.study.console.switching import Teleop
+from smooth_operator.study.design.plan import Plan
+from smooth_operator.study.design.plan_file import NAME, read_plan
+from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.tables import FILE
+from smooth_operator.web.listening import listen
+
+
+def run_study(options: Run) -> None:
+    """Serves both pages.
+
+    Raises:
+        StudyError: there is no such study, or its store can't be opened.
+        ConfigError: the pages can't be served there.
+        MissingExtraError: what the console, the database or the teleoperation needs is missing.
+    """
+    check_installed()
+    teleop = _teleop(options.teleop)
+    with _listening(options) as listening, _opened(options) as store:
+        port = int(listening.getsockname()[1])
+        gate = gate_for(options.host, store.name)
+        links = gate.links(options.host, port)
+        folder = None if "://" in options.study else _folder(options.study)
+        desk = Desk(
+            store,
+            operator=options.operator,
+            blind=options.blind,
+            teleop=teleop,
+            enrolled=lambda plan: _kept(plan, folder),
+            changed=lambda: console.changed(),
+            tell=_say,
+        )
+        console = Console(desk, gate, links, local=is_local(options.host))
+
+        def ready() -> None:
+            _say(f"study {store.name!r}, for the experimenter: {links['experimenter']}")
+            _say(f"for the operator's tablet: {links['operator']}")
+            _say("Ctrl-C ends; nothing is lost")
+            if options.open:
+                from smooth_operator.ui.viser_server import open_page
+
+                open_page(links["experimenter"])
+
+        asyncio.run(_serve(console, listening, ready))
+
+
+async def _serve(console: Console, listening: socket.socket, ready: Callable[[], None]) -> None:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError, ValueError, RuntimeError):  # Windows, threads
+            loop.add_signal_handler(number, stop.set)
+    await console.serve(listening, stop, ready)
+
+
+def _listening(options: Run) -> socket.socket:
+    try:
+        return listen(options.host, options.port)
+    except (OSError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"can't listen on {options.host!r} port {options.port}: {why}; name another --port, "
+            "or --host 127.0.0.1 for this machine, --host 0.0.0.0 for its networks"
+        ) from error
+
+
+def _opened(options: Run) -> StudyStore:
+    """The store, with all operators that it or the plan in the folder know."""
+    if "://" in options.study:
+        if options.store is not None:
+            raise ConfigError("--store goes with the folder of a study; STUDY is a URL already")
+        return open_study(options.study, name=options.name)
+    folder = _folder(options.study)
+    file = folder / NAME
+    if not file.is_file():
+        if not (folder / FILE).is_file():
+            raise ConfigError(
+                f"there is no study in {options.study}: no {NAME}; make one with smooth-operator "
+                "study new"
+            )
+        return open_study(folder, name=options.name)
+    plan = read_plan(file)
+    return _found(options.store or folder, plan)
+
+
+def _found(target: str | Path, plan: Plan) -> StudyStore:
+    """The store of a plan: made if it is not there, brought up to date if it is."""
+    try:
+        store = open_study(target, name=plan.protocol.name)
+    except UnknownNameError:
+        return open_study(target, plan)
+    # Who was enrolled on a page stands in the store, but not in the file if that went wrong.
+    known, erased = store.plan, store.erased
+    new = [one for one in plan.enrolled if one.code not in (*known.codes, *erased)]
+    try:
+        store.revise(replace(plan, enrolled=(*known.enrolled, *new)))
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def _folder(study: str) -> Path:
+    path = Path(study)
+    return path if path.is_dir() else path.parent
+
+
+def _kept(plan: Plan, folder: Path | None) -> None:
+    """The files of a plan that was changed on a page."""
+    if folder is not None and (folder / NAME).is_file():
+        write_plan_files(plan, folder)
+
+
+def _teleop(address: str | None) -> Teleop | None:
+    if address is None:
+        return None
+    from smooth_operator.runtime.remote_client import RemoteTeleop
+
+    return RemoteTeleop(address, timeout_s=2.0)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,156 @@
+"""What the pages ask for: checked, and made into the events of the store.
+
+A command is a JSON object: ``token`` (any text that belongs to it alone), ``do`` (a word below),
+``operator``, ``after`` (number of the last event that the page had seen), ``waited_s`` (time since
+it was given: it may have lain in a page that was cut off) and the fields of its word.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final, Literal, TypeAlias
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.store.events import Event, Noted, event_of
+from smooth_operator.study.store.progress import Progress
+
+Role: TypeAlias = Literal["experimenter", "operator"]
+
+EVENTS: Final = {
+    "calibrated": "calibrated",
+    "start_block": "block_started",
+    "start_familiarisation": "familiarisation_started",
+    "end_familiarisation": "familiarisation_ended",
+    "start_trial": "trial_started",
+    "reset": "trial_reset",
+    "score": "trial_scored",
+    "void": "trial_voided",
+    "answer": "questionnaire_answered",
+    "weigh": "weights_answered",
+    "start_break": "break_started",
+    "end_break": "break_ended",
+    "note": "noted",
+    "undo": "undone",
+}
+"""Word -> kind of the event that it causes."""
+OTHER: Final = ("choose", "enrol", "switch")
+"""Words that cause no event."""
+OPERATOR_MAY: Final = ("answer", "weigh")
+
+_LONGEST_WAIT: Final = 86_400.0
+_TOKEN: Final = range(8, 129)
+
+
+@dataclass(frozen=True)
+class Command:
+    """One thing that a page asks for.
+
+    Attributes:
+        token: belongs to it alone, however often it is sent.
+        do: one of :data:`EVENTS` or :data:`OTHER`.
+        operator: pseudonym.
+        after: number of the last event that the page had seen; None where that doesn't matter.
+        fields: what else its word needs.
+        waited_s: since it was given [s]; of a score: since the clock was stopped.
+    """
+
+    token: str
+    do: str
+    operator: str
+    after: int | None
+    fields: Mapping[str, Any]
+    waited_s: float = 0.0
+
+
+def command_of(said: Mapping[str, Any], role: Role) -> Command:
+    """A command from a page, checked as far as it can be without the study.
+
+    Raises:
+        StudyError: it is none, or not one that this page may give.
+    """
+    token, do, operator = said.get("token"), said.get("do"), said.get("operator", "")
+    if not isinstance(token, str) or len(token) not in _TOKEN or not token.isprintable():
+        raise StudyError(f"a command needs a token of 8 to 128 characters, not {token!r}")
+    if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
+        raise StudyError(f"no such command: {do!r}; reload the page")
+    if role == "operator" and do not in OPERATOR_MAY:
+        raise StudyError(f"the operator's page may not do {do!r}")
+    after, fields, waited = said.get("after"), said.get("fields", {}), said.get("waited_s", 0.0)
+    if not isinstance(operator, str) or not isinstance(fields, Mapping):
+        raise StudyError("a command needs an operator and its fields; reload the page")
+    if after is not None and (isinstance(after, bool) or not isinstance(after, int)):
+        raise StudyError(f"after must be the number of an event, not {after!r}")
+    number = isinstance(waited, int | float) and not isinstance(waited, bool)
+    if not number or not math.isfinite(waited) or not 0 <= waited <= _LONGEST_WAIT:
+        raise StudyError(f"waited_s must be 0 to {_LONGEST_WAIT:g} s, not {waited!r}")
+    return Command(token, do, operator, after, dict(fields), float(waited))
+
+
+def event_for(
+    command: Command, progress: Progress, now: datetime, measured_s: float | None = None
+) -> Event:
+    """The event that a command causes. What the protocol decides is not taken from the page.
+
+    Args:
+        command: what is asked for.
+        progress: of its operator.
+        now: when it came.
+        measured_s: how long the trial took, where something better than a person measured it [s].
+
+    Raises:
+        StudyError: a field is missing, unknown or wrong, or nothing runs that could be scored.
+        UnknownNameError: the rubric has no such line.
+    """
+    values = dict(command.fields)
+    if command.do == "score":
+        values["score"] = progress.capped(str(values.get("line")))
+        values["time_s"] = trial_time(progress, now, command.waited_s, measured_s)
+    elif command.do == "start_block":
+        block = progress.step.block
+        values["condition"] = "" if block is None else block.condition.name
+    return event_of(EVENTS[command.do], values)
+
+
+def trial_time(
+    progress: Progress, now: datetime, waited_s: float, measured_s: float | None = None
+) -> float:
+    """How long the trial that runs took [s], to the millisecond.
+
+    From its stored start until its clock was stopped, so that neither a killed server nor a lost
+    connection changes it. A trial whose score was undone keeps the time that it had.
+
+    Args:
+        progress: of the operator.
+        now: this moment.
+        waited_s: how long ago the clock was stopped [s].
+        measured_s: what a simulation says [s]; by its own clock, and to the moment.
+    """
+    trial = progress.running
+    if trial is None:
+        raise StudyError(f"operator {progress.operator}: no trial runs that could be scored")
+    if trial.undone_time_s is not None:
+        return trial.undone_time_s
+    if measured_s is not None:
+        return round(measured_s, 3)
+    elapsed = (now - trial.started).total_seconds()
+    return round(max(0.0, elapsed - waited_s), 3)
+
+
+def check_seen(command: Command, progress: Progress) -> None:
+    """Refuses what was asked for on a page that had not seen what happened meanwhile.
+
+    Raises:
+        StudyError: says what happened.
+    """
+    if command.after is None or command.do == "note":
+        return
+    for record in progress.records[command.after :]:
+        if not isinstance(record.event, Noted):
+            what = record.event.kind.replace("_", " ")
+            raise StudyError(
+                f"not done: meanwhile another page, or this console itself, wrote event "
+                f"{record.number} ({what}); look again and repeat it if it is still right"
+            )

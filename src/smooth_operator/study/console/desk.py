@@ -1,0 +1,304 @@
+"""The desk between pages and store: carries commands out, knows who is on, keeps the hand right.
+
+Nothing here talks to a network. All methods may be called from any thread; a command returns when
+what it caused is on the disk.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from datetime import datetime
+from typing import Any, Final
+
+from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.study.console.commands import (
+    EVENTS,
+    Command,
+    Role,
+    check_seen,
+    event_for,
+)
+from smooth_operator.study.console.hand import Hand
+from smooth_operator.study.console.switching import Switch, Teleop
+from smooth_operator.study.console.view import experimenter_view, operator_view
+from smooth_operator.study.design.plan import Plan
+from smooth_operator.study.store.events import FamiliarisationEnded, FamiliarisationStarted, Noted
+from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.study_store import StudyStore, now
+
+_WITH_THE_HAND: Final = ("calibrated", "start_block", "start_trial", "reset", "void", "score")
+"""Commands that the teleoperation has a part in."""
+
+
+class StoreFailedError(StudyError):
+    """Nothing is wrong with the command, but it can't be written now: trying again may help."""
+
+
+class Desk:
+    """One console's part of a study.
+
+    Args:
+        store: of the study.
+        operator: who is on; None for whoever did something last and is not done.
+        blind: whether the experimenter sees labels in the place of conditions.
+        teleop: the running teleoperation, if it is to be switched.
+        enrolled: called with a plan that was changed here and is stored.
+        changed: called, from any thread, when the pages should be drawn anew.
+        tell: where a sentence for the terminal goes.
+
+    Raises:
+        UnknownNameError: there is no such operator.
+    """
+
+    def __init__(
+        self,
+        store: StudyStore,
+        *,
+        operator: str | None = None,
+        blind: bool = False,
+        teleop: Teleop | None = None,
+        enrolled: Callable[[Plan], None] = lambda plan: None,
+        changed: Callable[[], None] = lambda: None,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._store = store
+        self._blind = blind
+        self._enrolled = enrolled
+        self._changed = changed
+        self._tell = tell
+        self._lock = threading.RLock()
+        self._switching = threading.RLock()
+        self._known_progress: dict[str, tuple[tuple[int, int], Progress]] = {}
+        switch = None if teleop is None else Switch(teleop, lambda: self._changed())
+        self._hand = None if switch is None else Hand(switch, blind=blind, tell=tell)
+        self.chosen = operator is not None
+        """Whether somebody said who is on, and it was not guessed."""
+        if operator is not None:
+            store.progress(operator)
+        self.operator = self._latest() if operator is None else operator
+
+    # What the pages do.
+
+    def carry_out(self, command: Command, role: Role) -> int:
+        """Does what a command says; sent again, it is not done again.
+
+        Returns:
+            Number of the event that is now stored; 0 where there is none.
+
+        Raises:
+            StoreFailedError: it can't be written now.
+            SmoothOperatorError: it is refused; nothing was written.
+        """
+        at = now()  # what takes long here does not count
+        with _store_told_apart():
+            if command.do == "choose":
+                return self._choose(command.operator)
+            if command.do == "enrol":
+                return self._enrol(command)
+            if command.do == "switch":
+                return self._switch_again()
+            if self._hand is not None and command.do in _WITH_THE_HAND:
+                return self._write_with(self._hand, command, role, at)
+            return self._write(command, role, at)
+
+    def propose(self, operator: str) -> None:
+        """A page that comes back says who was on; heeded if nobody was chosen here since."""
+        with self._lock:
+            if not self.chosen and operator in self._store.plan.codes:
+                self._choose(operator)
+
+    # What happens by itself.
+
+    def tick(self) -> bool:
+        """Ends free movement whose time is over.
+
+        Returns:
+            Whether it did.
+
+        Raises:
+            StoreFailedError: it is over, but that can't be written.
+        """
+        operator = self.operator
+        if operator is None:
+            return False
+        with _store_told_apart(), self._lock:
+            progress = self._store.progress(operator)
+            step, block = progress.step, progress.step.block
+            if step.what != "familiarise" or block is None or step.since is None:
+                return False
+            if (now() - step.since).total_seconds() < progress.plan.protocol.familiarisation_s:
+                return False
+            started = max(
+                r.number for r in progress.records if isinstance(r.event, FamiliarisationStarted)
+            )
+            # Once for each start: if someone undoes it, they want the operator to go on moving.
+            token = f"time-over-{operator}-{started}"
+            if self._store.recorded(token) is not None:
+                return False
+            event = FamiliarisationEnded(block.task.name, block.number)
+            self._store.append(operator, event, author="system", token=token)
+        return True
+
+    def watch(self) -> None:
+        """Looks at the teleoperation, and puts it back on the method of the block that is on.
+
+        Raises:
+            StoreFailedError: the store can't be read.
+        """
+        if self._hand is None or not self._switching.acquire(blocking=False):
+            return  # something is being switched right now
+        try:
+            with _store_told_apart():
+                progress = None if self.operator is None else self._store.progress(self.operator)
+                if self._hand.watch(progress) and progress and progress.running is not None:
+                    text = "the teleoperation ran something else during a trial; switched back"
+                    self._store.append(progress.operator, Noted(text), author="system")
+        finally:
+            self._switching.release()
+
+    # What the pages show.
+
+    def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What the experimenter's page and the operator's page show.
+
+        Raises:
+            StoreFailedError: the store can't be read.
+        """
+        with _store_told_apart():
+            version, counts = self._store.newest()
+            plan = self._store.plan
+            everyone = [self._seen(code, (version, counts.get(code, 0))) for code in plan.codes]
+        current = next((p for p in everyone if p.operator == self.operator), None)
+        view = experimenter_view(plan, everyone, current, self._blind)
+        view["teleop"] = None if self._hand is None else self._hand.view(current)
+        return view, operator_view(plan, current)
+
+    def marks(self) -> tuple[object, ...]:
+        """Changes whenever what the pages show does, whoever wrote it."""
+        with _store_told_apart():
+            version, counts = self._store.newest()
+            return (self.operator, version, *sorted(counts.items()))
+
+    def _seen(self, operator: str, mark: tuple[int, int]) -> Progress:
+        """An operator's progress, read anew only where something was written."""
+        known = self._known_progress.get(operator)
+        if known is None or known[0] != mark:
+            known = self._known_progress[operator] = (mark, self._store.progress(operator))
+        return known[1]
+
+    def _latest(self) -> str | None:
+        """Who did something last and is not done yet."""
+        found: tuple[datetime, str] | None = None
+        for code in self._store.plan.codes:
+            progress = self._store.progress(code)
+            if progress.records and progress.step.what != "done":
+                found = max(found or (progress.records[-1].at, code),
+                            (progress.records[-1].at, code))  # fmt: skip
+        return None if found is None else found[1]
+
+    def _known(self, command: Command) -> int | None:
+        """Number of the event that this very command has caused already."""
+        known = self._store.recorded(command.token)
+        if known is None:
+            return None
+        whose, record = known
+        if whose != command.operator or record.event.kind != EVENTS[command.do]:
+            raise StudyError(f"token {command.token!r} belongs to another command already")
+        return record.number
+
+    def _write(
+        self, command: Command, role: Role, at: datetime, measured_s: float | None = None
+    ) -> int:
+        with self._lock:
+            if (number := self._known(command)) is not None:
+                return number
+            progress = self._due(command)
+            event = event_for(command, progress, at, measured_s)
+            try:
+                number = self._store.append(
+                    command.operator, event, author=role, token=command.token
+                ).number
+            except StudyError:
+                # A connection that was lost may have committed what it did not acknowledge.
+                if (number := self._known(command)) is None:
+                    raise
+        self._changed()
+        return number
+
+    def _write_with(self, hand: Hand, command: Command, role: Role, at: datetime) -> int:
+        """The same, with what the hand has to do before and along with it."""
+        starts = command.do in ("calibrated", "start_block", "start_trial")
+        with self._switching if starts else nullcontext():
+            if (number := self._known(command)) is not None:
+                return number
+            with self._lock:
+                progress = self._due(command)
+                progress.check(event_for(command, progress, at))
+            hand.before(command, progress)
+            measured = hand.measured(progress) if command.do == "score" else None
+            number = self._write(command, role, at, measured)
+        hand.along(command.do, progress)
+        return number
+
+    def _due(self, command: Command) -> Progress:
+        """The operator's progress, if the command may be carried out now."""
+        if command.operator != self.operator:
+            raise StudyError(
+                f"not done: it is for operator {command.operator}, but operator "
+                f"{self.operator or 'nobody'} is on at this console"
+            )
+        progress = self._store.progress(command.operator)
+        check_seen(command, progress)
+        return progress
+
+    def _switch_again(self) -> int:
+        if self._hand is None or self.operator is None:
+            raise StudyError("no teleoperation is attached that could be switched")
+        with self._switching:
+            self._hand.again(self._store.progress(self.operator))
+        return 0
+
+    def _choose(self, operator: str) -> int:
+        with self._lock:
+            self._store.progress(operator)  # there is one, and not erased
+            self.operator, self.chosen = operator, True
+        self._changed()
+        return 0
+
+    def _enrol(self, command: Command) -> int:
+        tasks = command.fields.get("tasks")
+        listed = isinstance(tasks, list) and all(isinstance(task, str) for task in tasks)
+        if tasks is not None and not listed:
+            raise StudyError("tasks must be a list of names")
+        with self._lock:
+            plan = self._store.plan
+            code = command.operator
+            if code in self._store.erased:
+                raise StudyError(f"{code} was deleted; codes are not used again")
+            if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
+                plan = plan.enrol(code, tasks or None)
+                self._store.revise(plan)
+                try:
+                    self._enrolled(plan)
+                except SmoothOperatorError as error:  # the store has it; the file is a copy
+                    self._tell(f"{code} is enrolled, but the files of the plan are old: {error}")
+            return self._choose(code)
+
+
+@contextmanager
+def _store_told_apart() -> Iterator[None]:
+    """Raises :class:`StoreFailedError` where a database is to blame, and not what was asked."""
+    from sqlalchemy.exc import SQLAlchemyError
+
+    try:
+        yield
+    except StoreFailedError:
+        raise
+    except StudyError as error:
+        cause = error.__cause__
+        blamed = isinstance(cause, SQLAlchemyError | OSError)
+        if blamed and not isinstance(cause, SmoothOperatorError):
+            raise StoreFailedError(str(error)) from error
+        raise

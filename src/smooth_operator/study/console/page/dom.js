@@ -1,0 +1,45 @@
+// Elements without a library. Text is always text: nothing that was typed becomes HTML.
+
+/** part(id): an element of the page. */
+export const part = (id) => document.getElementById(id);
+
+/** An element: h('button', { class: 'main', onclick }, 'Start', h('kbd', {}, 'S')). */
+export function h(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === false || value === null || value === undefined) continue;
+    if (key.startsWith('on')) made.addEventListener(key.slice(2), value);
+    else if (key in made && typeof value !== 'string') made[key] = value;
+    else made.setAttribute(key, value === true ? '' : value);
+  }
+  made.append(...children.flat().filter(there));
+  return made;
+}
+
+/** `condition && element` leaves no trace where the condition does not hold. */
+function there(child) {
+  return child !== null && child !== undefined && child !== false && child !== '';
+}
+
+/** Puts children into an element; what had the focus has it again, if it is still there. */
+export function fill(parent, ...children) {
+  const key = parent.contains(document.activeElement) ? document.activeElement.dataset.key : null;
+  parent.replaceChildren(...children.flat().filter(there));
+  if (key) parent.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus({ preventScroll: true });
+}
+
+/** 83.4 -> "1:23"; with tenths "1:23.4". */
+export function clock(seconds, tenths = false) {
+  const sign = seconds < 0 ? '−' : '';
+  const value = Math.abs(seconds);
+  const whole = tenths ? Math.floor(value * 10 + 1e-6) / 10 : Math.floor(value + 1e-6);
+  const minutes = Math.floor(whole / 60);
+  const rest = tenths ? (whole % 60).toFixed(1).padStart(4, '0') : String(whole % 60).padStart(2, '0');
+  return `${sign}${minutes}:${rest}`;
+}
+
+/** A button with its key written on it. */
+export function button(text, { key, id, kind = '', ...rest }) {
+  return h('button', { type: 'button', class: kind, 'data-key': id, 'data-press': key?.toLowerCase(), ...rest },
+    h('span', {}, text), key && h('kbd', {}, key));
+}

@@ -1,0 +1,214 @@
+// The experimenter's page: what is due, keys, notes, the log, everybody's progress.
+
+import { ask } from './ask.js';
+import { clock, h, fill, part } from './dom.js';
+import { keep, kept, Link } from './link.js';
+import { drawPeople } from './people.js';
+import { drawStep } from './step.js';
+
+const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? kept('smooth-operator:on') }));
+let refusal = '';
+let drawn = '';
+
+/** When the clock of the trial that runs was stopped on this page, by this clock; null if it runs. */
+const stopped = {
+  key() {
+    const now = link.state?.now;
+    return now?.what === 'trial' ? `${link.state.study.name}/${now.operator}/${now.task}/${now.block}/${now.trial}/${now.since}` : null;
+  },
+  get at() {
+    const known = kept('smooth-operator:stopped');
+    return known && known.key === this.key() ? known.at : null;
+  },
+  set at(moment) {
+    keep('smooth-operator:stopped', moment === null ? null : { key: this.key(), at: moment });
+  },
+};
+
+/** Everything that a part of the page may ask for. */
+const desk = {
+  link,
+  stopped,
+  /** Something for the operator who is on, at the place that is shown. */
+  send(what, fields = {}, more = {}) {
+    const now = link.state.now;
+    refusal = '';
+    link.command(what, now.operator, fields, { after: now.after, ...more });
+  },
+  place(...names) {
+    return Object.fromEntries(names.map((name) => [name, link.state.now[name]]));
+  },
+  choose(operator) {
+    refusal = '';
+    keep('smooth-operator:on', operator);
+    link.command('choose', operator);
+  },
+  stop() {
+    stopped.at = stopped.at === null ? Date.now() : null;
+    draw();
+  },
+  score(line) {
+    desk.send('score', { ...desk.place('task', 'block', 'trial'), line }, { since: stopped.at ?? Date.now() });
+  },
+  async voidTrial() {
+    const given = await ask('Void this trial', 'For a reason that is not the operator’s. It will be done again.',
+      [{ name: 'reason', label: 'Reason', required: true }], 'Void');
+    if (given) desk.send('void', { ...desk.place('task', 'block', 'trial'), reason: given.reason });
+  },
+  async endFamiliarisation() {
+    const given = await ask('End free movement now?', 'Its time is not over yet.', [], 'End it');
+    if (given) desk.send('end_familiarisation', desk.place('task', 'block'));
+  },
+  async undo() {
+    const last = link.state?.now?.undoable;
+    if (!last || !part('undo').matches(':enabled')) return;
+    const given = await ask('Undo?', last.text, [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo');
+    if (given) desk.send('undo', { number: last.number, reason: given.reason });
+  },
+  async enrol() {
+    const tasks = link.state.study.tasks;
+    const given = await ask('Enrol an operator', 'A code, never a name: who it is stands on paper.', [
+      { name: 'code', label: 'Code', required: true, pattern: '[A-Za-z0-9][A-Za-z0-9_.\\-]*', maxLength: 64 },
+      ...tasks.map((task) => ({ name: `task:${task.name}`, label: `${task.name}: ${task.title}`, type: 'checkbox', checked: true })),
+    ], 'Enrol');
+    if (!given) return;
+    const wanted = tasks.map((task) => task.name).filter((name) => given[`task:${name}`]);
+    refusal = '';
+    keep('smooth-operator:on', given.code);
+    link.command('enrol', given.code, { tasks: wanted });
+  },
+};
+
+function draw() {
+  const { state } = link;
+  const chip = part('link');
+  chip.textContent = link.connected ? (link.outbox.length ? 'saving …' : 'connected') : link.everConnected ? 'cut off' : 'connecting';
+  chip.dataset.kind = link.connected ? (link.outbox.length ? 'idle' : 'good') : 'bad';
+  show('lost', !link.connected && link.everConnected,
+    link.pending ? 'Cut off from the console. What you entered is kept here, and sent as soon as it is back.'
+      : 'Cut off from the console. Trying to come back; the clocks go on.');
+  const trouble = link.trouble || state?.trouble || '';
+  show('store', trouble, link.trouble ? `Not saved: ${trouble}. Trying again.` : `Nothing can be saved now: ${trouble}.`);
+  part('drop').hidden = !link.trouble;
+  show('refused', refusal, refusal);
+  if (!state?.study) return;
+  drawHead(state);
+  const blocked = !link.connected || link.pending;
+  const key = JSON.stringify([state.now, state.teleop?.trial, state.links, state.pages, blocked, link.connected, stopped.at]);
+  if (key !== drawn) {
+    drawn = key;
+    drawStep(part('step'), state, desk, blocked);
+    drawLog(state.log);
+  }
+  drawPeople(part('people'), state, desk);
+  part('undo').disabled = blocked || !state.now?.undoable;
+  part('enrol').disabled = !link.connected;
+  tick();
+}
+
+function drawHead({ study, now, teleop, pages }) {
+  part('study').textContent = study.name;
+  document.title = now ? `${now.operator}: ${now.words} – ${study.name}` : study.name;
+  part('who').textContent = now ? `Operator ${now.operator}${now.task ? ` · ${now.title}` : ''}` : 'Nobody is on';
+  part('blind').hidden = !study.blind;
+  const there = pages.operator > 0;
+  part('tablet').textContent = there ? 'tablet connected' : 'no tablet';
+  part('tablet').dataset.kind = there ? 'good' : 'idle';
+  const chip = part('teleop');
+  chip.hidden = !teleop;
+  show('hand', teleop && ['refused', 'gone'].includes(teleop.state),
+    teleop?.state === 'gone' ? `The teleoperation does not answer. ${teleop.detail}` : `The teleoperation was not switched: ${teleop?.detail}`);
+  if (teleop) {
+    chip.textContent = { ready: `hand: ${teleop.running ?? 'ready'}`, switching: 'hand: switching …', refused: 'hand: not switched',
+      gone: 'hand: gone', unknown: 'hand: …' }[teleop.state];
+    chip.dataset.kind = { ready: 'good', refused: 'bad', gone: 'bad' }[teleop.state] ?? 'idle';
+  }
+}
+
+function drawLog(log) {
+  fill(part('log'), log.map((entry) => h('li', { class: `${entry.undone ? 'undone' : ''} is-${entry.kind}` },
+    h('time', {}, new Date(entry.at).toLocaleTimeString([], { hour12: false })),
+    h('span', { class: 'text' }, entry.text, entry.author !== 'experimenter' && h('i', {}, ` by ${entry.author === 'system' ? 'the console' : 'the operator'}`)),
+    h('span', { class: 'number' }, `#${entry.number}`))));
+}
+
+function show(id, when, text) {
+  const shown = part(id);
+  shown.hidden = !when;
+  const place = shown.querySelector('span') ?? shown;
+  if (when && place.textContent !== text) place.textContent = text;
+}
+
+/** Clocks of the page: every element with data-since counts up, with data-until down. */
+function tick() {
+  for (const shown of document.querySelectorAll('[data-since]')) {
+    const end = stopped.at === null || !('stoppable' in shown.dataset) ? link.now() : stopped.at + link.offset;
+    const seconds = Math.max(0, (end - Number(shown.dataset.since)) / 1000);
+    shown.textContent = clock(seconds, 'tenths' in shown.dataset);
+    const limit = Number(shown.dataset.limit ?? 0);
+    shown.classList.toggle('over', limit > 0 && seconds > limit);
+  }
+  for (const shown of document.querySelectorAll('[data-until]')) {
+    const left = Math.max(0, (Number(shown.dataset.until) - link.now()) / 1000);
+    if (shown.tagName === 'PROGRESS') shown.value = shown.max - left;
+    else shown.textContent = clock(Math.ceil(left - 1e-6));
+  }
+}
+
+addEventListener('keydown', (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+  const open = document.querySelector('dialog[open]');
+  const typing = event.target.closest?.('input, textarea, select');
+  if (event.key === 'Escape' && !open) {
+    refusal = '';
+    if (typing) typing.blur();
+    draw();
+    return;
+  }
+  if (open || typing) {
+    if (event.target === part('note') && event.key === 'Enter' && !event.shiftKey) {
+      event.preventDefault();
+      part('noting').requestSubmit();
+    }
+    return;
+  }
+  if (event.key.toLowerCase() === 'n') {
+    event.preventDefault();
+    part('note').focus();
+    return;
+  }
+  const name = event.key === ' ' ? 'space' : event.key.toLowerCase();
+  const pressed = document.querySelector(`[data-press="${CSS.escape(name)}"]:enabled`);
+  if (pressed) {
+    event.preventDefault(); // a button that has the focus would be pressed as well
+    pressed.click();
+  } else if (name === 'space' && !event.target.closest?.('button, a, summary')) {
+    event.preventDefault();
+  }
+});
+
+part('noting').addEventListener('submit', (event) => {
+  event.preventDefault();
+  const text = part('note').value.trim();
+  if (!text || !link.state?.now) return;
+  desk.send('note', { text });
+  part('note').value = '';
+  keep('smooth-operator:note', null);
+  part('note').blur();
+});
+part('note').addEventListener('input', () => keep('smooth-operator:note', part('note').value || null));
+part('note').value = kept('smooth-operator:note') ?? '';
+part('undo').addEventListener('click', desk.undo);
+part('enrol').addEventListener('click', desk.enrol);
+part('switch').addEventListener('click', () => desk.send('switch'));
+part('drop').addEventListener('click', () => link.drop());
+part('dismiss').addEventListener('click', () => { refusal = ''; draw(); });
+link.addEventListener('state', () => {
+  if (link.state.now) keep('smooth-operator:on', link.state.now.operator);
+});
+link.addEventListener('refused', ({ detail }) => { refusal = detail.answer.error; });
+link.addEventListener('done', ({ detail }) => {
+  if (['score', 'void'].includes(detail.command.do)) stopped.at = null;
+});
+link.addEventListener('change', draw);
+setInterval(tick, 100);

@@ -1,0 +1,176 @@
+// The WebSocket of a page: comes back after every loss, and keeps what was not acknowledged.
+//
+// A command lies in localStorage until the server answers: a page that is closed, or a server that is
+// killed, loses nothing. It is sent again with the same token, and the store takes a token once.
+
+const SILENCE = 5000; // ms without a word: the server says something every second
+const AGAIN = 2500; // ms until a command is tried again that could not be written
+const STALE = 120000; // ms after which a page that is opened again starts nothing of before
+const LASTING = new Set(['score', 'answer', 'weigh', 'void', 'note']); // what has happened, however late it is told
+const BACKOFF = [150, 300, 600, 1000, 2000]; // ms
+
+/** A text that nothing else is called by. crypto.randomUUID would need HTTPS. */
+export function token() {
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  return [...bytes].map((byte) => byte.toString(16).padStart(2, '0')).join('');
+}
+
+/** A value that outlives the page; where there is no storage, it lives as long as the page. */
+export function keep(name, value) {
+  try {
+    if (value === null) localStorage.removeItem(name);
+    else localStorage.setItem(name, JSON.stringify(value));
+  } catch { /* private mode, or full */ }
+}
+
+export function kept(name) {
+  try {
+    return JSON.parse(localStorage.getItem(name));
+  } catch {
+    return null;
+  }
+}
+
+/** Events: "state", "change" (of the link), "done" and "refused" (detail: {command, answer}). */
+export class Link extends EventTarget {
+  /** path: of the WebSocket; hello: what to say first, a function. */
+  constructor(path, hello = () => ({})) {
+    super();
+    this.path = path;
+    this.hello = hello;
+    this.connected = false;
+    this.everConnected = false;
+    this.state = null;
+    this.outbox = [];
+    this.flying = null; // token of the command that is on its way
+    this.trouble = '';
+    this.offset = 0; // ms, clock over there minus clock here
+    this.best = -Infinity;
+    this.tries = 0;
+    this.open();
+    setInterval(() => this.guard(), 1000);
+    addEventListener('online', () => this.guard());
+    document.addEventListener('visibilitychange', () => document.hidden || this.guard());
+  }
+
+  /** The server's clock now, ms. */
+  now() {
+    return Date.now() + this.offset;
+  }
+
+  /** Ask for something. since: when it was meant, by this clock; now if left out. */
+  command(what, operator, fields = {}, { after = null, since = Date.now() } = {}) {
+    const entry = { token: token(), do: what, operator, fields, after, since };
+    this.outbox.push(entry);
+    this.store();
+    this.flush();
+    this.changed();
+    return entry.token;
+  }
+
+  /** Something is asked for and not yet answered. */
+  get pending() {
+    return this.outbox.some((entry) => entry.do !== 'note');
+  }
+
+  /** Gives up what can't be written. */
+  drop() {
+    this.outbox = [];
+    this.flying = null;
+    this.trouble = '';
+    this.store();
+    this.changed();
+  }
+
+  open() {
+    const socket = new WebSocket(`${location.origin.replace('http', 'ws')}${this.path}`);
+    this.socket = socket;
+    this.opened = performance.now();
+    socket.onopen = () => {
+      if (this.socket !== socket) return;
+      this.heard = performance.now();
+      this.connected = this.everConnected = true;
+      this.flying = null;
+      this.best = -Infinity;
+      socket.send(JSON.stringify({ type: 'hello', ...this.hello() }));
+      this.changed();
+    };
+    socket.onmessage = (event) => this.socket === socket && this.hear(JSON.parse(event.data));
+    socket.onclose = () => this.socket === socket && this.lose();
+  }
+
+  lose() {
+    const old = this.socket;
+    this.socket = null;
+    this.connected = false;
+    this.flying = null;
+    if (old) old.close();
+    clearTimeout(this.returning);
+    this.returning = setTimeout(() => this.open(), BACKOFF[Math.min(this.tries++, BACKOFF.length - 1)]);
+    this.changed();
+  }
+
+  /** A link that is silent is dead, whatever the browser thinks of it. */
+  guard() {
+    if (!this.socket) return;
+    const since = this.connected ? this.heard : this.opened;
+    if (performance.now() - since > SILENCE) this.lose();
+  }
+
+  hear(said) {
+    this.heard = performance.now();
+    // The message that was fastest tells best how the clocks differ.
+    this.best = Math.max(this.best, said.sent - Date.now());
+    this.offset = this.best;
+    if (said.type === 'state') {
+      this.tries = 0;
+      const study = said.study?.name ?? said.study ?? '';
+      if (this.study !== study) {
+        this.study = study;
+        this.name = `smooth-operator:${study}:${this.path}`;
+        const known = new Set(this.outbox.map((entry) => entry.token));
+        this.outbox.unshift(...(kept(this.name) ?? []).filter((entry) => !known.has(entry.token)
+          && (LASTING.has(entry.do) || Math.abs(Date.now() - entry.since) < STALE)));
+      }
+      this.state = said;
+      this.dispatchEvent(new Event('state'));
+      this.flush();
+    } else if (said.type === 'done' || said.type === 'refused') {
+      this.answered(said);
+    }
+    this.changed();
+  }
+
+  answered(answer) {
+    if (this.flying === answer.token) this.flying = null;
+    const command = this.outbox.find((entry) => entry.token === answer.token);
+    if (!command) return;
+    if (answer.again) {
+      this.trouble = answer.error;
+      setTimeout(() => this.flush(), AGAIN);
+      return;
+    }
+    this.trouble = '';
+    this.outbox = this.outbox.filter((entry) => entry.token !== answer.token);
+    this.store();
+    this.dispatchEvent(new CustomEvent(answer.type, { detail: { command, answer } }));
+    this.flush();
+  }
+
+  /** Sends what waits, one after the other. */
+  flush() {
+    if (!this.connected || this.flying || !this.outbox.length || this.study === undefined) return;
+    const { since, ...command } = this.outbox[0];
+    this.flying = command.token;
+    const waited = Math.min(86400, Math.max(0, (Date.now() - since) / 1000));
+    this.socket.send(JSON.stringify({ type: 'command', ...command, waited_s: waited }));
+  }
+
+  store() {
+    if (this.name) keep(this.name, this.outbox.length ? this.outbox : null);
+  }
+
+  changed() {
+    this.dispatchEvent(new Event('change'));
+  }
+}

@@ -1,0 +1,70 @@
+// NASA-TLX: six scales, none of which has a mark until it is touched.
+
+import { fill, h } from './dom.js';
+import { keep, kept } from './link.js';
+
+const POINTS = { initial: 'You have done the first trial.', midpoint: 'You have done half of the trials.', final: 'You have done all trials of this block.' };
+
+/** Draws the six scales; what is filled in is kept on the device until it is sent. */
+export function scales(place, state, { name, sending, send }) {
+  const known = kept(name);
+  const ratings = known?.key === state.key ? known.ratings : {};
+  const count = state.scales.length;
+  const left = h('p', { class: 'soft', role: 'status' });
+  const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? 'Sending …' : 'Send my answers');
+  const show = () => {
+    const missing = state.scales.filter((scale) => !(scale.name in ratings));
+    left.textContent = missing.length ? `Still to mark: ${missing.map((scale) => scale.title).join(', ')}` : 'All six are marked.';
+    submit.disabled = sending || missing.length > 0;
+  };
+  fill(place, h('form', {
+    class: 'tlx',
+    onsubmit: (event) => {
+      event.preventDefault();
+      if (!submit.disabled) send(Object.fromEntries(state.scales.map((scale) => [scale.name, ratings[scale.name]])));
+    },
+  },
+  h('section', { class: 'card intro' }, h('h2', {}, 'How was it?'),
+    h('p', {}, `${POINTS[state.point] ?? ''} Mark each of the ${count} scales where it fits what you have just done. There is no right or wrong.`)),
+  state.scales.map((scale, k) => oneScale(scale, k, state, ratings, sending, () => {
+    keep(name, { key: state.key, ratings });
+    show();
+  })),
+  h('section', { class: 'card send' }, left, submit)));
+  show();
+}
+
+function oneScale(scale, k, state, ratings, sending, changed) {
+  const { highest, step_of_scale: step } = state;
+  const id = `scale-${scale.name}`;
+  const ticks = h('div', { class: 'ticks', 'aria-hidden': 'true' }, Array.from({ length: highest / step + 1 }, () => h('i')));
+  const input = h('input', {
+    type: 'range', id, min: '0', max: String(highest), step: String(step), 'data-key': id, disabled: sending,
+    'aria-describedby': `${id}-ends`, value: String(ratings[scale.name] ?? highest / 2),
+  });
+  const card = h('section', { class: 'card scale' },
+    h('label', { for: id }, h('b', {}, `${k + 1}. ${scale.title}`), h('span', {}, scale.question)),
+    h('div', { class: 'line' }, ticks, input),
+    h('p', { class: 'ends', id: `${id}-ends` }, h('span', {}, scale.low), h('span', {}, scale.high)));
+  const show = () => {
+    const touched = scale.name in ratings;
+    card.classList.toggle('touched', touched);
+    input.setAttribute('aria-valuetext', touched ? `${ratings[scale.name]} of ${highest}, from ${scale.low} to ${scale.high}` : 'not marked yet');
+  };
+  const touch = () => {
+    ratings[scale.name] = Number(input.value);
+    show();
+    changed();
+  };
+  input.addEventListener('input', touch);
+  input.addEventListener('change', touch);
+  input.addEventListener('click', touch); // at the very place where the unseen mark stands
+  input.addEventListener('keydown', (event) => {
+    if (event.key === ' ' || event.key === 'Enter') {
+      event.preventDefault();
+      touch();
+    }
+  });
+  show();
+  return card;
+}

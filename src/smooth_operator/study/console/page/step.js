@@ -1,0 +1,175 @@
+// What the protocol wants now, and the buttons for it.
+
+import { button, clock, fill, h } from './dom.js';
+
+const SCORES = { 1: 'full', 0.5: 'half', 0: 'none' };
+const POINTS = { initial: 'after the first trial', midpoint: 'in the middle', final: 'after the last trial' };
+
+let typed = { name: '', text: '' }; // as it stands, when the page is drawn anew
+
+/** Draws the step of the operator who is on. blocked: nothing may be started now. */
+export function drawStep(card, state, desk, blocked) {
+  const { now } = state;
+  if (!now) {
+    fill(card, h('h2', {}, 'Who takes part?'), h('p', {}, 'Choose an operator from the list, or enrol one.'));
+    return;
+  }
+  card.dataset.what = now.what;
+  fill(card, where(now), ...(STEPS[now.what] ?? (() => []))(now, state, desk, blocked), results(now), aside(now, desk, blocked));
+}
+
+const STEPS = {
+  calibrate(now, state, desk, blocked) {
+    const name = `${now.operator}/${now.task}`;
+    const detail = h('input', { id: 'detail', maxLength: 400, autocomplete: 'off', 'data-key': 'detail',
+      placeholder: 'file of the calibration, e.g. P03.json', value: typed.name === name ? typed.text : '',
+      oninput: () => { typed = { name, text: detail.value }; } });
+    const send = (text) => desk.send('calibrated', { ...desk.place('task'), detail: text });
+    return [
+      h('h2', {}, 'Calibration'),
+      h('p', {}, 'Calibrate tracker and hand to the operator, with the live page or smooth-operator calibrate. ',
+        state.teleop && 'A file of it is loaded into the running hand.'),
+      h('p', {}, h('label', { for: 'detail' }, 'File or remark'), detail),
+      h('div', { class: 'row' },
+        main('Calibrated', 'Space', blocked, () => send(detail.value.trim())),
+        button('Left out', { id: 'left-out', kind: 'quiet', disabled: blocked, onclick: () => send('left out') })),
+    ];
+  },
+  start_block(now, state, desk, blocked) {
+    return [
+      h('h2', {}, `Block ${now.block} of ${now.blocks}`),
+      h('p', { class: 'condition' }, now.condition),
+      h('p', {}, state.teleop ? 'Starting the block switches the running hand to this.'
+        : 'Switch the hand to this, then start the block.'),
+      h('div', { class: 'row' }, main('Start block', 'Space', blocked,
+        () => desk.send('start_block', desk.place('task', 'block')))),
+    ];
+  },
+  start_familiarisation(now, state, desk, blocked) {
+    return [
+      h('h2', {}, 'Free movement'),
+      h('p', {}, `The operator moves the hand for ${seconds(state.study.familiarisation_s)}, without the object.`),
+      h('div', { class: 'row' }, main('Start free movement', 'Space', blocked,
+        () => desk.send('start_familiarisation', desk.place('task', 'block')))),
+    ];
+  },
+  familiarise(now, state, desk, blocked) {
+    const until = now.since + 1000 * state.study.familiarisation_s;
+    return [
+      h('h2', {}, 'Free movement'),
+      h('p', { class: 'clock', role: 'timer', 'data-until': String(until) }),
+      h('progress', { 'aria-label': 'Free movement', max: state.study.familiarisation_s, value: 0, 'data-until': String(until) }),
+      h('p', { class: 'soft' }, 'Ends by itself.'),
+      h('div', { class: 'row' }, button('End now', { key: 'E', id: 'end', kind: 'quiet', disabled: blocked, onclick: desk.endFamiliarisation })),
+    ];
+  },
+  start_trial(now, state, desk, blocked) {
+    return [
+      h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
+      now.instruction && h('p', {}, now.instruction),
+      h('div', { class: 'row' }, main(`Start trial ${now.trial}`, 'Space', blocked,
+        () => desk.send('start_trial', desk.place('task', 'block', 'trial')))),
+      rubric(now, desk, true),
+    ];
+  },
+  trial(now, state, desk) {
+    const waiting = desk.link.pending;
+    const sim = state.teleop?.trial;
+    const over = sim?.phase === 'done';
+    const fixed = now.undone_time_s ?? (over ? sim.time_s : null); // measured already
+    const stopped = desk.stopped.at !== null;
+    return [
+      h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
+      h('p', { class: `clock ${stopped || fixed !== null ? 'stopped' : ''}`, role: 'timer', 'aria-live': 'off',
+        ...(fixed !== null ? {} : { 'data-since': String(now.since), 'data-tenths': '', 'data-stoppable': '', 'data-limit': String(now.limit_s ?? 0) }) },
+      fixed === null ? '' : clock(fixed, true)),
+      h('p', { class: 'soft' }, now.undone_time_s !== null ? 'The time stays as it was measured; score the trial again.'
+        : stopped ? 'The clock is stopped. Choose a line of the rubric.'
+          : now.limit_s ? `Time limit ${seconds(now.limit_s)}.` : 'No time limit.'),
+      now.resets > 0 && h('p', { class: 'notice' }, `The object was put back: at most ${now.reset_cap} from here.`),
+      sim && proposal(now, sim, desk, waiting),
+      h('div', { class: 'row' },
+        fixed === null && button(stopped ? 'Clock goes on' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: desk.stop }),
+        button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !desk.link.connected || now.resets_left === 0,
+          onclick: () => desk.send('reset', desk.place('task', 'block', 'trial')) }),
+        button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: waiting || !desk.link.connected, onclick: desk.voidTrial })),
+      rubric(now, desk, waiting),
+    ];
+  },
+  questionnaire(now, state) {
+    return [h('h2', {}, 'Questionnaire'),
+      h('p', {}, `The operator fills in NASA-TLX (${POINTS[now.point] ?? now.point}) on the tablet. This page goes on by itself.`),
+      ...tablet(state)];
+  },
+  weights(now, state) {
+    return [h('h2', {}, 'Pairs of scales'),
+      h('p', {}, 'The operator compares the six scales in pairs on the tablet. This page goes on by itself.'), ...tablet(state)];
+  },
+  break(now, state, desk, blocked) {
+    return [
+      h('h2', {}, 'Break'),
+      h('p', { class: 'clock', role: 'timer', 'aria-live': 'off', 'data-since': String(now.since), 'data-limit': String(state.study.break_s) }),
+      h('p', { class: 'soft' }, `Planned: ${seconds(state.study.break_s)}. Next: ${now.task ? `block ${now.block} of ${now.blocks}` : 'the end'}.`),
+      h('div', { class: 'row' }, main('Go on', 'Space', blocked, () => desk.send('end_break'))),
+    ];
+  },
+  done(now) {
+    return [h('h2', {}, 'Done'), h('p', {}, `Operator ${now.operator} has done everything. Everything is saved.`)];
+  },
+};
+
+function where(now) {
+  if (!now.task) return h('p', { class: 'where' }, `Operator ${now.operator}`);
+  return h('p', { class: 'where' }, h('b', {}, now.operator), ` Task ${now.task} `, h('span', {}, `block ${now.block} of ${now.blocks}`),
+    now.what === 'calibrate' ? '' : h('span', { class: 'label' }, now.condition));
+}
+
+function main(text, key, disabled, onclick) {
+  return button(text, { key, id: 'main', kind: 'main', disabled, onclick });
+}
+
+/** What the simulation makes of the trial; the experimenter has the last word. */
+function proposal(now, sim, desk, waiting) {
+  if (sim.phase !== 'done') return h('p', { class: 'soft' }, `In the simulation: ${sim.reason}.`);
+  const possible = now.rubric.filter((line) => line.possible);
+  const line = possible.find(({ name }) => name === sim.line) ?? possible.find(({ score }) => score === sim.score);
+  return h('p', { class: 'notice good proposal' }, h('span', {}, `The simulation says: ${sim.line}, ${sim.score} (${sim.reason})`),
+    line && button(`Score it ${line.name}`, { key: 'Enter', id: 'take', kind: 'main', disabled: waiting, onclick: () => desk.score(line.name) }));
+}
+
+function rubric(now, desk, off) {
+  return h('div', { class: 'rubric', role: 'group', 'aria-label': 'Rubric' }, now.rubric.map((line, k) =>
+    h('button', {
+      type: 'button', 'data-key': line.name, 'data-press': off ? null : String(k + 1), class: `line ${SCORES[line.score]}`,
+      disabled: off || !line.possible, onclick: () => desk.score(line.name),
+    }, h('kbd', {}, String(k + 1)), h('b', { class: 'score' }, String(line.score)),
+    h('span', {}, h('strong', {}, line.name), h('span', {}, line.text)))));
+}
+
+function results(now) {
+  if (!now.results?.length) return false;
+  return h('ol', { class: 'results', 'aria-label': 'Trials of this block' }, now.results.map((trial) =>
+    h('li', { class: SCORES[trial.score], title: `Trial ${trial.trial}: ${trial.line}` },
+      h('b', {}, String(trial.score)), h('span', {}, `${trial.time_s.toFixed(1)} s`))));
+}
+
+function aside(now, desk, blocked) {
+  return now.break_possible && h('div', { class: 'row foot' },
+    button('Break', { key: 'B', id: 'break', kind: 'quiet', disabled: blocked, onclick: () => desk.send('start_break') }));
+}
+
+function tablet({ links, pages }) {
+  const there = pages.operator > 0;
+  return [
+    h('p', { class: there ? 'notice good' : 'notice' }, there ? 'The operator’s page is open.' : 'The operator’s page is open nowhere yet.'),
+    h('div', { class: 'tablet' },
+      links.qr && h('img', { src: '/operator.svg', alt: 'QR code of the operator’s page', width: '180', height: '180' }),
+      h('p', {}, h('a', { href: links.operator, target: '_blank', rel: 'noopener' }, links.operator.replace(/\?.*/, '')),
+        h('br'), h('span', { class: 'soft' }, links.qr ? 'Scan it with the tablet. This link opens the questionnaires only.'
+          : 'Only this machine reaches it; start with --host 0.0.0.0 for a tablet.'))),
+  ];
+}
+
+function seconds(value) {
+  return value >= 60 && value % 60 === 0 ? `${value / 60} min` : `${value} s`;
+}

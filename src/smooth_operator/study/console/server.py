@@ -1,0 +1,333 @@
+"""Both pages and their WebSockets on one port.
+
+From a page come ``{"type": "hello", "operator": ...}`` and ``{"type": "command", ...}``
+(:mod:`.commands`). To it go ``state`` (all that it shows, anew after each change), ``done`` and
+``refused`` (by the command's token; ``again`` if the same may succeed later) and, once a second,
+``alive``, whose silence tells the page that it is cut off. A command is answered with ``done`` only
+when it is on the disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http
+import json
+import logging
+import socket
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
+
+from smooth_operator.errors import MissingExtraError, SmoothOperatorError
+from smooth_operator.study.console.commands import Role, command_of
+from smooth_operator.study.console.desk import Desk, StoreFailedError
+from smooth_operator.study.console.gate import HOME, LINK, Gate, qr_code
+from smooth_operator.web.files import answer_with, page_files
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+_TICK_S: Final = 0.2
+_ALIVE_S: Final = 1.0
+_LOOK_S: Final = 1.5
+"""How often the store is asked whether somebody else wrote to it, and the teleoperation."""
+_LOOK_CLOSER_S: Final = 0.4
+"""The same while a trial runs in simulation."""
+_TROUBLE_S: Final = 10.0
+"""How long a failure of the store is shown that did not come again."""
+_LARGEST: Final = 256 * 1024
+_MOST_PAGES: Final = 64
+
+_LOGGER: Final = logging.getLogger("smooth_operator.study.console")
+_LOGGER.addHandler(logging.NullHandler())
+
+
+@dataclass(eq=False)
+class _Page:
+    """A page that is connected, and what it has not been told yet."""
+
+    connection: ServerConnection
+    role: Role
+    answers: list[dict[str, Any]] = field(default_factory=list)
+    state_seen: int = -1
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Console:
+    """Serves a desk.
+
+    Args:
+        desk: what commands are carried out by; tell it :meth:`changed`.
+        gate: who may open what.
+        links: role -> address of its page.
+        local: whether only this machine reaches the pages.
+    """
+
+    def __init__(self, desk: Desk, gate: Gate, links: dict[Role, str], *, local: bool) -> None:
+        self._desk = desk
+        self._gate = gate
+        self._links = links
+        self._local = local
+        self._pages: set[_Page] = set()
+        self._version = 0
+        self._states: dict[Role, dict[str, Any]] = {}
+        self._troubles: dict[str, tuple[str, float]] = {}
+        self._stale = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._threads = ThreadPoolExecutor(8, "study-console")
+
+    def changed(self) -> None:
+        """What the pages show is old. From any thread."""
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._stale.set)
+
+    async def serve(
+        self, listening: socket.socket, stop: asyncio.Event, ready: Callable[[], None]
+    ) -> None:
+        """Serves until it is to stop.
+
+        Args:
+            listening: the socket.
+            stop: set it to end.
+            ready: called once pages are answered.
+        """
+        from websockets.asyncio.server import serve
+
+        self._loop = asyncio.get_running_loop()
+        site = page_files(__package__)
+        site["/icon.svg"] = page_files("smooth_operator.sources.webxr")["/icon.svg"]
+        site |= {HOME["experimenter"]: site["/experimenter.html"],
+                 HOME["operator"]: site["/operator.html"]}  # fmt: skip
+        if not self._local:
+            site["/operator.svg"] = (qr_code(self._links["operator"]), "image/svg+xml")
+        await self._draw()
+        jobs = [asyncio.create_task(job()) for job in (self._tick, self._look, self._redraw)]
+        try:
+            async with serve(
+                self._talk,
+                sock=listening,
+                process_request=self._answering(site),
+                server_header=None,
+                compression="deflate",
+                max_size=_LARGEST,
+                open_timeout=10.0,
+                close_timeout=1.0,
+                ping_interval=10.0,
+                ping_timeout=30.0,
+                logger=_LOGGER,
+            ):
+                ready()
+                await stop.wait()
+        finally:
+            for job in jobs:
+                job.cancel()
+            await asyncio.gather(*jobs, return_exceptions=True)
+            self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def _answering(self, site: dict[str, tuple[bytes, str]]) -> Callable[..., Any]:
+        def answer(connection: ServerConnection, request: Request) -> Response | None:
+            if (refusal := self._gate.refusal(connection, request)) is not None:
+                return refusal
+            path = urlsplit(request.path).path
+            if path in LINK.values():
+                if len(self._pages) >= _MOST_PAGES:
+                    return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "too many\n")
+                return None
+            if path not in site:
+                return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
+            return answer_with(connection, *site[path], links="ws: wss:")
+
+        return answer
+
+    # One page.
+
+    async def _talk(self, connection: ServerConnection) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        request = connection.request
+        path = urlsplit(request.path).path if request is not None else ""
+        page = _Page(connection, "operator" if path == LINK["operator"] else "experimenter")
+        self._pages.add(page)
+        self._count_pages()
+        page.news.set()
+        telling = asyncio.create_task(self._tell(page))
+        try:
+            async for message in connection:
+                self._hear(page, message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._pages.discard(page)
+            self._count_pages()
+            telling.cancel()
+            await asyncio.gather(telling, return_exceptions=True)
+
+    def _hear(self, page: _Page, message: str | bytes) -> None:
+        said = _object(message)
+        if said.get("type") == "hello":
+            operator = said.get("operator")
+            if page.role == "experimenter" and isinstance(operator, str):
+                self._in_thread(self._propose, operator)
+        elif said.get("type") == "command":
+            asyncio.create_task(self._command(page, said))  # noqa: RUF006  (answers by itself)
+
+    async def _command(self, page: _Page, said: dict[str, Any]) -> None:
+        answer: dict[str, Any] = {"type": "done", "token": said.get("token")}
+        try:
+            command = command_of(said, page.role)
+            answer["number"] = await self._in_thread(self._desk.carry_out, command, page.role)
+            self._note_trouble("command", None)
+        except SmoothOperatorError as error:
+            again = isinstance(error, StoreFailedError)
+            if again:
+                self._note_trouble("command", error)
+            answer |= {"type": "refused", "error": str(error), "again": again}
+        except Exception as error:
+            _LOGGER.exception("a command failed")
+            text = f"not done, by a fault of this program: {type(error).__name__}: {error}"
+            answer |= {"type": "refused", "error": text, "again": False}
+        await self._draw()  # so that "done" comes with the state after it
+        page.answers.append(answer)
+        page.news.set()
+
+    async def _tell(self, page: _Page) -> None:
+        """Sends what is new; a slow page gets the newest state, not all of them."""
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(page.news.wait(), _ALIVE_S)
+                quiet = not page.news.is_set()
+                page.news.clear()
+                if quiet:
+                    await self._send(page, {"type": "alive"})
+                if page.state_seen != self._version:
+                    page.state_seen = self._version
+                    await self._send(page, {"type": "state", **self._states[page.role]})
+                while page.answers:
+                    await self._send(page, page.answers[0])
+                    page.answers.pop(0)
+
+    async def _send(self, page: _Page, what: dict[str, Any]) -> None:
+        await page.connection.send(json.dumps({**what, "sent": 1e3 * time.time()}))
+
+    # All pages.
+
+    async def _draw(self) -> None:
+        """Makes the states anew, and has those pages told that show something else."""
+        self._stale.clear()
+        try:
+            experimenter, operator = await self._in_thread(self._desk.look)
+            self._note_trouble("look", None)
+        except SmoothOperatorError as error:
+            self._note_trouble("look", error)
+            experimenter = self._states.get("experimenter", {})
+            operator = self._states.get("operator", {"what": "wait"})
+        experimenter = {**experimenter, "trouble": self._trouble(), "pages": self._counts()}
+        experimenter["links"] = {
+            "operator": self._links["operator"],
+            "qr": not self._local,
+        }
+        states: dict[Role, dict[str, Any]] = {
+            "experimenter": experimenter,
+            "operator": {**operator, "trouble": bool(self._trouble())},
+        }
+        if states != self._states:
+            self._states = states
+            self._version += 1
+            for page in self._pages:
+                page.news.set()
+
+    def _counts(self) -> dict[str, int]:
+        return {role: sum(page.role == role for page in self._pages) for role in HOME}
+
+    def _count_pages(self) -> None:
+        self._stale.set()
+
+    async def _redraw(self) -> None:
+        while True:
+            await self._stale.wait()
+            await self._draw()
+            await asyncio.sleep(0.02)
+
+    async def _tick(self) -> None:
+        while True:
+            await self._regularly(self._desk.tick)
+            await asyncio.sleep(_TICK_S)
+
+    async def _look(self) -> None:
+        marks: object = None
+        while True:
+            await self._regularly(self._desk.watch)
+            marks_now = await self._regularly(self._desk.marks)
+            if marks_now != marks or self._troubles:
+                marks = marks_now
+                self._stale.set()
+            hand = self._states.get("experimenter", {}).get("teleop") or {}
+            await asyncio.sleep(_LOOK_S if hand.get("trial") is None else _LOOK_CLOSER_S)
+
+    async def _regularly(self, job: Callable[[], object]) -> object:
+        """A job that is done again and again; the store's failing is told on the pages."""
+        try:
+            result = await self._in_thread(job)
+            self._note_trouble(job.__name__, None)
+        except SmoothOperatorError as error:
+            if isinstance(error, StoreFailedError):
+                self._note_trouble(job.__name__, error)
+            return None
+        except Exception:
+            _LOGGER.exception("a regular job failed")
+            return None
+        if result is True:
+            self._stale.set()
+        return result
+
+    def _note_trouble(self, where: str, error: Exception | None) -> None:
+        before = self._trouble()
+        if error is None:
+            self._troubles.pop(where, None)
+        else:
+            self._troubles[where] = (str(error), time.monotonic())
+        if self._trouble() != before:
+            self._stale.set()
+
+    def _trouble(self) -> str:
+        """What is wrong with the store; a page tries its command again, or gave it up."""
+        since = time.monotonic() - _TROUBLE_S
+        return next((text for text, at in self._troubles.values() if at > since), "")
+
+    def _propose(self, operator: str) -> None:
+        with contextlib.suppress(SmoothOperatorError):
+            self._desk.propose(operator)
+
+    def _in_thread(self, job: Callable[..., Any], *given: Any) -> asyncio.Future[Any]:
+        return asyncio.get_running_loop().run_in_executor(self._threads, job, *given)
+
+
+def _object(message: str | bytes) -> dict[str, Any]:
+    """A JSON object; an empty one if it is none."""
+    try:
+        said = json.loads(message)
+    except (ValueError, RecursionError):
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def check_installed() -> None:
+    """Refuses where something is missing that the console needs.
+
+    Raises:
+        MissingExtraError: says what to install.
+    """
+    try:
+        import segno  # noqa: F401
+        import sqlalchemy  # noqa: F401
+        import websockets.asyncio.server  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("the console of a study", "study") from error

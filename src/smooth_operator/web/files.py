@@ -1,0 +1,68 @@
+"""The files of a page that ship in a package, and how they are answered with."""
+
+from __future__ import annotations
+
+import http
+from collections.abc import Mapping
+from importlib import resources
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Response
+
+_TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_HEADERS: Final = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
+    """Path -> (content, type) of all files of a page.
+
+    Args:
+        package: dotted name of the package that ships them.
+        folder: in the package.
+    """
+    return {
+        f"/{file.name}": (file.read_bytes(), _TYPES[f".{file.name.rsplit('.')[-1]}"])
+        for file in (resources.files(package) / folder).iterdir()
+        if f".{file.name.rsplit('.')[-1]}" in _TYPES
+    }
+
+
+def answer_with(
+    connection: ServerConnection,
+    body: bytes,
+    kind: str,
+    *,
+    links: str = "wss:",
+    more: Mapping[str, str] | None = None,
+) -> Response:
+    """A file, under a policy that lets the page load nothing from elsewhere.
+
+    Args:
+        connection: that asked.
+        body: of the answer.
+        kind: its type.
+        links: schemes of WebSockets, since older Safaris don't count them as ``'self'``.
+        more: further headers.
+    """
+    response = connection.respond(http.HTTPStatus.OK, "")
+    response.body = body
+    for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
+        del response.headers[name]
+        response.headers[name] = value
+    policy = (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        f"connect-src 'self' {links}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+    response.headers.update({**_HEADERS, "Content-Security-Policy": policy, **(more or {})})
+    return response

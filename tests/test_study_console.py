@@ -1,0 +1,725 @@
+"""The console of a study without a browser: what was acknowledged is stored, and stored once."""
+
+from __future__ import annotations
+
+import http
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import postgres_server
+import pytest
+from study_console import (
+    ConsoleProcess,
+    Tab,
+    command,
+    console_plan,
+    due_command,
+    eventually,
+    fetch,
+    ratings,
+    served,
+)
+
+from smooth_operator.cli import main
+from smooth_operator.errors import RemoteError, RemoteRefusedError, StudyError, UnknownNameError
+from smooth_operator.study.console.commands import command_of
+from smooth_operator.study.console.desk import Desk, StoreFailedError
+from smooth_operator.study.console.gate import Gate, gate_for, qr_code
+from smooth_operator.study.console.hand import HIDDEN
+from smooth_operator.study.design.plan import Plan
+from smooth_operator.study.design.plan_file import read_plan
+from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.store.events import Noted, TrialScored
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import StudyStore
+
+pytest.importorskip("segno", reason="the extra study is not installed")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[StudyStore]:
+    with open_study(tmp_path, console_plan()) as made:
+        yield made
+
+
+def walk(desk: Desk, store: StudyStore, until: str, operator: str = "P01") -> None:
+    """Commands until a step is due."""
+    for _ in range(200):
+        progress = store.progress(operator)
+        if progress.step.what == until:
+            return
+        asked = due_command(progress)
+        assert asked is not None
+        desk.carry_out(asked, "operator" if asked.do in ("answer", "weigh") else "experimenter")
+    raise AssertionError("no end")
+
+
+def kinds(store: StudyStore, operator: str = "P01") -> list[str]:
+    return [record.event.kind for record in store.records(operator)]
+
+
+# -- commands ---------------------------------------------------------------------------------
+
+
+def test_every_command_that_is_sent_twice_is_done_once(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    sent = []
+    while (asked := due_command(store.progress("P01"))) is not None:
+        numbers = {desk.carry_out(asked, "experimenter") for _ in range(2)}
+        assert len(numbers) == 1
+        sent.append(asked)
+    for asked in sent:  # long after, from a page that was asleep
+        desk.carry_out(asked, "experimenter")
+    counted = Counter(kinds(store))
+    assert counted["trial_scored"] == counted["trial_started"] == 6
+    assert counted["questionnaire_answered"] == 6
+    assert len(store.records("P01")) == len(sent)
+    assert store.progress("P01").step.what == "done"
+
+
+def test_a_token_of_another_command_is_refused(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    first = command(store.progress("P01"), "calibrated")
+    desk.carry_out(first, "experimenter")
+    thief = command(store.progress("P01"), "start_block", token=first.token)
+    with pytest.raises(StudyError, match="belongs to another"):
+        desk.carry_out(thief, "experimenter")
+    assert kinds(store) == ["calibrated"]
+
+
+def test_what_two_tabs_do_at_once_is_done_once_and_told(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    walk(desk, store, "start_trial")
+    before = store.progress("P01")
+    one, other = command(before, "start_trial"), command(before, "start_trial")
+    desk.carry_out(one, "experimenter")
+    with pytest.raises(StudyError, match=r"another page.*trial started"):
+        desk.carry_out(other, "experimenter")
+    during = store.progress("P01")
+    desk.carry_out(command(during, "score", line="done"), "experimenter")
+    with pytest.raises(StudyError, match="another page"):
+        desk.carry_out(command(during, "score", line="failed"), "experimenter")
+    assert store.progress("P01").trials[-1].line == "done"
+
+
+def test_two_tabs_that_reset_at_once_reset_once(tmp_path: Path) -> None:
+    with open_study(tmp_path, console_plan(resets=2)) as store:
+        desk = Desk(store, operator="P01")
+        walk(desk, store, "trial")
+        seen = store.progress("P01")
+        desk.carry_out(command(seen, "reset"), "experimenter")
+        with pytest.raises(StudyError, match="another page"):
+            desk.carry_out(command(seen, "reset"), "experimenter")
+        running = store.progress("P01").running
+        assert running is not None
+        assert running.resets == 1
+
+
+def test_a_note_never_stands_in_the_way(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    seen = store.progress("P01")
+    desk.carry_out(command(seen, "note", text="left hand is cold"), "experimenter")
+    desk.carry_out(command(seen, "calibrated"), "experimenter")
+    desk.carry_out(command(seen, "note", text="warm now"), "experimenter")
+    assert kinds(store) == ["noted", "calibrated", "noted"]
+
+
+def test_a_command_for_somebody_who_is_not_on_is_refused(store: StudyStore) -> None:
+    desk = Desk(store, operator="P02")
+    with pytest.raises(StudyError, match="for operator P01, but operator P02 is on"):
+        desk.carry_out(command(store.progress("P01"), "calibrated"), "experimenter")
+    assert kinds(store) == []
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ({"do": "note"}, "token"),
+        ({"token": "x" * 7, "do": "note"}, "token"),
+        ({"token": "x" * 16, "do": "drop tables"}, "no such command"),
+        ({"token": "x" * 16, "do": "note", "fields": []}, "fields"),
+        ({"token": "x" * 16, "do": "note", "after": True}, "after"),
+        ({"token": "x" * 16, "do": "note", "waited_s": -1}, "waited_s"),
+        ({"token": "x" * 16, "do": "note", "waited_s": float("nan")}, "waited_s"),
+    ],
+)
+def test_what_is_no_command_is_refused(said: dict[str, Any], why: str) -> None:
+    with pytest.raises(StudyError, match=why):
+        command_of(said, "experimenter")
+
+
+def test_the_operators_page_answers_and_nothing_else(store: StudyStore) -> None:
+    for do in ("start_trial", "undo", "choose", "note"):
+        with pytest.raises(StudyError, match="may not"):
+            command_of({"token": "x" * 16, "do": do, "operator": "P01"}, "operator")
+    desk = Desk(store, operator="P01")
+    walk(desk, store, "questionnaire")
+    answer = command(store.progress("P01"), "answer", ratings=ratings(1))
+    desk.carry_out(answer, "operator")
+    assert store.records("P01")[-1].author == "operator"
+
+
+# -- time -------------------------------------------------------------------------------------
+
+
+def test_a_trial_ends_when_its_clock_was_stopped(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    walk(desk, store, "trial")
+    started = store.progress("P01").step.since
+    assert started is not None
+    late = command(store.progress("P01"), "score", line="done", waited_s=3600.0)
+    desk.carry_out(late, "experimenter")  # longer than the trial: a clock was set
+    assert store.progress("P01").trials[-1].time_s == 0.0
+    walk(desk, store, "trial")
+    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    trial, record = store.progress("P01").trials[-1], store.records("P01")[-1]
+    assert trial.time_s == pytest.approx((record.at - trial.started).total_seconds(), abs=0.5)
+
+
+def test_a_score_that_is_undone_keeps_its_time(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    walk(desk, store, "trial")
+    desk.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
+    first = store.records("P01")[-1]
+    assert isinstance(first.event, TrialScored)
+    undo = command(store.progress("P01"), "undo", number=first.number, reason="wrong key")
+    desk.carry_out(undo, "experimenter")
+    desk.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
+    again = store.records("P01")[-1].event
+    assert isinstance(again, TrialScored)
+    assert (again.time_s, again.score) == (first.event.time_s, 0.5)
+    log = desk.look()[0]["log"]
+    assert [entry["undone"] for entry in log[:3]] == [False, False, True]
+    assert "wrong key" in log[1]["text"]
+
+
+def test_after_a_reset_lines_above_the_cap_are_off(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    walk(desk, store, "trial")
+    assert [line["possible"] for line in desk.look()[0]["now"]["rubric"]] == [True] * 3
+    desk.carry_out(command(store.progress("P01"), "reset"), "experimenter")
+    now = desk.look()[0]["now"]
+    assert [line["possible"] for line in now["rubric"]] == [False, True, True]
+    assert now["resets_left"] == 0
+
+
+def test_free_movement_ends_by_itself_and_once(tmp_path: Path) -> None:
+    with open_study(tmp_path, console_plan(seconds=0.3)) as store:
+        desk = Desk(store, operator="P01")
+        walk(desk, store, "familiarise")
+        assert eventually(desk.tick, "the end of free movement")
+        with open_study(tmp_path) as other:  # as after a restart
+            assert not Desk(other, operator="P01").tick()
+        last = store.records("P01")[-1]
+        assert (last.event.kind, last.author) == ("familiarisation_ended", "system")
+        undo = command(store.progress("P01"), "undo", number=last.number)
+        desk.carry_out(undo, "experimenter")
+        assert not desk.tick()  # whoever undoes it wants it to go on
+        assert store.progress("P01").step.what == "familiarise"
+
+
+# -- who is on --------------------------------------------------------------------------------
+
+
+def test_a_restarted_console_is_on_whoever_was(store: StudyStore) -> None:
+    assert Desk(store).operator is None
+    walk(Desk(store, operator="P01"), store, "trial")
+    walk(Desk(store, operator="P02"), store, "start_block", "P02")
+    desk = Desk(store)
+    assert desk.operator == "P02"
+    desk.propose("P01")  # a page that was on P01 comes back
+    desk.propose("P02")  # and one that was left open, later
+    assert desk.operator == "P01"
+    with pytest.raises(UnknownNameError):
+        Desk(store, operator="P99")
+
+
+def test_enrolling_on_the_page_is_stored_and_kept(store: StudyStore) -> None:
+    plans: list[Plan] = []
+    desk = Desk(store, operator="P01", enrolled=plans.append)
+    enrol = command_of(
+        {"token": "x" * 16, "do": "enrol", "operator": "P03", "fields": {"tasks": ["card"]}},
+        "experimenter",
+    )
+    desk.carry_out(enrol, "experimenter")
+    desk.carry_out(enrol, "experimenter")
+    assert store.plan.codes == ("P01", "P02", "P03")
+    assert [plan.codes for plan in plans] == [("P01", "P02", "P03")]
+    assert desk.operator == "P03"
+
+
+# -- the teleoperation ------------------------------------------------------------------------
+
+
+class FakeTeleop:
+    """Answers as ``teleop --control`` does."""
+
+    def __init__(self) -> None:
+        self.method, self.preset = "sbr", "paper"
+        self.asked: list[tuple[str, Mapping[str, Any]]] = []
+        self.gone = self.refusing = False
+
+    def request(self, do: str, **fields: Any) -> dict[str, Any]:
+        self.asked.append((do, fields))
+        if self.gone:
+            raise RemoteError("nobody answers")
+        if do == "method":
+            if self.refusing:
+                raise RemoteRefusedError("dexpilot needs four fingers")
+            self.method, self.preset = fields["method"], fields.get("preset", "default")
+        return {"ok": True, "method": self.method, "preset": self.preset, "modes": {}}
+
+    @property
+    def switched(self) -> list[Mapping[str, Any]]:
+        return [fields for do, fields in self.asked if do == "method"]
+
+
+def test_each_block_switches_the_hand(store: StudyStore) -> None:
+    teleop = FakeTeleop()
+    desk = Desk(store, operator="P01", teleop=teleop)
+    walk(desk, store, "done")
+    blocks = store.plan.blocks("P01")
+    known = {"sbr": {"method": "sbr", "preset": "realtime"}, "dexpilot": {"method": "dexpilot"}}
+    assert teleop.switched == [known[block.condition.method] for block in blocks]
+
+
+def test_no_block_starts_on_a_hand_that_was_not_switched(store: StudyStore) -> None:
+    teleop, told = FakeTeleop(), []
+    desk = Desk(store, operator="P01", teleop=teleop, blind=True, tell=told.append)
+    walk(desk, store, "start_block")
+    teleop.refusing = True
+    start = command(store.progress("P01"), "start_block")
+    with pytest.raises(StudyError, match=HIDDEN):
+        desk.carry_out(start, "experimenter")
+    assert kinds(store) == ["calibrated"]
+    assert told == ["the teleoperation: dexpilot needs four fingers"]
+    assert desk.look()[0]["teleop"]["state"] == "refused"
+    assert "dexpilot" not in json.dumps(desk.look())
+    teleop.refusing = False
+    desk.carry_out(start, "experimenter")
+    assert kinds(store) == ["calibrated", "block_started"]
+    assert desk.look()[0]["teleop"]["state"] == "ready"
+
+
+def test_a_hand_that_was_started_again_is_put_back_on_its_method(store: StudyStore) -> None:
+    teleop = FakeTeleop()
+    desk = Desk(store, operator="P01", teleop=teleop)
+    walk(desk, store, "trial")
+    block = store.progress("P01").begun
+    assert block is not None
+    teleop.gone = True
+    desk.watch()
+    assert desk.look()[0]["teleop"]["state"] == "gone"
+    assert kinds(store)[-1] == "trial_started"
+    teleop.gone, teleop.method, teleop.preset = False, "geort", "default"
+    desk.watch()
+    assert teleop.method == block.condition.method
+    note = store.records("P01")[-1]
+    assert isinstance(note.event, Noted)
+    assert note.author == "system"
+    count = len(teleop.switched)
+    desk.watch()
+    assert len(teleop.switched) == count  # it runs what it should
+    Desk(store, teleop=teleop).watch()  # a console that was killed does not know its preset
+    assert teleop.method == block.condition.method
+
+
+def test_no_trial_starts_while_the_hand_is_gone(store: StudyStore) -> None:
+    teleop = FakeTeleop()
+    desk = Desk(store, operator="P01", teleop=teleop)
+    walk(desk, store, "start_trial")
+    teleop.gone = True
+    with pytest.raises(StudyError, match=r"the trial does not start: .*nobody answers"):
+        desk.carry_out(command(store.progress("P01"), "start_trial"), "experimenter")
+    assert store.progress("P01").step.what == "start_trial"
+
+
+def test_a_calibration_is_loaded_and_loaded_again(store: StudyStore, tmp_path: Path) -> None:
+    class Calibrated(FakeTeleop):
+        source = None
+
+        def request(self, do: str, **fields: Any) -> dict[str, Any]:
+            if do == "calibration" and not Path(fields["path"]).is_file():
+                self.asked.append((do, fields))
+                raise RemoteRefusedError("no such file")
+            self.source = fields["path"] if do == "calibration" else self.source
+            return {**super().request(do, **fields), "operators": {"right": self.source}}
+
+    teleop = Calibrated()
+    desk = Desk(store, operator="P01", teleop=teleop)
+    missing = command(store.progress("P01"), "calibrated", detail="nobody.json")
+    with pytest.raises(StudyError, match="not loaded into the hand: no such file"):
+        desk.carry_out(missing, "experimenter")
+    assert kinds(store) == []
+    file = tmp_path / "P01.json"
+    file.touch()
+    desk.carry_out(command(store.progress("P01"), "calibrated", detail=str(file)), "experimenter")
+    walk(desk, store, "trial")
+    assert [do for do, _ in teleop.asked].count("calibration") == 2  # one of them in vain
+    teleop.method, teleop.source = "geort", None  # it was started again
+    desk.watch()
+    assert teleop.source == str(file)
+
+
+class FakeSimulation(FakeTeleop):
+    """With a task: what ``live.orders`` answers, as far as the console reads it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.task = "cube"
+        self.trial: dict[str, Any] = {"phase": "ready", "line": "not-done", "score": 0.0,
+                                      "reason": "", "resets": 0, "time_s": None}  # fmt: skip
+
+    def request(self, do: str, **fields: Any) -> dict[str, Any]:
+        answer = super().request(do, **fields)
+        if do == "task":
+            self.task = fields["task"]
+        if do == "reset":
+            self.trial["resets"] += 1
+        if fields.get("begin"):
+            assert self.trial["phase"] != "running", "a trial is running"
+            self.trial |= {"phase": "running", "resets": 0, "time_s": None}
+        if fields.get("cancel"):
+            self.trial["phase"] = "ready"
+        if fields.get("finish"):
+            self.done("not-done", 0.0, 30.0)
+        return {**answer, **(self.trial if do in ("trial", "reset") else {}),
+                "task": self.task, "trial": dict(self.trial)}  # fmt: skip
+
+    def done(self, line: str, score: float, seconds: float) -> None:
+        self.trial |= {"phase": "done", "line": line, "score": score, "time_s": seconds}
+
+
+def test_trials_of_a_simulation_go_with_those_of_the_protocol(store: StudyStore) -> None:
+    simulation = FakeSimulation()
+    desk = Desk(store, operator="P01", teleop=simulation, blind=True)
+
+    def proposed() -> dict[str, Any]:
+        desk.watch()
+        proposal: dict[str, Any] = desk.look()[0]["teleop"]["trial"]
+        return proposal
+
+    walk(desk, store, "start_trial")
+    assert simulation.task == "card"  # the scene of the block's task
+    walk(desk, store, "trial")
+    assert proposed()["phase"] == "running"
+    about = next(fields["about"] for do, fields in simulation.asked if fields.get("begin"))
+    assert (about["operator"], about["trial"]) == ("P01", 1)
+    desk.carry_out(command(store.progress("P01"), "reset"), "experimenter")
+    simulation.done("done-after-reset", 0.5, 12.25)
+    assert (proposed()["score"], proposed()["time_s"]) == (0.5, 12.25)
+    desk.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
+    assert store.progress("P01").trials[-1].time_s == 12.25  # by the scene's clock
+    walk(desk, store, "trial")
+    void = command(store.progress("P01"), "void", reason="tracker lost")
+    desk.carry_out(void, "experimenter")
+    assert simulation.trial["phase"] == "ready"
+    walk(desk, store, "trial")
+    first = desk.look()[0]["now"]["undoable"]["number"]
+    desk.carry_out(command(store.progress("P01"), "undo", number=first), "experimenter")
+    walk(desk, store, "trial")  # that of the simulation still ran
+    desk.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
+    assert simulation.trial["phase"] == "done"  # the experimenter has the last word
+    assert store.progress("P01").trials[-1].time_s != 30.0
+
+
+def test_a_simulated_trial_is_not_taken_for_another(store: StudyStore) -> None:
+    simulation = FakeSimulation()
+    walk(Desk(store, operator="P01"), store, "trial")  # the console had no teleoperation then
+    simulation.task = "card"
+    simulation.done("done", 1.0, 3.0)
+    desk = Desk(store, operator="P01", teleop=simulation)
+    desk.watch()
+    assert desk.look()[0]["teleop"]["trial"] is None
+    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    assert store.progress("P01").trials[-1].time_s != 3.0
+
+
+# -- what is shown ----------------------------------------------------------------------------
+
+
+def test_no_page_that_is_blind_knows_a_condition(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01", blind=True, teleop=FakeTeleop())
+    for _ in range(100):
+        experimenter, operator = (json.dumps(view) for view in desk.look())
+        assert not re.search("secret|sbr|dexpilot|realtime", experimenter + operator)
+        labels = [c.label for c in store.plan.protocol.conditions]
+        assert not any(label in operator for label in labels)
+        asked = due_command(store.progress("P01"))
+        if asked is None:
+            break
+        desk.carry_out(asked, "experimenter")
+    assert store.progress("P01").step.what == "done"
+    assert "secret" in json.dumps(Desk(store, operator="P01").look()[0])
+    assert "secret" not in json.dumps(Desk(store, operator="P01").look()[1])
+
+
+def test_the_pages_need_nothing_from_elsewhere() -> None:
+    folder = resources.files("smooth_operator.study.console") / "page"
+    texts = {f.name: f.read_text("utf-8") for f in folder.iterdir()}
+    for name, text in texts.items():
+        assert not re.findall(r"https?://|//[a-z]+\.|@import|innerHTML|eval\(", text), name
+        assert len(text.splitlines()) <= 400, name
+    for name in ("experimenter.html", "operator.html"):
+        assert not re.findall(
+            r"<script(?! type=\"module\" src=)|<style|style=|onclick=", texts[name]
+        )
+
+
+# -- the store fails --------------------------------------------------------------------------
+
+
+def full(store: StudyStore, pages: int) -> None:
+    """As a disk that has no room left, for every connection of this process."""
+    from sqlalchemy import event
+
+    def limit(connection: Any, *_: Any) -> None:
+        connection.execute(f"PRAGMA max_page_count={pages}")
+
+    event.listen(store._engine, "connect", limit)
+    store._engine.dispose()
+
+
+def test_on_a_full_disk_nothing_is_acknowledged(store: StudyStore) -> None:
+    desk = Desk(store, operator="P01")
+    walk(desk, store, "trial")
+    full(store, 1)
+    note = command(store.progress("P01"), "note", text="long " * 3000)
+    with pytest.raises(StoreFailedError, match="full"):
+        desk.carry_out(note, "experimenter")
+    assert "noted" not in kinds(store)
+    full(store, 10_000)
+    assert desk.carry_out(note, "experimenter") == len(store.records("P01"))
+    assert kinds(store).count("noted") == 1
+
+
+def test_a_database_that_is_gone_is_told(store: StudyStore, tmp_path: Path) -> None:
+    desk = Desk(store, operator="P01")
+    asked = command(store.progress("P01"), "calibrated")
+    (tmp_path / "study.db").rename(tmp_path / "elsewhere.db")
+    with pytest.raises(StoreFailedError):
+        desk.carry_out(asked, "experimenter")
+    (tmp_path / "study.db").write_bytes((tmp_path / "elsewhere.db").read_bytes())
+    with pytest.raises(StoreFailedError, match="replaced"):  # SQLite would not notice
+        desk.carry_out(asked, "experimenter")
+    with pytest.raises(StoreFailedError):
+        desk.look()
+
+
+def test_pages_say_that_the_store_fails_and_come_back(store: StudyStore, tmp_path: Path) -> None:
+    desk = Desk(store, operator="P01")
+    with served(desk) as port:
+        tab = Tab(port)
+        tab.until(lambda s: s["now"])
+        asked = command(store.progress("P01"), "calibrated")
+        away = tmp_path / "elsewhere.db"
+        (tmp_path / "study.db").rename(away)
+        answer = tab.ask(asked)
+        assert (answer["type"], answer["again"]) == ("refused", True)
+        assert tab.until(lambda s: s["trouble"])["now"]["what"] == "calibrate"
+        away.rename(tmp_path / "study.db")
+        assert tab.ask(asked)["type"] == "done"
+        tab.until(lambda s: not s["trouble"] and s["now"]["what"] == "start_block")
+        tab.close()
+    assert kinds(store) == ["calibrated"]
+
+
+def test_postgresql_in_the_place_of_the_file_and_gone(tmp_path: Path) -> None:
+    if (reason := postgres_server.missing()) is not None:
+        pytest.skip(reason)
+    folder = tmp_path / "study"
+    folder.mkdir()
+    write_plan_files(console_plan(), folder)
+    with postgres_server.server() as url:
+        console = ConsoleProcess(folder, "--operator", "P01", "--store", url)
+        console.start()
+        try:
+            tab = Tab(console.port)
+            tab.until(lambda s: s["now"]["what"] == "calibrate")
+            with open_study(url) as store:
+                calibrate = command(store.progress("P01"), "calibrated")
+                assert tab.ask(calibrate)["type"] == "done"
+                start = command(store.progress("P01"), "start_block")
+                assert kinds(store) == ["calibrated"]
+                assert not (folder / "study.db").exists()
+        except BaseException:
+            console.kill()
+            raise
+    answer = tab.ask(start)
+    assert (answer["type"], answer["again"]) == ("refused", True)
+    tab.until(lambda s: s["trouble"])
+    assert console.end() == 0
+
+
+# -- the server -------------------------------------------------------------------------------
+
+
+def test_two_tabs_and_a_tablet_see_what_happens(store: StudyStore) -> None:
+    with served(Desk(store, operator="P01")) as port:
+        one, other, tablet = Tab(port), Tab(port), Tab(port, "operator")
+        one.until(lambda s: s["pages"] == {"experimenter": 2, "operator": 1})
+        other.until(lambda s: s["now"])
+        while (asked := due_command(store.progress("P01"))).do != "answer":
+            assert one.ask(asked)["type"] == "done"
+            # With "done" comes the state after it: a page never shows less than it was told.
+            assert one.state["now"]["after"] == store.progress("P01").number
+        tablet.until(lambda s: s["what"] == "questionnaire")
+        refused = tablet.ask(command(store.progress("P01"), "undo", number=1))
+        assert "may not" in refused["error"]
+        assert tablet.ask(asked)["type"] == "done"
+        other.until(lambda s: s["now"]["what"] == "start_trial")
+        stale = command(store.progress("P01"), "start_trial", after=1)
+        assert "another page" in other.ask(stale)["error"]
+        one.close()
+        again = Tab(port)
+        assert again.ask(asked)["type"] == "done"  # whose answer got lost
+        assert kinds(store).count("questionnaire_answered") == 1
+        for tab in (other, tablet, again):
+            tab.close()
+
+
+def test_what_another_program_writes_is_shown(store: StudyStore, tmp_path: Path) -> None:
+    with served(Desk(store, operator="P01")) as port:
+        tab = Tab(port)
+        tab.until(lambda s: s["now"]["what"] == "calibrate")
+        with open_study(tmp_path) as other:
+            walk(Desk(other, operator="P01"), other, "start_block")
+        tab.until(lambda s: s["now"]["what"] == "start_block")
+        tab.close()
+
+
+def test_nonsense_on_the_socket_does_no_harm(store: StudyStore) -> None:
+    with served(Desk(store, operator="P01")) as port:
+        tab = Tab(port)
+        for text in ("", "[]", "{", "[" * 100_000, json.dumps({"type": "hello", "operator": 5})):
+            tab.socket.send(text)
+        tab.socket.send(b"\0\1")
+        tab.socket.send(json.dumps({"type": "command", "token": "x" * 16, "do": ["note"]}))
+        while (said := tab.hear())["type"] != "refused":
+            pass
+        assert "no such command" in said["error"]
+        assert tab.ask(command(store.progress("P01"), "calibrated"))["type"] == "done"
+        tab.close()
+
+
+def upgrade(**more: str) -> dict[str, str]:
+    key = "dGhlIHNhbXBsZSBub25jZQ=="
+    return {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Key": key,
+            "Sec-WebSocket-Version": "13", **more}  # fmt: skip
+
+
+def test_the_operators_link_opens_the_operators_page_alone(
+    store: StudyStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path / "cache"))
+    gate = gate_for("0.0.0.0", "console")
+    assert gate.tokens is not None
+    assert gate.tokens == gate_for("0.0.0.0", "console").tokens  # after a restart, too
+    assert gate.tokens != gate_for("0.0.0.0", "another").tokens
+    tokens = gate.tokens
+    assert len(set(tokens.values())) == 2
+    assert min(map(len, tokens.values())) >= 24
+    ok, see, no = http.HTTPStatus.OK, http.HTTPStatus.SEE_OTHER, http.HTTPStatus.UNAUTHORIZED
+    with served(Desk(store, operator="P01"), gate) as port:
+
+        def status(path: str, **headers: str) -> int:
+            return fetch(port, path, **headers)[0]
+
+        for path in ("/", "/operator", "/experimenter.js", "/operator.svg", "/?token=guess"):
+            assert status(path) == no
+        for path in ("/link", "/operator/link"):
+            assert status(path, **upgrade()) == no
+        given = fetch(port, f"/operator?token={tokens['operator']}")
+        assert (given[0], given[1]["location"]) == (see, "/operator")
+        cookie = given[1]["set-cookie"].split(";")[0]
+        assert "HttpOnly" in given[1]["set-cookie"]
+        wanted = ["/operator"]  # and all that it loads, one from the other
+        for path in wanted:
+            found, _, body = fetch(port, path, Cookie=cookie)
+            assert found == ok, path
+            named = re.findall(r"""(?:from '\.|src="|href=")(/[\w.]+)""", body.decode())
+            wanted += [name for name in named if name not in wanted]
+        assert {"/operator.js", "/scales.js", "/link.js", "/console.css"} < set(wanted)
+        for path in ("/", "/experimenter.js", "/operator.svg"):
+            assert status(path, Cookie=cookie) == no
+            assert status(f"{path}?token={tokens['operator']}") == no
+        assert status("/operator/link", **upgrade(Cookie=cookie)) == 101
+        assert status("/link", **upgrade(Cookie=cookie)) == no
+        assert status(f"/link?token={tokens['operator']}", **upgrade()) == no
+        given = fetch(port, f"/?token={tokens['experimenter']}")
+        cookie = given[1]["set-cookie"].split(";")[0]
+        for path in ("/", "/operator", "/operator.svg"):
+            assert status(path, Cookie=cookie) == ok
+        assert status("/link", **upgrade(Cookie=cookie)) == 101
+        elsewhere = {"Origin": "https://elsewhere.example"}
+        assert status("/link", **upgrade(Cookie=cookie, **elsewhere)) == 403
+
+
+def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
+    with served(Desk(store, operator="P01"), Gate(None)) as port:
+        status, headers, body = fetch(port, "/")
+        assert status == http.HTTPStatus.OK
+        assert b"experimenter.js" in body
+        assert "default-src 'none'" in headers["content-security-policy"]
+        assert fetch(port, "/no-such")[0] == http.HTTPStatus.NOT_FOUND
+        assert fetch(port, "/", Host=f"elsewhere.example:{port}")[0] == 403
+        assert fetch(port, "/link", **upgrade(Origin="https://elsewhere.example"))[0] == 403
+
+
+def test_a_tablet_can_read_the_code(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2")
+    np = pytest.importorskip("numpy")
+    text = "http://192.168.17.105:8765/operator?token=" + "aB3-_xYz" * 3
+    svg = qr_code(text).decode()
+    size = int(re.search(r'width="(\d+)"', svg)[1])
+    # The dark modules are horizontal strokes of one path: "M4 4.5h7m8 0h1..."
+    picture = np.full((size, size), 255, np.uint8)
+    scale = float(re.search(r'transform="scale\((\d+)\)"', svg)[1])
+    path = re.search(r'class="qrline"[^>]* d="([^"]+)"', svg)[1]
+    x = y = 0.0
+    for kind, numbers in re.findall(r"([Mmh])([-\d. ]+)", path):
+        values = [float(v) for v in re.findall(r"-?[\d.]+", numbers)]
+        if kind == "M":
+            x, y = values
+        elif kind == "m":
+            x, y = x + values[0], y + values[1]
+        else:
+            rows = slice(round((y - 0.5) * scale), round((y + 0.5) * scale))
+            picture[rows, round(x * scale) : round((x + values[0]) * scale)] = 0
+            x += values[0]
+    assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == text
+
+
+# -- the command ------------------------------------------------------------------------------
+
+
+def test_the_command_serves_and_ends_on_ctrl_c(tmp_path: Path) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    write_plan_files(console_plan(), folder)
+    console = ConsoleProcess(folder, "--operator", "P02")
+    console.start()
+    tab = Tab(console.port)
+    assert tab.until(lambda s: s["now"])["now"]["operator"] == "P02"
+    enrol = command_of({"token": "y" * 16, "do": "enrol", "operator": "P07"}, "experimenter")
+    assert tab.ask(enrol)["type"] == "done"
+    assert console.end() == 0
+    assert f"http://localhost:{console.port}/operator" in console.log.read_text()
+    assert read_plan(folder).codes == ("P01", "P02", "P07")
+    assert "P07" in (folder / "schedule.txt").read_text()
+
+
+def test_what_can_not_be_run_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    complaint: Callable[[], str] = lambda: capsys.readouterr().err  # noqa: E731
+    assert main(["study", "run", str(tmp_path), "--port", "0"]) == 2
+    assert "study new" in complaint()
+    write_plan_files(console_plan(), tmp_path)
+    assert main(["study", "run", str(tmp_path), "--port", "0", "--operator", "P9"]) == 2
+    assert "unknown operator" in complaint()
+    assert main(["study", "run", str(tmp_path), "--host", "203.0.113.9"]) == 2
+    assert "can't listen" in complaint()

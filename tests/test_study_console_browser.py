@@ -1,0 +1,165 @@
+"""A block in a real browser: experimenter and operator, while the server is killed twice."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from study_console import PATIENCE_S, ConsoleProcess, console_plan, ratings
+
+from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.workload import SCALE_NAMES
+
+pytest.importorskip("segno", reason="the extra study is not installed")
+
+TRIALS = 10
+PATIENCE_MS = 1e3 * PATIENCE_S
+LINES = ("done", "nearly", "failed")
+
+
+class Pages:
+    """The experimenter's and the operator's page, and what they complained about."""
+
+    def __init__(self, chromium: Any, port: int) -> None:
+        self.problems: list[str] = []
+        self.context = chromium.new_context(viewport={"width": 1280, "height": 860})
+        self.experimenter = self._page(f"http://127.0.0.1:{port}/")
+        self.operator = self._page(f"http://127.0.0.1:{port}/operator", 820, 1180)
+
+    def _page(self, url: str, width: int = 1280, height: int = 860) -> Any:
+        page = self.context.new_page()
+        page.set_viewport_size({"width": width, "height": height})
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("console", lambda m: m.type == "error" and self.problems.append(m.text))
+        page.goto(url)
+        page.locator("#link", has_text="connected").wait_for()
+        return page
+
+    def step(self, heading: str) -> None:
+        self.experimenter.get_by_role("heading", name=heading, exact=True).wait_for()
+
+    def press(self, key: str, enabled: str) -> None:
+        """A key, once the button that it stands on can be pressed."""
+        self.experimenter.locator(f'[data-press="{enabled}"]:enabled').wait_for()
+        self.experimenter.keyboard.press(key)
+
+    def cut_off(self) -> None:
+        for page in (self.experimenter, self.operator):
+            page.locator("#lost").wait_for()
+
+    def back(self) -> None:
+        for page in (self.experimenter, self.operator):
+            page.locator("#link", has_text="connected").wait_for()
+            page.locator("#lost").wait_for(state="hidden")
+
+
+def mark(operator: Any, marks: dict[str, int]) -> None:
+    for name, value in marks.items():
+        operator.locator(f"#scale-{name}").fill(str(value))
+
+
+@pytest.mark.browser
+def test_a_block_while_the_server_is_killed(chromium: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    write_plan_files(console_plan(TRIALS, seconds=1.0), folder)
+    console = ConsoleProcess(folder, "--blind")
+    console.start()
+    pages = Pages(chromium, console.port)
+    page, operator = pages.experimenter, pages.operator
+    try:
+        page.get_by_role("button", name="P02").click()
+        pages.step("Calibration")
+        page.locator("#detail").fill("P02.json")
+        page.get_by_role("button", name="Calibrated").click()
+        pages.step("Block 1 of 2")
+        pages.press(" ", "space")
+        pages.step("Free movement")
+        pages.press(" ", "space")  # ends by itself
+        points = {1: "initial", 5: "midpoint", 10: "final"}
+        for trial in range(1, TRIALS + 1):
+            pages.step(f"Trial {trial} of {TRIALS}")
+            pages.press(" ", "space")
+            page.locator('[data-key="stop"]:enabled').wait_for()
+            assert "undefined" not in page.locator("#step").inner_text()
+            if trial == 4:
+                pages.press("r", "r")
+                page.get_by_role("button", name="done as told").and_(
+                    page.locator(":disabled")
+                ).wait_for()
+            if trial == 3:  # killed while the trial runs; scored while there is no server
+                console.kill()
+                pages.cut_off()
+                page.keyboard.press(" ")
+                page.get_by_text("The clock is stopped").wait_for()
+                page.keyboard.press(str(1 + trial % 3))
+                page.get_by_text("What you entered is kept here").wait_for()
+                page.goto("about:blank")  # and the page is gone, too, with what it has not sent
+                console.start()
+                page.goto(f"http://127.0.0.1:{console.port}/")
+                pages.back()
+            else:
+                key = str(1 + trial % 3) if trial != 4 else "2"
+                pages.press(key, key)
+            if trial not in points:
+                continue
+            pages.step("Questionnaire")
+            operator.get_by_role("heading", name="How was it?").wait_for()
+            marks = ratings(trial)
+            send = operator.get_by_role("button", name="Send my answers")
+            if trial == 5:  # killed with the questionnaire half filled in
+                mark(operator, dict(list(marks.items())[:3]))
+                console.kill()
+                pages.cut_off()
+                mark(operator, dict(list(marks.items())[3:4]))
+                operator.goto("about:blank")
+                console.start()
+                operator.goto(f"http://127.0.0.1:{console.port}/operator")
+                pages.back()
+                operator.get_by_text("Still to mark: Effort, Frustration").wait_for()
+                marks = dict(list(marks.items())[4:])
+            assert send.is_disabled()
+            mark(operator, marks)
+            send.click()
+            # "Thank you" goes away by itself
+            operator.get_by_role("heading", name=re.compile("Thank you|Please follow")).wait_for()
+        pages.step("Block 2 of 2")
+        assert "secret" not in page.content() + operator.content()  # blind
+    finally:
+        status = console.end()
+        pages.context.close()
+    assert status == 0, console.log.read_text()
+    assert not [p for p in pages.problems if "ERR_CONNECTION" not in p]
+    check_store(folder)
+
+
+def check_store(folder: Path) -> None:
+    with open_study(folder) as store:
+        assert store.records("P01") == []
+        progress = store.progress("P02")
+        kinds = Counter(record.event.kind for record in progress.records)
+        assert kinds == {
+            "calibrated": 1, "block_started": 1, "familiarisation_started": 1,
+            "familiarisation_ended": 1, "trial_started": TRIALS, "trial_reset": 1,
+            "trial_scored": TRIALS, "questionnaire_answered": 3,
+        }  # fmt: skip
+        assert [t.number for t in progress.trials] == list(range(1, TRIALS + 1))
+        lines = [LINES[k % 3] if k != 4 else "nearly" for k in range(1, TRIALS + 1)]
+        assert [t.line for t in progress.trials] == lines
+        assert all(t.time_s is not None and t.time_s > 0 for t in progress.trials)
+        assert [(q.point, dict(q.ratings)) for q in progress.questionnaires] == [
+            (point, ratings(trial))
+            for trial, point in ((1, "initial"), (5, "midpoint"), (10, "final"))
+        ]
+        assert set(ratings(1)) == set(SCALE_NAMES)
+        # The trial ended when it was scored, not when the server was there again to hear of it.
+        third = progress.trials[2]
+        scored = next(r for r in progress.records if r.event.kind == "trial_scored"
+                      and r.event.trial == 3)  # fmt: skip
+        assert third.time_s is not None
+        assert third.time_s < (scored.at - third.started).total_seconds()
