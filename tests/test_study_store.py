@@ -336,6 +336,18 @@ def test_operators_join_and_those_who_began_keep_their_rows(
         store.append("P09", Noted("who?"))
 
 
+def test_a_plan_is_mended_until_someone_has_begun(store: StudyStore, tmp_path: Path) -> None:
+    shorter = replace(store.plan.protocol, familiarisation_s=7.0)
+    with open_study(tmp_path, replace(store.plan, protocol=shorter)) as again:
+        assert again.plan.protocol.familiarisation_s == 7.0
+        assert store.plan.protocol.familiarisation_s == 7.0  # who has it open sees it, too
+        walk(again, "P01", "familiarise")
+        assert again.progress("P01").plan.protocol.familiarisation_s == 7.0
+    longer = replace(shorter, familiarisation_s=8.0)
+    with pytest.raises(StudyError, match="once someone has begun"):
+        open_study(tmp_path, replace(store.plan, protocol=longer))
+
+
 # Out again.
 
 

@@ -163,10 +163,11 @@ class StudyStore:
             return list(self._records(connection, operator, 0))
 
     def revise(self, plan: Plan) -> None:
-        """Replaces the plan, to enrol operators; those who have begun keep their rows.
+        """Replaces the plan, to enrol operators or, before anyone has begun, to mend it.
 
         Raises:
-            StudyError: protocol or orders differ, or the rows of someone who has begun.
+            StudyError: the rows of someone who has begun differ, or, once anyone has, protocol or
+                orders.
         """
         with self._lock, self._writing() as connection:
             if self._engine.dialect.name != "sqlite":
@@ -347,15 +348,15 @@ class StudyStore:
         )
 
     def _check_revision(self, connection: Connection, before: Plan, plan: Plan) -> None:
-        if plan.protocol != before.protocol or plan.orders != before.orders:
-            raise StudyError(
-                f"study {self.name!r} is stored with another protocol or other orders; those of a "
-                "study don't change: make a new study, under another name"
-            )
         people = self._tables["participants"].c
         begun = connection.execute(
             self._tables["participants"].select().where(people.study_id == self._id)
-        )
+        ).all()
+        if begun and (plan.protocol != before.protocol or plan.orders != before.orders):
+            raise StudyError(
+                f"study {self.name!r} is stored with another protocol or other orders; those of a "
+                "study don't change once someone has begun: make a new study, under another name"
+            )
         for row in begun:
             if row.erased_at is not None:
                 if row.operator in plan.codes:
