@@ -253,7 +253,7 @@ def test_sink_tells_of_physics_that_came_apart() -> None:
     sim = Simulation()
     sim.open({"right": hand}, {})
     assert sim._world is not None
-    sim._world._physics["right"]._data.qvel[:] = 1e5
+    sim._world.physics["right"]._data.qvel[:] = 1e5
     end = time.perf_counter() + 5.0
     while not sim.note and time.perf_counter() < end:
         time.sleep(0.01)

@@ -52,6 +52,14 @@ class SinkError(SmoothOperatorError, RuntimeError):
     """A sink can't be opened, or can't take commands now."""
 
 
+class RemoteError(SmoothOperatorError, RuntimeError):
+    """A teleoperation that runs elsewhere does not answer, or its answer can't be read."""
+
+
+class RemoteRefusedError(RemoteError):
+    """It answers that it can't do what it was told."""
+
+
 class WorkerError(SmoothOperatorError, RuntimeError):
     """Worker processes can't be started, or a cluster can't be reached."""
 

@@ -17,6 +17,7 @@ from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
 from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
 from smooth_operator.cli.hands_add_options import Add
 from smooth_operator.cli.hands_check_options import Check
+from smooth_operator.cli.subcommands import Group, described
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,22 +88,18 @@ class Render(_OneHand):
         render_hand(self)
 
 
-def _described(kind: type[List | Show | Render | Add | Check]) -> str:
-    return f"{kind.__doc__}\n\n{kind.details}"
-
-
 What: TypeAlias = (
-    Annotated[List, subcommand("list", description=_described(List))]
-    | Annotated[Show, subcommand("show", description=_described(Show))]
-    | Annotated[Render, subcommand("render", description=_described(Render))]
-    | Annotated[Add, subcommand("add", description=_described(Add))]
-    | Annotated[Check, subcommand("check", description=_described(Check))]
+    Annotated[List, subcommand("list", description=described(List))]
+    | Annotated[Show, subcommand("show", description=described(Show))]
+    | Annotated[Render, subcommand("render", description=described(Render))]
+    | Annotated[Add, subcommand("add", description=described(Add))]
+    | Annotated[Check, subcommand("check", description=described(Check))]
 )
 """The subcommands of the group."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hands:
+class Hands(Group):
     """The robot hands: list them, show one, draw one, add your own, check it."""
 
     details: ClassVar[str] = """Examples:
@@ -114,12 +111,3 @@ Each has its own help: smooth-operator hands show --help"""
 
     what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
     """What to do."""
-
-    @property
-    def debug(self) -> bool:
-        """Whether an error shows its traceback."""
-        return self.what.debug
-
-    def run(self) -> None:
-        """Runs the subcommand."""
-        self.what.run()

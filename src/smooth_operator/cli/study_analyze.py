@@ -21,6 +21,7 @@ from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
+from smooth_operator.study.data.workload import with_workload
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""
@@ -31,7 +32,7 @@ _WIDTH_OF_A_FILE: Final = 160
 _UNITS: Final[dict[Outcome, tuple[float, str]]] = {
     "success": (100.0, "success rate [%]"),
     "time": (1.0, "completion time [s]"),
-    "tlx": (1.0, "raw TLX"),
+    "tlx": (1.0, "{} TLX"),
 }
 
 
@@ -50,6 +51,7 @@ def analyze_command(options: Analyze) -> None:
     data = read_study(
         _with_metrics(files), texts=[(word, _exported(word, options.name)) for word in stored]
     )
+    data = with_workload(data, options.workload)
     if not options.quiet:
         for note in data.notes:
             _note(console, f"note: {note}")
@@ -144,7 +146,9 @@ def _print(analysis: Analysis) -> None:
 def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: str) -> None:
     scale, unit = _UNITS[outcome]
     small, paper = (analysis.results[mode][outcome][scope] for mode in _both())
-    title = f"{unit}, {scope}: {small.n} rows, {small.operators} operators"
+    title = (
+        f"{unit.format(analysis.workload)}, {scope}: {small.n} rows, {small.operators} operators"
+    )
     if small.refused and paper.refused:
         console.print(Text(f"{title}: refused: {small.refused}\n", "yellow"), soft_wrap=True)
         return
@@ -186,7 +190,8 @@ def _both() -> tuple[Mode, Mode]:
 
 
 def _table(title: str, headers: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    # as Text: "[s]" is a unit, and rich would take it for markup
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, header in enumerate(headers):
         table.add_column(header, no_wrap=True, justify="left" if i == 0 else "right")
     return table

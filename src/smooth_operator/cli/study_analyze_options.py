@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -22,7 +22,8 @@ of a database; or a folder with trials.csv, tlx.csv and, if there is one, sim_me
 tables by any name and in any order; or one JSON file of study export. Every value is checked, and
 what is wrong is named by row and column. Columns:
   trials      operator, task, retargeter, block, trial_in_block, trial_global, score, time_s
-  tlx         operator, task, retargeter, block, point, and the six scales
+  tlx         operator, task, retargeter, block, point, and the six scales; for --workload
+              weighted also weight_mental, weight_physical, ... (times chosen, 15 together)
   simulation  operator, retargeter, and a column for each metric
 
 Where trials.csv is given and sim_metrics.csv lies beside it, that is read, too.
@@ -47,6 +48,10 @@ Examples:
 
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write, made if need be."""
+
+    workload: Literal["raw", "weighted"] = "raw"
+    """Mean of the six scales, or weighted by the operators' choices between pairs of them, which
+    must be there for every block then."""
 
     seed: int = 11
     """Of the bootstrap over operators."""

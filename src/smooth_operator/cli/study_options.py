@@ -16,42 +16,32 @@ from smooth_operator.cli.study_analyze_options import Analyze
 from smooth_operator.cli.study_data_options import Erase, Export
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_power_options import Power
-
-
-def _described(kind: type[New | Enrol | Power | Export | Erase | Analyze]) -> str:
-    return f"{kind.__doc__}\n\n{kind.details}"
-
+from smooth_operator.cli.study_run_options import Run
+from smooth_operator.cli.subcommands import Group, described
 
 What: TypeAlias = (
-    Annotated[New, subcommand("new", description=_described(New))]
-    | Annotated[Enrol, subcommand("enrol", description=_described(Enrol))]
-    | Annotated[Power, subcommand("power", description=_described(Power))]
-    | Annotated[Export, subcommand("export", description=_described(Export))]
-    | Annotated[Erase, subcommand("erase", description=_described(Erase))]
-    | Annotated[Analyze, subcommand("analyze", description=_described(Analyze))]
+    Annotated[New, subcommand("new", description=described(New))]
+    | Annotated[Enrol, subcommand("enrol", description=described(Enrol))]
+    | Annotated[Power, subcommand("power", description=described(Power))]
+    | Annotated[Run, subcommand("run", description=described(Run))]
+    | Annotated[Export, subcommand("export", description=described(Export))]
+    | Annotated[Erase, subcommand("erase", description=described(Erase))]
+    | Annotated[Analyze, subcommand("analyze", description=described(Analyze))]
 )
 """The subcommands of the group."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
-    """A user study of retargeters: plan it, and analyse what it measured."""
+class Study(Group):
+    """A user study of retargeters: plan it, run it, and analyse what it measured."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator study new my-study
   smooth-operator study power my-study
+  smooth-operator study run my-study --open
   smooth-operator study analyze trials.csv tlx.csv --baseline dexpilot --output out
 
 Each has its own help: smooth-operator study analyze --help"""
 
     what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
     """What to do."""
-
-    @property
-    def debug(self) -> bool:
-        """Whether an error shows its traceback."""
-        return self.what.debug
-
-    def run(self) -> None:
-        """Runs the subcommand."""
-        self.what.run()

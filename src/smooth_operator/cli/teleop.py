@@ -18,6 +18,8 @@ from smooth_operator.cli.keys import keys
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.teleop_page import begun_page, show_page
 from smooth_operator.cli.teleop_task import TaskTrials, with_task
+from smooth_operator.live.orders import Orders
+from smooth_operator.live.workshop import Workshop
 from smooth_operator.offline import (
     Request,
     build_retargeter,
@@ -35,6 +37,7 @@ from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.sinks.catalogue import build_sink
 from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.sink import Sink
+from smooth_operator.sinks.tick import Driver
 from smooth_operator.sources.catalogue import build_source
 from smooth_operator.sources.live import LiveSource
 from smooth_operator.types import Side
@@ -88,11 +91,16 @@ def _drive(
     retargeters: dict[Side, Retargeter] = {}
     for side in sides:
         hand, method = settle(asked, side)
-        with progress.waiting(f"compiling {asked.method} for {hand.name} {side}"):
+        what = "the method" if options.blind else asked.method
+        with progress.waiting(f"compiling {what} for {hand.name} {side}"):
             retargeters[side], _ = build_retargeter(hand, method, options.seed)
-    pipelines = {side: HandPipeline(built, config) for side, built in retargeters.items()}
+    pipelines = {
+        side: HandPipeline(built, config, driver=Driver(asked.method, asked.preset, built.config))
+        for side, built in retargeters.items()
+    }
     loop = TeleopLoop(pipelines, source, sinks, config)
-    show_page(page, loop, asked, acting, options, progress)
+    workshop = Workshop(loop, asked)
+    show_page(page, loop, asked, acting, workshop, options, progress)
     configuration = live_configuration(
         "teleop",
         asked,
@@ -101,16 +109,22 @@ def _drive(
         sinks=with_task(options.sink, options.task),
         loop=config,
     )
-    trials = TaskTrials(options, acting, sides, progress)
+
+    def note(side: Side, text: str) -> None:
+        loop.controls.change(lambda hand: hand.note(text) if hand.side == side else None)
+
+    trials = TaskTrials(options, acting, sides, progress, lambda: workshop.used, note)
+    orders = Orders(loop, workshop, lambda: trials.desk, blind=options.blind)
     facts = {"priority": "normal"}
     started = time.perf_counter()
     where = ", ".join(sink.label for sink in sinks.health()) or "no sink"
     progress.note(f"from {source.label} to {where}")
     with (
+        contextlib.closing(workshop),
         _attentive(),
         _interrupts(loop.controls) as interrupted,
         _keyboard(loop.controls, progress, trials),
-        _remote(loop, options.control, progress),
+        _remote(loop, options.control, orders, progress),
         contextlib.ExitStack() as first,
     ):
 
@@ -219,15 +233,17 @@ def _interrupts(controls: Controls) -> Iterator[threading.Event]:
 
 
 @contextlib.contextmanager
-def _remote(loop: TeleopLoop, address: str | None, progress: Progressing) -> Iterator[None]:
+def _remote(
+    loop: TeleopLoop, address: str | None, orders: Orders, progress: Progressing
+) -> Iterator[None]:
     """Words of other programs, where they are to be listened to."""
     if address is None:
         yield
         return
     from smooth_operator.runtime.remote import remote
 
-    with remote(loop, address) as bound:
-        progress.note(f"switches at {bound}: stop, release, pause, resume, quit, status")
+    with remote(loop, address, orders.words, orders.status) as bound:
+        progress.note(f"switches at {bound}")
         yield
 
 

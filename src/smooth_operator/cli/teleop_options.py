@@ -53,7 +53,8 @@ Examples:
 
     task: Literal["card", "cube", "screwdriver"] | None = None
     """A task of the study, in a simulation around the hand: card pickup, vertical cube rotation,
-    screwdriver pivot. Keys: g starts a trial, r puts the object back, d ends it."""
+    screwdriver pivot. Keys: g starts a trial, r puts the object back, d ends it. --control has
+    words for the same."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Keep a record of every trial of the task here."""
@@ -101,8 +102,13 @@ Examples:
     the summary (docs/teleop.md)."""
 
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """Take stop, release, pause, resume, quit and status from other programs on this ZeroMQ
-    address, such as tcp://127.0.0.1:5558 (extra zmq): a pedal, a red button."""
+    """Take words from other programs on this ZeroMQ address, such as tcp://127.0.0.1:5558 (extra
+    zmq): a pedal, a red button, a study's console. They are stop, release, pause, resume, quit,
+    status, method, calibration, task, trial and reset."""
+
+    blind: bool = False
+    """The operator is not to know the method: neither the page nor what is printed names it, and
+    the page can't change it. The record has it."""
 
     no_view: bool = False
     """Don't serve the page: for machines without a browser."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.live.workshop import Workshop
 from smooth_operator.offline import Request
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.sinks.sink import Sink
@@ -28,7 +29,9 @@ def begun_page(
     from smooth_operator.ui.live.page import LivePage, PageSetup
 
     simulated = any(hasattr(sink, "state") for sink in acting)
-    setup = PageSetup(asked.hand, sides, asked.fingers, options.host, options.port, simulated)
+    setup = PageSetup(
+        asked.hand, sides, asked.fingers, options.host, options.port, simulated, options.blind
+    )
     with LivePage(setup) as page:
         yield page
 
@@ -38,6 +41,7 @@ def show_page(
     loop: TeleopLoop,
     asked: Request,
     acting: Sequence[Sink],
+    workshop: Workshop,
     options: Teleop,
     progress: Progressing,
 ) -> None:
@@ -51,7 +55,7 @@ def show_page(
     from smooth_operator.ui.live.session import LiveSession
     from smooth_operator.ui.viser_server import open_page
 
-    session = LiveSession(loop, asked, acting)
+    session = LiveSession(loop, asked, acting, workshop=workshop, blind=options.blind)
     loop.watch = session.watch
     url = page.serve(session)
     progress.note(f"page: {url}", matters=True)

@@ -14,32 +14,49 @@ from smooth_operator.sinks.sink import Sink
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.study.tasks import Outcome, TaskSession
+    from smooth_operator.live.workshop import Choice
+    from smooth_operator.study.tasks import Outcome
+    from smooth_operator.study.tasks.desk import TaskDesk
 
 
 class TaskTrials:
-    """Trials on each hand that is driven; nothing at all without ``--task``.
+    """Trials on each hand that is driven, where there is a simulation.
 
     Args:
         options: of the command.
-        sinks: among them the simulation.
+        sinks: among them the simulation, or not.
         sides: that are driven.
         progress: where outcomes are said.
+        used: what the hands are driven by now, for the records; as the options say if left out.
+        note: takes what happens to trials, for the record of the run.
+
+    Attributes:
+        desk: where trials are begun, once everything is open; None without a simulation.
     """
 
     def __init__(
-        self, options: Teleop, sinks: Sequence[Sink], sides: Sequence[Side], progress: Progressing
+        self,
+        options: Teleop,
+        sinks: Sequence[Sink],
+        sides: Sequence[Side],
+        progress: Progressing,
+        used: Callable[[], Choice] | None = None,
+        note: Callable[[Side, str], None] = lambda side, text: None,
     ) -> None:
         self._options, self._sinks, self._sides = options, sinks, sides
-        self._progress = progress
-        self._sessions: dict[Side, TaskSession] = {}
+        self._progress, self._used, self._note = progress, used, note
+        self.desk: TaskDesk | None = None
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
         """Key -> what it does."""
         if self._options.task is None:
             return {}
-        return {"g": self._go, "r": lambda: self._each("reset"), "d": lambda: self._each("finish")}
+        return {
+            "g": lambda: self._tried("go"),
+            "r": lambda: self._tried("reset"),
+            "d": lambda: self._tried("finish"),
+        }
 
     @property
     def words(self) -> str:
@@ -47,69 +64,66 @@ class TaskTrials:
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
-        """The simulation is open: say the task; without a terminal the first trial starts."""
-        if self._options.task is None:
+        """The simulation is open: say the task; the first trial starts where nobody can say so."""
+        simulation = next((sink for sink in self._sinks if sink.label == "mujoco"), None)
+        if simulation is None or (self._options.task is None and self._options.control is None):
             return
         from smooth_operator.sinks.simulation import Simulation
-        from smooth_operator.study.tasks import TaskSession
+        from smooth_operator.study.tasks.desk import TaskDesk
 
-        for sink in self._sinks:
-            if isinstance(sink, Simulation) and sink.task == self._options.task:
-                for side in self._sides:
-                    self._sessions[side] = TaskSession(
-                        sink, side, self._options.trials, self._told(side)
-                    )
-        for session in list(self._sessions.values())[:1]:
-            task = session.task.task
-            self._progress.note(f"{task.title}: {task.instruction}", matters=True)
-        if not (sys.stdin and sys.stdin.isatty()):
-            self._go()
+        assert isinstance(simulation, Simulation)  # it is called so
+        self.desk = TaskDesk(
+            simulation, self._sides, self._options.trials, self._about, self._tell, self._note
+        )
+        if self._options.task is None or self.desk.task is None:
+            return
+        task = self.desk.task.task
+        self._progress.note(f"{task.title}: {task.instruction}", matters=True)
+        if self._options.control is None and not (sys.stdin and sys.stdin.isatty()):
+            self._tried("go")
 
     def end(self) -> None:
         """No trial any more."""
-        for session in self._sessions.values():
-            session.close()
-            if session.failed:
-                self._progress.note(session.failed, matters=True)
+        if self.desk is not None:
+            self.desk.end()
+            for failed in self.desk.failures:
+                self._progress.note(failed, matters=True)
 
     def summary(self) -> dict[str, Any]:
-        """Outcomes of each hand, for ``--json``."""
-        if self._options.task is None:
+        """Outcomes of each hand, for ``--json``; nothing without a task and its trials."""
+        if self.desk is None:
+            return {}
+        outcomes = self.desk.outcomes
+        if self._options.task is None and not any(outcomes.values()):
             return {}
         return {
             "task": self._options.task,
-            "trials": {
-                side: [asdict(outcome) for outcome in session.outcomes]
-                for side, session in self._sessions.items()
-            },
+            "trials": {side: [asdict(o) for o in found] for side, found in outcomes.items()},
         }
 
-    def _go(self) -> None:
-        options = self._options
-        for session in self._sessions.values():
-            self._tried(lambda one=session: one.go(  # type: ignore[misc]
-                method=options.method, preset=options.preset, source=options.source))  # fmt: skip
+    def _about(self) -> dict[str, Any]:
+        options, used = self._options, None if self._used is None else self._used()
+        return {
+            "method": options.method if used is None else used.method,
+            "preset": options.preset if used is None else used.preset,
+            "source": options.source,
+        }
 
-    def _each(self, word: str) -> None:
-        for session in self._sessions.values():
-            self._tried(getattr(session, word))
-
-    def _tried(self, action: Callable[[], None]) -> None:
+    def _tried(self, word: str) -> None:
+        if self.desk is None:
+            return
         try:
-            action()
+            getattr(self.desk, word)()
         except SmoothOperatorError as error:
             self._progress.note(str(error), matters=True)
 
-    def _told(self, side: Side) -> Callable[[Outcome], None]:
-        def tell(outcome: Outcome) -> None:
-            reset = ", after a reset" if outcome.resets else ""
-            self._progress.note(
-                f"{side}: {outcome.score:g} after {outcome.seconds:.1f} s "
-                f"({outcome.ended}: {outcome.reason}{reset})",
-                matters=True,
-            )
-
-        return tell
+    def _tell(self, side: Side, outcome: Outcome) -> None:
+        reset = ", after a reset" if outcome.resets else ""
+        self._progress.note(
+            f"{side}: {outcome.score:g} after {outcome.seconds:.1f} s "
+            f"({outcome.ended}: {outcome.reason}{reset})",
+            matters=True,
+        )
 
 
 def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:

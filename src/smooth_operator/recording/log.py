@@ -29,6 +29,7 @@ from smooth_operator.recording.schemas import (
     CONFIG,
     HAND,
     LOOP,
+    METHOD,
     ORIGIN,
     SCHEMAS,
     STATUS,
@@ -233,9 +234,30 @@ class LogWriter:
         Raises:
             OutputError: as for the class.
         """
-        with self._writing():
-            self._writer.add_metadata(ORIGIN, dict(origin))
-            self._pending_bytes = 0
+        self._metadata(ORIGIN, origin)
+
+    def write_method(self, stamp: float, method: str, preset: str, config: Any) -> None:
+        """Append what drives the hand from now on, as a metadata record beside the messages.
+
+        Args:
+            stamp: of the first command that it gives [s].
+            method: its name.
+            preset: that of its preset.
+            config: its configuration.
+
+        Raises:
+            ConfigError: the configuration holds what JSON can't.
+            OutputError: as for the class.
+        """
+        self._metadata(
+            METHOD,
+            {
+                "stamp": repr(float(stamp)),
+                "method": method,
+                "preset": preset,
+                "config": to_json(config),
+            },
+        )
 
     def flush(self, *, sync: bool = False) -> None:
         """Hand everything written so far to the operating system, as a chunk of its own.
@@ -282,6 +304,11 @@ class LogWriter:
         # An error on the way out must not hide the one that led here.
         with contextlib.suppress(OutputError) if error else contextlib.nullcontext():
             self.close()
+
+    def _metadata(self, name: str, texts: Mapping[str, str]) -> None:
+        with self._writing():
+            self._writer.add_metadata(name, dict(texts))
+            self._pending_bytes = 0
 
     def _append(self, *messages: tuple[str, dict[str, Any]]) -> None:
         with self._writing():

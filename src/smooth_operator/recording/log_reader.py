@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import struct
@@ -27,6 +28,7 @@ from smooth_operator.recording.schemas import (
     CONFIG,
     HAND,
     LOOP,
+    METHOD,
     ORIGIN,
     READABLE_VERSIONS,
     SCHEMAS,
@@ -50,7 +52,27 @@ _DAMAGE = (
     zstandard.ZstdError,
 )
 
+_POINTS = {"landmarks": "xyz", "metacarpals": "xyz", "orientations": "wxyz"}
+
 _Messages: TypeAlias = list[tuple[int, dict[str, Any]]]  # with their sequence numbers
+_Notes: TypeAlias = list[tuple[str, dict[str, str]]]  # metadata records with their names
+
+
+@dataclass(frozen=True, eq=False)
+class MethodUse:
+    """What drove a hand from some time on.
+
+    Attributes:
+        stamp: of the first command that it gave [s].
+        method: its name.
+        preset: that of its preset.
+        config: its configuration, as JSON has it.
+    """
+
+    stamp: float
+    method: str
+    preset: str
+    config: dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +88,8 @@ class Log:
             where a command did not have the stage.
         origin: what the log says of where it came from: ``name``, ``task``, ``meta`` (JSON).
         loop: mode, events and more of each command, where a live loop wrote the log.
+        methods: what drove the hand, in order, where a live loop wrote the log; each until the
+            next one's stamp.
     """
 
     recording: HandRecording | None
@@ -75,6 +99,7 @@ class Log:
     stages_ms: dict[str, Float[np.ndarray, " T"]] = field(default_factory=dict)
     origin: dict[str, str] = field(default_factory=dict)
     loop: LoopTrack | None = None
+    methods: tuple[MethodUse, ...] = ()
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
@@ -98,12 +123,13 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     path = Path(path)
     if file_kind(path) != "log":
         raise RecordingError(f"{path}: not a log; read it with read_recording or read_commands")
-    messages, origin, truncated = _read_messages(path)
+    messages, notes, truncated = _read_messages(path)
     try:
         trajectory, stages = _commands(messages[COMMAND], messages[TIMING], messages[STATUS])
         loop = read_loop_track([n for n, _ in messages[COMMAND]], dict(messages[LOOP]))
         configs = [json.loads(message["configuration"]) for _, message in messages[CONFIG]]
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
+        methods = tuple(_method(texts) for name, texts in notes if name == METHOD)
     except RecordingError:
         raise  # it is a ValueError too, but has its own message
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -112,19 +138,20 @@ def read_log(path: str | os.PathLike[str]) -> Log:
             f"({type(error).__name__}: {error}); it was not written by this program's LogWriter"
         ) from error
     config = configs[0] if configs else None
-    return Log(recording, trajectory, config, truncated, stages, origin, loop)
+    origin = next((texts for name, texts in reversed(notes) if name == ORIGIN), {})
+    return Log(recording, trajectory, config, truncated, stages, origin, loop, methods)
 
 
 class _DamagedError(Exception):
     """The bytes end, or make no sense, from here on."""
 
 
-def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, str], bool]:
-    """The messages by topic, the origin, and whether the end of the file is missing."""
+def _read_messages(path: Path) -> tuple[dict[str, _Messages], _Notes, bool]:
+    """The messages by topic, the metadata, and whether the end of the file is missing."""
     messages: dict[str, _Messages] = {topic: [] for topic in SCHEMAS}
     topics: dict[int, str] = {}
     foreign: set[str] = set()
-    origin: dict[str, str] = {}
+    notes: _Notes = []
     truncated = False
     try:
         with path.open("rb") as stream:
@@ -134,11 +161,12 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, str], bo
                         topics[record.id] = record.topic
                     else:
                         foreign.add(record.topic)
-                elif isinstance(record, Metadata) and record.name == ORIGIN:
-                    origin = dict(record.metadata)
+                elif isinstance(record, Metadata):
+                    notes.append((record.name, dict(record.metadata)))
                 elif isinstance(record, Message) and record.channel_id in topics:
                     topic = topics[record.channel_id]
-                    messages[topic].append((record.sequence, _decode(record.data, topic, path)))
+                    message = _decode(record.data, topic, path)
+                    messages[topic].append((record.sequence, _compact(message)))
     except _DamagedError:
         truncated = True
     if foreign and not any(messages.values()):
@@ -146,7 +174,7 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, str], bo
             f"{path}: an MCAP file of another program, with the topics "
             f"{', '.join(sorted(foreign))}. What is read: {READABLE}"
         )
-    return messages, origin, truncated
+    return messages, notes, truncated
 
 
 def _records(stream: IO[bytes], size: int) -> Iterator[Any]:
@@ -179,6 +207,11 @@ def _is_ours(channel: Channel, path: Path) -> bool:
     return True
 
 
+def _method(texts: dict[str, str]) -> MethodUse:
+    config = json.loads(texts["config"])
+    return MethodUse(float(texts["stamp"]), texts["method"], texts["preset"], config)
+
+
 def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
     try:
         message = json.loads(data)
@@ -189,34 +222,51 @@ def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
     return message
 
 
+def _compact(message: dict[str, Any]) -> dict[str, Any]:
+    """With points as arrays, where they are points: a tenth of the memory, which hours of frames
+    need."""
+    for key, axes in _POINTS.items():
+        if key in message:
+            with contextlib.suppress(KeyError, TypeError, ValueError):  # said by whoever wants it
+                message[key] = _points(message[key], axes)
+    return message
+
+
+def _points(points: Any, axes: str) -> np.ndarray:
+    if isinstance(points, np.ndarray):
+        return points
+    # float64 makes NaN of None
+    return np.array([[p[a] for a in axes] for p in points], np.float64)
+
+
 def _recording(messages: list[dict[str, Any]], path: Path, truncated: bool) -> HandRecording | None:
     if not messages:
         return None
     stamps = np.array([m["stamp"] for m in messages], np.float64)
     side, _ = check_side({m["side"] for m in messages}, None, str(path))
     return HandRecording(
-        _rows(messages, "landmarks", "xyz", NUM_LANDMARKS),
+        _rows(messages, "landmarks", NUM_LANDMARKS),
         stamps,
         side,
         valid=np.array([m["valid"] for m in messages], bool),
-        metacarpals=_optional(messages, "metacarpals", "xyz", 4),
-        orientations=_optional(messages, "orientations", "wxyz", NUM_LANDMARKS),
+        metacarpals=_optional(messages, "metacarpals", 4),
+        orientations=_optional(messages, "orientations", NUM_LANDMARKS),
         name=path.stem,
         meta={"format": "log", "truncated": truncated, "side_assumed": False},
     )
 
 
-def _optional(messages: list[dict[str, Any]], key: str, axes: str, count: int) -> np.ndarray | None:
-    return _rows(messages, key, axes, count) if any(key in m for m in messages) else None
+def _optional(messages: list[dict[str, Any]], key: str, count: int) -> np.ndarray | None:
+    return _rows(messages, key, count) if any(key in m for m in messages) else None
 
 
-def _rows(messages: list[dict[str, Any]], key: str, axes: str, count: int) -> np.ndarray:
-    """(T, count, len(axes)), NaN where a value is null or a frame has none."""
+def _rows(messages: list[dict[str, Any]], key: str, count: int) -> np.ndarray:
+    """(T, count, axes), NaN where a value is null or a frame has none."""
+    axes = _POINTS[key]
     rows = np.full((len(messages), count, len(axes)), np.nan)
     for row, message in zip(rows, messages, strict=True):
         if key in message:
-            # float64 makes NaN of None
-            row[:] = np.array([[p[a] for a in axes] for p in message[key]], np.float64)
+            row[:] = _points(message[key], axes)
     return rows
 
 

@@ -29,6 +29,10 @@ CONFIG: Final = "/config"
 ORIGIN: Final = "smooth_operator.origin"
 """Name of the metadata record that says where the log came from: ``name``, ``task``, ``meta``."""
 
+METHOD: Final = "smooth_operator.method"
+"""Name of the metadata records that say what drove the hand from when on: ``stamp`` of the first
+command, ``method``, ``preset``, ``config`` (JSON)."""
+
 _NUMBER = {"type": "number"}
 _STAMP = {"type": "number", "description": "time of the hand frame [s], exact"}
 

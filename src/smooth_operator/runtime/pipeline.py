@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -13,9 +14,12 @@ from smooth_operator.runtime.limiter import Limiter
 from smooth_operator.runtime.plausible import implausible
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.runtime.supervisor import Supervisor
-from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sinks.tick import Driver, Mode, Tick
 from smooth_operator.sources.live import Arrival
 from smooth_operator.types import JointCommand, Result, Side, Status
+
+SWITCHED: Final = "another method, or other settings"
+"""Event of the first tick after a switch; which they are is in its driver, for the record alone."""
 
 
 class HandPipeline:
@@ -28,6 +32,7 @@ class HandPipeline:
         retargeter: method and hand.
         config: policies and limits.
         clock: measures the stages; the time of a step is given.
+        driver: what the retargeter is, by name, for the record.
 
     Attributes:
         supervisor: mode and policies.
@@ -40,8 +45,10 @@ class HandPipeline:
         retargeter: Retargeter,
         config: LoopConfig,
         clock: Callable[[], float] = time.perf_counter,
+        driver: Driver | None = None,
     ) -> None:
         self.retargeter = retargeter
+        self.driver = driver
         self.config = config
         self.supervisor = Supervisor(config.safety)
         self.limiter = Limiter(retargeter.hand, config.limits)
@@ -54,21 +61,27 @@ class HandPipeline:
         self._last: float | None = None
         self._number = 0
         self.seen: Arrival | None = None
+        self._told: list[str] = []  # events of the next step
 
     @property
     def mode_now(self) -> Mode:
         """What the next tick does, if no frame comes."""
         return self.supervisor.preview(self._clock())
 
-    def switch(self, retargeter: Retargeter) -> None:
+    def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
         """Go on with another method, or other settings of it; it should be warmed up.
 
         The robot goes over from its last command as the limits let it.
         """
-        self.retargeter = retargeter
+        self.retargeter, self.driver = retargeter, driver
+        self.note(SWITCHED)
         self._state = retargeter.init()
         self.supervisor.restart_blend(self._last)
         self._from = self.limiter.q
+
+    def note(self, text: str) -> None:
+        """Have something stand among the events of the next step, and so in the record."""
+        self._told.append(text)
 
     def configure(self, config: LoopConfig) -> None:
         """Go on with other policies and limits, from the last command.
@@ -98,7 +111,7 @@ class HandPipeline:
             arrival: the newest frame, if one has come since the last step.
         """
         before = self.supervisor.mode
-        events: list[str] = []
+        events, self._told = self._told, []
         stages: dict[str, float] = {}
         result: Result | None = None
         self.supervisor.update(now)  # what the operator switched since the last step
@@ -144,6 +157,7 @@ class HandPipeline:
             float("nan") if result is None else result.tracking_loss,
             float("nan") if result is None else result.scale,
             tuple(events),
+            self.driver,
         )
         # Times of commands, not of the frames that they answer: solving takes longer now and then.
         self._last, self._number = guarded, self._number + 1

@@ -14,7 +14,7 @@ from smooth_operator.errors import OutputError, SinkError
 from smooth_operator.recording import LogWriter, read_log
 from smooth_operator.recording.loop_state import LoopState
 from smooth_operator.sinks.stamps import StampMap
-from smooth_operator.sinks.tick import Tick
+from smooth_operator.sinks.tick import Driver, Tick
 from smooth_operator.types import JointCommand, Side, Status
 
 _CHUNK_BYTES: Final = 256 * 1024
@@ -173,6 +173,7 @@ class _HandLog:
         self._log.write_origin({"name": path.stem, "meta": meta})
         self._log.write_config(config)
         self._stamps = StampMap()
+        self._driver: Driver | None = None
         self._pending = self._flushed = False
 
     def write(self, tick: Tick, events: tuple[str, ...]) -> None:
@@ -180,6 +181,11 @@ class _HandLog:
         stamp, frame = self._stamps(tick)
         if frame is not None:
             self._log.write_hand(frame)
+        if tick.driver is not None and tick.driver is not self._driver:
+            self._driver = tick.driver
+            self._log.write_method(
+                stamp, tick.driver.method, tick.driver.preset, tick.driver.config
+            )
         arrival = tick.arrival
         self._log.write_command(
             JointCommand(tick.command.positions, tick.command.names, stamp),

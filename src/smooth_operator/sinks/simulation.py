@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -27,6 +28,7 @@ _SLICE_S: Final = 0.01
 _BEHIND_S: Final = 0.1
 """Time that is given up, rather than made up for, when the machine is too slow [s]."""
 
+_NUMBERS: Final = itertools.count(1)
 
 Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
 """Called with the scene and the (n,) joint positions [rad], from the thread of the physics."""
@@ -70,6 +72,10 @@ class Simulation:
     task: Literal["none", "card", "cube", "screwdriver"] = "none"
     """What the hands work on, each on its own: a task of the study, or nothing."""
     _world: _World | None = field(default=None, init=False, repr=False, compare=False)
+    _task: str | None = field(default=None, init=False, repr=False, compare=False)
+    _swapping: threading.Lock = field(
+        default_factory=threading.Lock, init=False, repr=False, compare=False
+    )
     _events: list[str] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -91,12 +97,47 @@ class Simulation:
         """What went wrong in the physics, if anything did."""
         return "; ".join(self._events)
 
+    @property
+    def task_now(self) -> str:
+        """What the hands work on now; ``none`` for nothing."""
+        return self.task if self._task is None else self._task
+
+    @property
+    def world_number(self) -> int:
+        """Changes with every scene that is built, and is 0 while there is none."""
+        world = self._world
+        return 0 if world is None else world.number
+
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Build the models and start; see :class:`~smooth_operator.sinks.sink.Sink`."""
         if self._world is not None:
             raise SinkError("mujoco: it is open already")
-        physics = {side: self._built(hand) for side, hand in hands.items()}
-        object.__setattr__(self, "_world", _World(physics, self._events))
+        physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
+        self._set("_world", _World(physics, self._events))
+
+    def change_task(self, task: str) -> None:
+        """Go on with another scene, or with none, once it is built; commands go on meanwhile.
+
+        Whoever watched the scene before sees no more of it.
+
+        Args:
+            task: as :attr:`task`.
+
+        Raises:
+            UnknownNameError: there is no such task.
+            HandModelError: a hand's size does not allow it; then nothing changes.
+            SinkError: the simulation is closed, or was meanwhile.
+        """
+        before = self._world
+        if before is None:
+            raise SinkError("mujoco: it is not open")
+        physics = {side: self._built(old.hand, task) for side, old in before.physics.items()}
+        with self._swapping:
+            if self._world is not before:
+                raise SinkError("mujoco: it was closed, or another task was asked for meanwhile")
+            self._set("_task", task)
+            self._set("_world", _World(physics, self._events))
+        before.end()
 
     def send(self, tick: Tick) -> None:
         """Set the targets of the servos.
@@ -167,14 +208,17 @@ class Simulation:
         assert self._world is not None  # it has a scene
         return self._world.reset_object(side, physics)
 
-    def _built(self, hand: Hand) -> HandPhysics:
-        if self.task == "none":
+    def _built(self, hand: Hand, task: str) -> HandPhysics:
+        if task == "none":
             return HandPhysics(hand, 1.0 / self.rate, self.bandwidth, self.gravity)
-        return ScenePhysics(hand, scene_for(self.task, hand), 1.0 / self.rate, self.bandwidth)
+        return ScenePhysics(hand, scene_for(task, hand), 1.0 / self.rate, self.bandwidth)
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
 
     def _scene(self, side: Side) -> ScenePhysics:
         world = self._world
-        found = None if world is None else world.physics_of(side)
+        found = None if world is None else world.physics.get(side)
         if not isinstance(found, ScenePhysics):
             raise SinkError(
                 f"mujoco: there is no scene around a {side} hand: "
@@ -184,8 +228,9 @@ class Simulation:
 
     def close(self) -> None:
         """Stop; a second call does nothing."""
-        world = self._world
-        object.__setattr__(self, "_world", None)
+        with self._swapping:
+            world = self._world
+            self._set("_world", None)
         if world is not None:
             world.end()
 
@@ -195,8 +240,9 @@ class _World:
 
     def __init__(self, physics: Mapping[Side, HandPhysics], events: list[str]) -> None:
         now = time.perf_counter()
+        self.number = next(_NUMBERS)
         self.seen = {side: SimulatedHand(p.positions, now) for side, p in physics.items()}
-        self._physics, self._events = physics, events
+        self.physics, self._events = physics, events
         self.scenes: dict[Side, SceneState] = {
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
         }
@@ -217,11 +263,8 @@ class _World:
 
     def hold(self) -> None:
         with self._changed:
-            for side in self._physics:
+            for side in self.physics:
                 self._targets[side] = None  # stands for: where it is
-
-    def physics_of(self, side: Side) -> HandPhysics | None:
-        return self._physics.get(side)
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
         with self._changed:
@@ -259,14 +302,14 @@ class _World:
             targets, self._targets = self._targets, {}
         for side, target in targets.items():
             if target is not None:
-                self._physics[side].command(target)
+                self.physics[side].command(target)
                 held.discard(side)
             elif side not in held:  # once: a hand that is held again and again would creep
-                self._physics[side].hold()
+                self.physics[side].hold()
                 held.add(side)
 
     def _step(self, seconds: float, now: float) -> None:
-        for side, physics in self._physics.items():
+        for side, physics in self.physics.items():
             if not physics.advance(seconds):
                 text = f"the physics of the {side} hand came apart and was set back"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text

@@ -5,12 +5,28 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.sources.live import Arrival
 from smooth_operator.types import JointCommand, Side, Status
+
+
+@dataclass(frozen=True)
+class Driver:
+    """What a hand is driven by.
+
+    Attributes:
+        method: its name.
+        preset: that of its preset.
+        config: the configuration, all that was changed and the operator included.
+    """
+
+    method: str
+    preset: str
+    config: Any
 
 
 class Mode(enum.Enum):
@@ -57,6 +73,8 @@ class Tick:
         tracking_loss: of the frame; NaN where none is answered.
         scale: robot size over human size in the frame; NaN where none is answered.
         events: what happened at this tick, a sentence each: a mode that changed, frames refused.
+        driver: what the hand is driven by, where the loop was told; the same object until it
+            changes.
     """
 
     side: Side
@@ -72,3 +90,4 @@ class Tick:
     tracking_loss: float = float("nan")
     scale: float = float("nan")
     events: tuple[str, ...] = ()
+    driver: Driver | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -37,6 +37,8 @@ class CardScene(Scene):
         top: height of the table's top [m].
         reach: farthest x at which a finger can press on the table [m].
     """
+
+    view: ClassVar = (150.0, -12.0)
 
     edge: float
     top: float

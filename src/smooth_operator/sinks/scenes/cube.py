@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -39,6 +39,8 @@ class CubeScene(Scene):
     Attributes:
         top: height of the pedestal's top [m].
     """
+
+    view: ClassVar = (150.0, -35.0)
 
     top: float
 

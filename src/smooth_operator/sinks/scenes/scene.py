@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -38,7 +38,11 @@ class Scene(ABC):
         lower: (3,) of the workspace [m]; an object that leaves it is dropped.
         upper: (3,) likewise.
         fixture: whether something holds the object until the hand does.
+        view: azimuth and elevation of a camera that sees a right hand at it [degrees], as MuJoCo
+            counts them; of a left hand the azimuth is the opposite.
     """
+
+    view: ClassVar[tuple[float, float]]
 
     mount: Mount
     start: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]

@@ -24,7 +24,7 @@ from smooth_operator.study.analysis.results import (
 )
 from smooth_operator.study.analysis.spearman import correlations
 from smooth_operator.study.analysis.success_outcome import analyze_success
-from smooth_operator.study.data.rows import ITEMS, Questionnaires, StudyData, Trials
+from smooth_operator.study.data.rows import ITEMS, Questionnaires, StudyData, Trials, Workload
 
 Report = Callable[[str], None]
 
@@ -53,6 +53,11 @@ class Analysis:
     spearman: dict[str, Any] = field(default_factory=dict)
     tlx_items: dict[str, dict[str, ScopeResult]] = field(default_factory=dict)
 
+    @property
+    def workload(self) -> Workload:
+        """What is meant by workload."""
+        return "raw" if self.data.questionnaires is None else self.data.questionnaires.kind
+
     def to_json(self) -> dict[str, Any]:
         """The content of ``results.json``."""
         found: dict[str, Any] = {mode: plain(outcomes) for mode, outcomes in self.results.items()}
@@ -67,6 +72,7 @@ class Analysis:
             "operators": sorted({str(name) for name in self.data.trials.operator}),
             "trials": len(self.data.trials),
             "questionnaires": len(self.data.questionnaires or ()),
+            "workload": self.workload,
             "notes": list(self.data.notes),
             "files": list(self.data.sources),
             "default_mode": MODES[0],
@@ -146,7 +152,7 @@ def tlx_frame(
     index: str = "global",
     item: int | None = None,
 ) -> Frame:
-    """Questionnaires of a scope; the outcome is the raw TLX, or the answer to one item."""
+    """Questionnaires of a scope; the outcome is the workload, or the answer to one item."""
     outcome = table.workload if item is None else table.answers[:, item]
     rows = _within(table, scope) & np.isfinite(outcome)
     return make_frame(

@@ -145,7 +145,10 @@ class _Clusters:
     ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "g p"], Float[np.ndarray, "g p p"]]:
         """(Σ D'R⁻¹D, D'R⁻¹r of each operator, D'R⁻¹D of each operator), without φ."""
         scaled = self.design * root[:, None]
-        shared = alpha / (1 + (self.sizes - 1) * alpha)
+        # Operators that are exactly alike have the lowest correlation there is, and R no inverse:
+        # the fit runs away, and is refused for that.
+        with np.errstate(divide="ignore"):
+            shared = alpha / (1 + (self.sizes - 1) * alpha)
         sums, total = self._sum(scaled), self._sum(residuals)
         scores = self._sum(scaled * residuals[:, None]) - (shared * total)[:, None] * sums
         slices = np.split(scaled, self.starts[1:])

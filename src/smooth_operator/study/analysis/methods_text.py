@@ -35,7 +35,12 @@ def methods_paragraph(analysis: Analysis) -> str:
     )
     linear = "Completion time of successful trials"
     if data.questionnaires is not None:
-        linear += " and workload (unweighted mean of the six NASA-TLX scales [Hart1988])"
+        linear += (
+            " and workload (unweighted mean of the six NASA-TLX scales [Hart1988])"
+            if analysis.workload == "raw"
+            else " and workload (mean of the six NASA-TLX scales, weighted by each operator's "
+            "choices between pairs of them [Hart1988])"
+        )
     linear += (
         f" were analysed by linear mixed models with {adjusted} standardised trial index as fixed "
         "effects and a random intercept for each operator, fitted by restricted maximum likelihood "

@@ -26,7 +26,7 @@ class OperatorMean:
 
 
 def operator_means(data: StudyData) -> list[OperatorMean]:
-    """Success rate, mean time of successes [s] and mean raw TLX of each operator.
+    """Success rate, mean time of successes [s] and mean workload of each operator.
 
     Args:
         data: the study.

@@ -33,7 +33,7 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
     Returns:
         ``METRIC~OUTCOME`` -> ``rho``, ``n``, ``operators``, ``p_t``, ``ci_fisher`` and
         ``ci_boot_operators`` with ``lcl`` and ``ucl``, ``effect_words``; or ``refused``. Outcomes
-        are ``success``, ``time_s`` and ``raw_tlx``. Empty without metrics.
+        are ``success``, ``time_s`` and ``raw_tlx`` or ``weighted_tlx``. Empty without metrics.
     """
     if data.metrics is None:
         return {}
@@ -67,7 +67,7 @@ def _means(data: StudyData) -> dict[str, dict[tuple[str, str], float]]:
     if data.questionnaires is not None:
         table = data.questionnaires
         known = np.isfinite(table.workload)
-        found["raw_tlx"] = _by_pair(
+        found[f"{table.kind}_tlx"] = _by_pair(
             table.operator[known], table.retargeter[known], table.workload[known]
         )
     return found

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
+PAIRS: Final = len(ITEMS) * (len(ITEMS) - 1) // 2
+"""Of scales, of each of which an operator says which added more to the workload."""
+Workload: TypeAlias = Literal["raw", "weighted"]
+"""``raw``: mean of the six answers (Hart 2006); ``weighted``: each as often as its scale was chosen
+(Hart and Staveland 1988)."""
 POINTS: Final = ("initial", "midpoint", "final")
 """When a questionnaire is filled in: after the first, middle and last trial of a block."""
 SCORES: Final = (0.0, 0.5, 1.0)
@@ -62,6 +67,9 @@ class Questionnaires:
         block: which block of the operator's task, from 1 (n,).
         point: 1, 2 or 3: initial, midpoint, final (n,).
         answers: of :data:`ITEMS`, 0 to 100, NaN where one was left out (n, 6).
+        weights: how often each was chosen, 0 to 5, 15 together, NaN in rows without (n, 6); None
+            if no row has them.
+        kind: of the workload.
     """
 
     operator: np.ndarray
@@ -70,14 +78,20 @@ class Questionnaires:
     block: Int[np.ndarray, " n"]
     point: Int[np.ndarray, " n"]
     answers: Float[np.ndarray, "n 6"]
+    weights: Float[np.ndarray, "n 6"] | None = None
+    kind: Workload = "raw"
 
     def __len__(self) -> int:
         return len(self.point)
 
     @property
     def workload(self) -> Float[np.ndarray, " n"]:
-        """Raw TLX, the mean of the six answers; NaN where one is missing (n,)."""
-        return np.asarray(self.answers.mean(axis=1))
+        """Raw or weighted TLX; NaN where an answer is missing, or the weights are (n,)."""
+        if self.kind == "raw":
+            return np.asarray(self.answers.mean(axis=1))
+        if self.weights is None:
+            return np.full(len(self), np.nan)
+        return np.asarray((self.weights * self.answers).sum(axis=1) / PAIRS)
 
     @property
     def index(self) -> Int[np.ndarray, " n"]:

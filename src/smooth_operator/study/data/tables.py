@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float
 
-from smooth_operator.study.data.cells import Checked
+from smooth_operator.study.data.cells import Checked, is_missing
 from smooth_operator.study.data.rows import (
     ITEMS,
+    PAIRS,
     POINTS,
     SCORES,
     SUCCESS,
@@ -22,6 +24,8 @@ TRIAL_COLUMNS: Final = (
     "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
 )  # fmt: skip
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
+WEIGHT_COLUMNS: Final = tuple(f"weight_{item}" for item in ITEMS)
+"""Of questionnaires, where the pairs of scales were asked for: all six, or none."""
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """And a column for each metric."""
 
@@ -110,6 +114,7 @@ def make_questionnaires(
         block=np.array(table.counts("block"), int),
         point=np.array(points, int),
         answers=np.array(answers).T.reshape(-1, len(ITEMS)),
+        weights=_weights(table),
     )
     table.unique(("operator", "task", "block", "point"))
     table.raise_if_any()
@@ -121,6 +126,42 @@ def make_questionnaires(
             f"analysis of workload ({name})"
         )
     return found, tuple(notes)
+
+
+def _weights(table: Checked) -> Float[np.ndarray, "n 6"] | None:
+    """(n, 6) how often each scale was chosen; None where the table has no such columns."""
+    there = [column for column in WEIGHT_COLUMNS if column in table.rows[0][1]]
+    if not there:
+        return None
+    missing = [column for column in WEIGHT_COLUMNS if column not in there]
+    if missing:
+        table.problems.append(
+            f"expected all of the columns {', '.join(WEIGHT_COLUMNS)}, or none; missing: "
+            f"{', '.join(missing)}"
+        )
+        return None
+    most = len(ITEMS) - 1
+    columns = [
+        table.numbers(
+            column, f"0 to {most}, whole, or nothing", lambda x: 0 <= x <= most and x == int(x)
+        )
+        for column in WEIGHT_COLUMNS
+    ]
+    found = np.array(columns).T.reshape(-1, len(ITEMS))
+    for (number, row), weights in zip(table.rows, found, strict=True):
+        known = [not is_missing(row[column]) for column in WEIGHT_COLUMNS]
+        if any(known) and not all(known):
+            table.complain(
+                number, WEIGHT_COLUMNS[known.index(False)], "the other weights are there"
+            )
+        elif all(known) and np.isfinite(weights).all() and weights.sum() != PAIRS:
+            table.complain(
+                number,
+                WEIGHT_COLUMNS[0],
+                f"expected weights that are {PAIRS} together, as of {PAIRS} pairs; they are "
+                f"{weights.sum():g}",
+            )
+    return None if np.isnan(found).all() else found
 
 
 def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:

@@ -27,6 +27,17 @@ class _Event:
 
 
 @dataclass(frozen=True)
+class _OfBlock(_Event):
+    task: str
+    block: int
+
+
+@dataclass(frozen=True)
+class _OfTrial(_OfBlock):
+    trial: int
+
+
+@dataclass(frozen=True)
 class Calibrated(_Event):
     """The tracker was calibrated to the operator, or that was left out."""
 
@@ -36,55 +47,43 @@ class Calibrated(_Event):
 
 
 @dataclass(frozen=True)
-class BlockStarted(_Event):
+class BlockStarted(_OfBlock):
     """The retargeter was switched to the block's condition."""
 
     kind: ClassVar[str] = "block_started"
-    task: str
-    block: int
     condition: str
 
 
 @dataclass(frozen=True)
-class FamiliarisationStarted(_Event):
+class FamiliarisationStarted(_OfBlock):
     """Free movement begins, and its countdown."""
 
     kind: ClassVar[str] = "familiarisation_started"
-    task: str
-    block: int
 
 
 @dataclass(frozen=True)
-class FamiliarisationEnded(_Event):
+class FamiliarisationEnded(_OfBlock):
     """Free movement is over."""
 
     kind: ClassVar[str] = "familiarisation_ended"
-    task: str
-    block: int
 
 
 @dataclass(frozen=True)
-class TrialStarted(_Event):
+class TrialStarted(_OfTrial):
     """The clock of a trial runs."""
 
     kind: ClassVar[str] = "trial_started"
-    task: str
-    block: int
-    trial: int
 
 
 @dataclass(frozen=True)
-class TrialReset(_Event):
+class TrialReset(_OfTrial):
     """The object was put back; caps the score."""
 
     kind: ClassVar[str] = "trial_reset"
-    task: str
-    block: int
-    trial: int
 
 
 @dataclass(frozen=True)
-class TrialScored(_Event):
+class TrialScored(_OfTrial):
     """The trial ended.
 
     Attributes:
@@ -94,43 +93,33 @@ class TrialScored(_Event):
     """
 
     kind: ClassVar[str] = "trial_scored"
-    task: str
-    block: int
-    trial: int
     line: str
     score: float
     time_s: float
 
 
 @dataclass(frozen=True)
-class TrialVoided(_Event):
+class TrialVoided(_OfTrial):
     """The trial doesn't count, for a reason that is not the operator's; it is done again."""
 
     kind: ClassVar[str] = "trial_voided"
-    task: str
-    block: int
-    trial: int
     reason: str
 
 
 @dataclass(frozen=True)
-class Answered(_Event):
+class Answered(_OfBlock):
     """NASA-TLX was filled in."""
 
     kind: ClassVar[str] = "questionnaire_answered"
-    task: str
-    block: int
     point: Point
     ratings: Mapping[str, int]
 
 
 @dataclass(frozen=True)
-class Weighed(_Event):
+class Weighed(_OfBlock):
     """The fifteen pairs of NASA-TLX were chosen from."""
 
     kind: ClassVar[str] = "weights_answered"
-    task: str
-    block: int
     winners: tuple[str, ...]
 
 

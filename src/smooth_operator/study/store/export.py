@@ -16,7 +16,11 @@ from typing import Any, Final
 
 from smooth_operator.errors import OutputError
 from smooth_operator.recording.atomic import atomic_write, output_error
-from smooth_operator.study.data.tables import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
+from smooth_operator.study.data.tables import (
+    QUESTIONNAIRE_COLUMNS,
+    TRIAL_COLUMNS,
+    WEIGHT_COLUMNS,
+)
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.events import payload
 from smooth_operator.study.store.progress import Progress, Trial
@@ -30,7 +34,7 @@ from smooth_operator.study.store.workload import (
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
-WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
+BLOCK_WEIGHT_COLUMNS: Final = ("operator", "task", "retargeter", "block", *SCALE_NAMES)
 
 _TRIALS, _TLX, _WEIGHTS, _ALL = "trials.csv", "tlx.csv", "tlx_weights.csv", "study.json"
 
@@ -58,10 +62,14 @@ def export_study(
     except OSError as error:
         raise output_error(folder, error) from error
     everything = study_json(store, operators)
+    weighted = (*WEIGHT_COLUMNS, "weighted_workload")
     files = {
         _TRIALS: (TRIAL_COLUMNS, everything["trials"]),
-        _TLX: (QUESTIONNAIRE_COLUMNS, everything["questionnaires"]),
-        _WEIGHTS: (WEIGHT_COLUMNS, everything["weights"]),
+        _TLX: (
+            (*QUESTIONNAIRE_COLUMNS, *(weighted if everything["weights"] else ())),
+            everything["questionnaires"],
+        ),
+        _WEIGHTS: (BLOCK_WEIGHT_COLUMNS, everything["weights"]),
     }
     written = []
     for name, (columns, rows) in files.items():
@@ -130,6 +138,7 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
     for asked in progress.questionnaires:
         block = asked.block
         winners = progress.winners.get((block.task.name, block.number))
+        chosen = {} if winners is None else weights(winners)
         yield {
             "operator": progress.operator,
             "task": block.task.name,
@@ -137,6 +146,10 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
             "block": block.number,
             "point": asked.point,
             **{name: asked.ratings[name] for name in SCALE_NAMES},
+            **{
+                column: chosen.get(name)
+                for column, name in zip(WEIGHT_COLUMNS, SCALE_NAMES, strict=True)
+            },
             "raw_workload": raw_workload(asked.ratings),
             "weighted_workload": winners and weighted_workload(asked.ratings, winners),
             "answered_at": asked.at.isoformat(),

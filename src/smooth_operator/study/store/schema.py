@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from smooth_operator.study.data.tables import WEIGHT_COLUMNS
 from smooth_operator.study.store.export import FORMAT
 from smooth_operator.study.store.workload import SCALE_NAMES
 
@@ -16,6 +17,7 @@ def export_schema() -> dict[str, Any]:
     seconds = {"type": "number", "minimum": 0}
     rating = {"type": "integer", "minimum": 0, "maximum": 100, "multipleOf": 5}
     times = {"type": "integer", "minimum": 0, "maximum": len(SCALE_NAMES) - 1}
+    times_or_none = {**times, "type": ["integer", "null"]}
     workload = {"type": ["number", "null"], "minimum": 0, "maximum": 100}
     where = {"operator": text, "task": text, "retargeter": text, "block": count}
 
@@ -45,6 +47,7 @@ def export_schema() -> dict[str, Any]:
                     **where,
                     point={"enum": ["initial", "midpoint", "final"]},
                     **dict.fromkeys(SCALE_NAMES, rating),
+                    **dict.fromkeys(WEIGHT_COLUMNS, times_or_none),
                     raw_workload=workload,
                     weighted_workload=workload,
                     answered_at=moment,

@@ -17,13 +17,12 @@ from smooth_operator.sinks.scenes.physics import ScenePhysics
 from smooth_operator.sinks.scenes.state import SceneState
 from smooth_operator.study.tasks.demonstration import Demonstration, load_demonstration, play
 
-_VIEWS: Final = {"card": (150.0, -12.0), "cube": (150.0, -35.0), "screwdriver": (200.0, -5.0)}
 _MOMENTS: Final = {
     "card": (0.02, 2.0, 3.2, 4.0),
     "cube": (0.02, 1.0, 1.5, 2.1),
     "screwdriver": (0.02, 1.2, 2.1, 4.3),
 }
-"""Task -> where from (azimuth, elevation [degrees]), and when [s]."""
+"""Task -> when [s]."""
 
 _DISTANCE: Final = 0.29  # of the camera [m]
 _COLORS: Final = 256  # of the PNG's palette
@@ -32,7 +31,7 @@ _COLORS: Final = 256  # of the PNG's palette
 def film_strip(
     demonstration: Demonstration,
     moments: Sequence[float],
-    view: tuple[float, float],
+    view: tuple[float, float] | None = None,
     size: tuple[int, int] = (400, 320),
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Pictures of a demonstration side by side.
@@ -40,7 +39,7 @@ def film_strip(
     Args:
         demonstration: what is done.
         moments: when [s], in order.
-        view: azimuth and elevation of the camera [degrees].
+        view: azimuth and elevation of the camera [degrees]; the scene's own if left out.
         size: width and height of each picture.
 
     Raises:
@@ -52,7 +51,7 @@ def film_strip(
     def seen(physics: ScenePhysics, state: SceneState) -> None:
         if left and state.time >= left[0] - 1e-6:
             left.pop(0)
-            shots.append(_shot(physics, view, size))
+            shots.append(_shot(physics, physics.scene.view if view is None else view, size))
 
     for _ in play(demonstration, seen=seen):
         pass
@@ -70,7 +69,7 @@ def save_film_strip(task: str, path: str | Path) -> None:
     """
     from PIL import Image
 
-    strip = film_strip(load_demonstration(task), _MOMENTS[task], _VIEWS[task])
+    strip = film_strip(load_demonstration(task), _MOMENTS[task])
     small = Image.fromarray(strip).quantize(_COLORS, dither=Image.Dither.NONE)
     try:
         with atomic_write(path) as file:

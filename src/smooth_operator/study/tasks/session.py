@@ -48,7 +48,7 @@ class TaskSession:
         folder: str | Path | None = None,
         done: Callable[[Outcome], None] | None = None,
     ) -> None:
-        self.task = task_named(simulation.task)
+        self.task = task_named(simulation.task_now)
         self.outcomes: list[Outcome] = []
         self._simulation, self._side, self._done = simulation, side, done
         self._folder = None if folder is None else Path(folder)
@@ -59,6 +59,8 @@ class TaskSession:
         self._now = 0.0
         self._since = 0
         self._number = 0
+        self._trials = 0
+        self._state: SceneState | None = None
         self.failed = ""
         simulation.watch(side, self.observe)
 
@@ -67,6 +69,11 @@ class TaskSession:
         """The trial at hand."""
         with self._lock:
             return self._run
+
+    @property
+    def number(self) -> int:
+        """Of the trial at hand, from 1; 0 before the first."""
+        return self._trials
 
     @property
     def seconds(self) -> float:
@@ -93,6 +100,7 @@ class TaskSession:
             self._record = self._fresh()
             self._record.about = about
             self._record.events.append((self._now, "go"))
+            self._trials += 1
 
     def reset(self) -> None:
         """Put the object back to its start, once a trial; the score is then 0.5 at most.
@@ -116,6 +124,43 @@ class TaskSession:
             self._record.events.append((self._now, "finish"))
             self._end()
 
+    def cancel(self) -> None:
+        """Forget the trial at hand: nothing is counted or written; nothing happens if none runs."""
+        with self._lock:
+            if self._run.phase is Phase.RUNNING:
+                self._run = TaskRun(self.task, self._run.scene)
+
+    def report(self) -> dict[str, Any]:
+        """How the trial stands, as JSON has it.
+
+        Returns:
+            ``task``, ``side``; ``number`` of the trial, from 1; ``phase`` ready, running or done;
+            ``elapsed_s`` since 'go', by the scene's clock; ``score``, ``line`` of the rubric, its
+            ``text``, and the ``reason`` for it, of which only those of a trial that is done are
+            final; ``time_s`` and ``ended`` of such a one, None before; ``resets``; ``placed``:
+            whether the object is at its start, and no longer waits for the hand to leave its place.
+        """
+        with self._lock:
+            run, outcome = self._run, self._run.outcome
+            standing = run.standing
+            line = standing.line if outcome is None else outcome.line
+            placed = self._state is None or self._state.placed
+            return {
+                "task": self.task.name,
+                "side": self._side,
+                "number": self._trials,
+                "phase": run.phase.value,
+                "elapsed_s": self.seconds,
+                "score": standing.score if outcome is None else outcome.score,
+                "line": line,
+                "text": next((r.text for r in self.task.task.rubric if r.name == line), ""),
+                "reason": standing.reason if outcome is None else outcome.reason,
+                "time_s": None if outcome is None else outcome.seconds,
+                "ended": None if outcome is None else outcome.ended,
+                "resets": run.resets,
+                "placed": placed,
+            }
+
     def close(self) -> None:
         """Look no more; a trial that runs is not counted. The simulation may be closed already."""
         with contextlib.suppress(SinkError):
@@ -132,6 +177,7 @@ class TaskSession:
             if state.time - self._last < _EVERY_S - 1e-6:
                 return
             self._last = self._now = state.time
+            self._state = state
             if self._run.phase is not Phase.RUNNING or state.starts < self._since:
                 return  # or the object is not back at its start yet
             if state.starts > self._since:

@@ -55,7 +55,10 @@ class Link:
         except LoopEnded:
             return
 
-    def look(self, *, text: bool, fields: int, configuration: bool = False) -> dict[str, Any]:
+    def look(
+        self, *, text: bool, fields: int, scenery: int, configuration: bool = False
+    ) -> dict[str, Any]:
         """What to show; see :meth:`smooth_operator.ui.live.session.LiveSession.look`."""
-        self.say({"look": {"text": text, "fields": fields}, "configuration": configuration})
+        known = {"text": text, "fields": fields, "scenery": scenery}
+        self.say({"look": known, "configuration": configuration})
         return self.hear()

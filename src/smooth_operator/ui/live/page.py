@@ -38,6 +38,7 @@ class PageSetup:
         host: address to listen on; another than this machine's own wants a token.
         port: first port to try; 0 for any free one.
         simulated: whether there is a simulated hand to be drawn.
+        blind: the operator is not to know the method: nothing shows or changes it.
         details: with reflections, which a browser without a graphics card takes long to prepare.
     """
 
@@ -47,6 +48,7 @@ class PageSetup:
     host: str = "127.0.0.1"
     port: int = 8080
     simulated: bool = False
+    blind: bool = False
     details: bool = True
 
 

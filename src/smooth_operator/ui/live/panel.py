@@ -31,7 +31,8 @@ class LivePanel:
         hands: side -> robot hand.
         link: to the loop's process.
         scene: whose switches stand in the panel.
-        download: has the configuration sent to the browser.
+        download: has the configuration sent to the browser; None where the operator is not to
+            know the method, and there is nothing that shows or changes it.
     """
 
     def __init__(
@@ -40,8 +41,9 @@ class LivePanel:
         hands: Mapping[Side, Hand],
         link: Link,
         scene: LiveScene,
-        download: Callable[[], None],
+        download: Callable[[], None] | None,
     ) -> None:
+        self._blind = download is None
         self._link, self._scene, self._hands = link, scene, hands
         self.fields_number = _UNKNOWN
         self._operators: Mapping[str, Any] | None = None
@@ -54,8 +56,10 @@ class LivePanel:
         panel = gui.add_panel()
         with panel.add_tab("Timing", icon=viser.Icon.CLOCK):
             self._timing = gui.add_html("")
-        with panel.add_tab("Method", icon=viser.Icon.ADJUSTMENTS):
-            self._build_method(gui, download)
+        with panel.add_tab("Limits" if download is None else "Method", icon=viser.Icon.ADJUSTMENTS):
+            if download is not None:
+                self._build_method(gui, download)
+            self._limits = self._config_controls(gui, "Safety and limits", "set_loop")
         with panel.add_tab("Calibrate", icon=viser.Icon.HAND_FINGER):
             self._build_calibration(gui)
         with panel.add_tab("View", icon=viser.Icon.EYE):
@@ -65,7 +69,7 @@ class LivePanel:
 
     def show(self, seen: Mapping[str, Any]) -> None:
         """Show what :meth:`smooth_operator.ui.live.session.LiveSession.look` gave."""
-        self._modes.content = words.modes(seen["hands"])
+        self._modes.content = words.modes(seen["hands"], latches=not self._blind)
         self._show_calibration(seen["calibration"])
         if "status" in seen:
             self._summary.content = words.summary(seen["status"])
@@ -116,11 +120,11 @@ class LivePanel:
             asked(lambda event: do("method", self._method.value, event.target.value))
         )
         save.on_click(asked(lambda _: download()))
-        self._settings = ConfigControls(
-            gui, "Settings of the method", lambda path, value: do("set", path, value), expanded=True
-        )
-        self._limits = ConfigControls(
-            gui, "Safety and limits", lambda path, value: do("set_loop", path, value), expanded=True
+        self._settings = self._config_controls(gui, "Settings of the method", "set")
+
+    def _config_controls(self, gui: viser.GuiApi, title: str, word: str) -> ConfigControls:
+        return ConfigControls(
+            gui, title, lambda path, value: self._link.do(word, path, value), expanded=True
         )
 
     def _build_calibration(self, gui: viser.GuiApi) -> None:
@@ -178,13 +182,15 @@ class LivePanel:
             self._scene.set_operators(controls["operators"])
         for button, side in self._drop:
             button.visible = controls["operators"].get(side) is not None
+        if "loop_fields" not in controls:
+            return
+        self.fields_number = controls["fields_number"]
+        self._limits.show(controls["loop_fields"])
         if "fields" in controls:
-            self.fields_number = controls["fields_number"]
             presets = controls["presets"]
             _choose(self._method, list(presets), controls["method"])
             _choose(self._preset, presets[controls["method"]], controls["preset"])
             self._settings.show(controls["fields"])
-            self._limits.show(controls["loop_fields"])
 
     def _show_calibration(self, state: Mapping[str, Any]) -> None:
         phase = state["phase"]

@@ -65,7 +65,9 @@ class _Page:
             if not setup["details"]:
                 self._server.scene.configure_environment_map(None)
             self._scene = LiveScene(self._server, hands, setup["simulated"])
-            self._panel = LivePanel(self._server, hands, link, self._scene, self.download)
+            self._panel = LivePanel(
+                self._server, hands, link, self._scene, None if setup["blind"] else self.download
+            )
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
         self._pace = Pace(self._server)
@@ -80,11 +82,16 @@ class _Page:
             wanted, self._configuration_wanted = self._configuration_wanted, False
             text = watched and begun >= next_text
             seen = self._link.look(
-                text=text, fields=self._panel.fields_number, configuration=wanted
+                text=text,
+                fields=self._panel.fields_number,
+                scenery=self._scene.scenery_number,
+                configuration=wanted,
             )
             if watched:
                 with self._server.atomic():
                     self._scene.draw(seen["hands"])
+                    if "scenery" in seen:
+                        self._scene.draw_scenery(seen["scenery"])
                     self._panel.show(seen)
                 self._server.flush()
             if wanted:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import mujoco
@@ -26,6 +26,7 @@ from smooth_operator.ui.body_nodes import BodyNodes, TipBalls
 from smooth_operator.ui.hand_view import HandView
 from smooth_operator.ui.human import HumanView, keyvector_colors, thumb_lines
 from smooth_operator.ui.layout import GAP, upright
+from smooth_operator.ui.live.scenery_nodes import SceneryNodes
 from smooth_operator.ui.palette import Rgb
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
@@ -52,14 +53,21 @@ class LiveScene:
         self, server: viser.ViserServer, hands: Mapping[Side, Hand], simulated: bool
     ) -> None:
         self.simulated = simulated
+        self.scenery_number = 0
         sides: tuple[Side, ...] = ("left", "right")
         order = [side for side in sides if side in hands]
         self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
+        self._server = server
+        centre, half = self._arrange()
+        self.aiming = Aiming(server, _VIEW, centre, half)
+
+    def _arrange(self) -> tuple[Float[np.ndarray, "3"], tuple[float, float]]:
+        """Give each hand its place; where the picture's middle is, and half its size [m]."""
         low = np.min([view.low for view in self._sides.values()], axis=0)
         high = np.max([view.high for view in self._sides.values()], axis=0)
         size = high - low
         # One hand: human beside robot. Two: each human above its robot.
-        columns, rows = (2, 1) if len(order) == 1 else (len(order), 2)
+        columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
         for column, view in enumerate(self._sides.values()):
             right = (size[0] + GAP) * column
             up = (size[1] + 2 * GAP) * (rows - 1)
@@ -72,14 +80,29 @@ class LiveScene:
             view.put(*places)
         spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
         middle = (low + high + np.array([*spread, 0.0])) / 2
+        if any(view.scenery.there for view in self._sides.values()):
+            middle[2] = high[2]  # what is nearest, which looks largest, is to fit in, too
         half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1] + _LABEL) / 2)
-        self.aiming = Aiming(server, _VIEW, middle @ _VIEW, half)
+        return middle @ _VIEW, half
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the hands; see :meth:`smooth_operator.ui.live.session.LiveSession.look`."""
         for side, view in self._sides.items():
             if side in hands:
                 view.draw(hands[side])
+
+    def draw_scenery(self, seen: Mapping[str, Any]) -> None:
+        """Show what the hands work on; see :class:`~smooth_operator.ui.live.scenery.Scenery`."""
+        self.scenery_number = seen["number"]
+        if "parts" in seen:
+            for side, view in self._sides.items():
+                view.scenery.show(seen["parts"].get(side, ()))
+                view.face(seen["views"].get(side), seen["poses"].get(side))
+            self.aiming.centre, self.aiming.half = self._arrange()
+            for client in self._server.get_clients().values():
+                self.aiming.aim(client)
+        for side, view in self._sides.items():
+            view.scenery.draw(seen["poses"].get(side))
 
     def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
         """Which calibrations correct the human hands."""
@@ -114,13 +137,10 @@ class _SideView:
         view = HandView(hand)
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         up, toward = upright(view.axes[1], view.axes[2])
-        self._turn = _VIEW.T @ np.stack([np.cross(up, toward), up, toward])
+        self._axes = np.stack([np.cross(up, toward), up, toward])
         tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
-        rotation, wxyz = self._turn, np.empty(4)
-        mujoco.mju_mat2Quat(wxyz, rotation.ravel())
         self._roots = {
-            name: scene.add_frame(f"/{side}/{name}", show_axes=False, wxyz=wxyz)
-            for name in ("human", "robot")
+            name: scene.add_frame(f"/{side}/{name}", show_axes=False) for name in ("human", "robot")
         }
         palm_wxyz, palm_position = _inverse_palm(hand)
         model_root = f"/{side}/robot/model"
@@ -144,6 +164,7 @@ class _SideView:
         self._human = HumanView(scene, tips, f"/{side}/human")
         self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
         self._tips = tips
+        self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
         none = np.zeros(len(tips) - 1, bool)
         self._lines = {
             name: scene.add_line_segments(
@@ -154,34 +175,37 @@ class _SideView:
             )
             for name in self._roots
         }
-        self.low, self.high = self._bounds(view)
-        top = np.array([(self.low[0] + self.high[0]) / 2, self.high[1], 0.0]) @ _VIEW @ self._turn
+        self._points = self._hull(view)
         words = {"human": "operator", "robot": hand.name}
         self._labels = [
             scene.add_label(
                 f"/{side}/{name}/label",
                 f"{words[name]} {side}",
-                position=top,
                 anchor="bottom-center",
             )
             for name in self._roots
         ]
         self._places = (np.zeros(3), np.zeros(3))
+        self._overlaid = False
+        self.face(None, None)
         self.draw({"positions": hand.expand(hand.neutral), "human": None, "latched": ()})
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
         """Where the two stand when they don't stand in each other: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
-        self.set_overlay(False)
+        self.set_overlay(self._overlaid)
 
     def draw(self, state: Mapping[str, Any]) -> None:
         """Show one moment."""
         hand = self._hand
         every = np.asarray(state["positions"], float)
-        self._robot.draw(hand.qpos(every))
         if self._simulated is not None and state.get("simulated") is not None:
-            self._simulated.draw(hand.qpos(np.asarray(state["simulated"], float)))
+            other = np.asarray(state["simulated"], float)
+            if self.scenery.there:  # the hand that touches the object is the one to look at
+                every, other = other, every
+            self._simulated.draw(hand.qpos(other))
+        self._robot.draw(hand.qpos(every))
         latched = np.array([finger in state["latched"] for finger in hand.fingers[1:]])
         robot_tips = hand.tips(every)
         self._balls.draw(robot_tips, latched)
@@ -193,6 +217,7 @@ class _SideView:
             self._lines[name].colors = colors
 
     def set_overlay(self, overlay: bool) -> None:
+        self._overlaid = overlay
         human, robot = self._places
         self._roots["human"].position = robot if overlay else human
         self._roots["robot"].position = robot
@@ -225,8 +250,35 @@ class _SideView:
             aligned = self.operator.correct(aligned, fit.scale, self._hand, self._palm_axes)
         return np.where(missing[:, None], np.nan, aligned)
 
-    def _bounds(self, view: HandView) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Corners of a box that a hand of either kind stays in, along right, up and toward [m]."""
+    def face(
+        self, axes: Sequence[Sequence[float]] | None, object_pose: Sequence[float] | None
+    ) -> None:
+        """Turn the hands: as one looks at a scene, or at a palm with the fingers up.
+
+        Args:
+            axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for the palm.
+            object_pose: of what the hand works on, which is to be in the picture, too.
+        """
+        rows = self._axes if axes is None else np.asarray(axes, float)
+        turn, wxyz = _VIEW.T @ rows, np.empty(4)
+        mujoco.mju_mat2Quat(wxyz, turn.ravel())
+        for root in self._roots.values():
+            root.wxyz = wxyz
+        points, wrist = self._points, self._hand.wrist
+        if object_pose is not None:
+            distal = np.asarray(self._palm_axes[0])
+            above = (points - wrist) @ distal > -_FOREARM * np.linalg.norm(distal)
+            points = np.concatenate([points[above], self.scenery.bounds(object_pose)])
+        seen = points @ rows.T
+        self.low, self.high = seen.min(axis=0), seen.max(axis=0)
+        if object_pose is None:
+            self.low[1] = max(self.low[1], float(rows[1] @ wrist) - _FOREARM)
+        top = np.array([(self.low[0] + self.high[0]) / 2, self.high[1], 0.0]) @ rows
+        for label in self._labels:
+            label.position = top
+
+    def _hull(self, view: HandView) -> Float[np.ndarray, "p 3"]:
+        """(p, 3) points that hands of either kind stay within, in the palm frame [m]."""
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
@@ -236,11 +288,7 @@ class _SideView:
                 mesh.bounding_box.vertices @ poses[body][0].T + poses[body][1]
                 for body, mesh in view.meshes.items()
             ]
-        seen = np.concatenate(points) @ self._turn.T @ _VIEW.T
-        floor = float((hand.wrist @ self._turn.T @ _VIEW.T)[1]) - _FOREARM
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        low[1] = max(low[1], floor)
-        return low, high
+        return np.concatenate(points)
 
 
 def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:

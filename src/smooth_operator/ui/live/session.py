@@ -11,23 +11,27 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.live.workshop import Workshop, checked
 from smooth_operator.offline import Request, live_configuration
 from smooth_operator.recording import to_json
-from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.retargeters.presets import live_presets
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.sinks.simulation import Simulation
 from smooth_operator.sinks.sink import Sink
 from smooth_operator.sinks.tick import Mode, Tick
 from smooth_operator.sources.live import Arrival
 from smooth_operator.types import Side
 from smooth_operator.ui.live.coach import Coach
 from smooth_operator.ui.live.fields import changed, config_fields
+from smooth_operator.ui.live.scenery import Scenery
 from smooth_operator.ui.live.takes import Takes
-from smooth_operator.ui.live.workshop import Workshop, checked
 
 _SEEN_S: Final = 1.0
 """A hand that was not tracked for so long is no longer drawn [s]."""
 _EVENTS: Final = 6
+_TELLING: Final = ("solve", "total")
+"""Stages that take so long that one knows the method by them."""
 
 
 class LiveSession:
@@ -37,8 +41,11 @@ class LiveSession:
     Args:
         loop: the running loop.
         asked: what the run was begun with.
-        sinks: those that it was begun with; of a simulated hand among them the state is shown.
+        sinks: those that it was begun with; of a simulated hand among them the state is shown, and
+            what it works on.
         folder: where recordings and calibrations go.
+        workshop: builds methods; one of its own if left out.
+        blind: nothing that is shown tells which method drives the hands, and none can be chosen.
     """
 
     def __init__(
@@ -47,13 +54,18 @@ class LiveSession:
         asked: Request,
         sinks: Sequence[Sink] = (),
         folder: Path = Path(),
+        *,
+        workshop: Workshop | None = None,
+        blind: bool = False,
     ) -> None:
         self.loop = loop
         self.coach = Coach()
-        self.workshop = Workshop(loop, asked)
+        self.workshop = Workshop(loop, asked) if workshop is None else workshop
+        self.blind = blind
         self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
         self._asked, self._folder = asked, folder
         self._simulated = next((s.state for s in sinks if hasattr(s, "state")), None)
+        self._scenery = next((Scenery(s) for s in sinks if isinstance(s, Simulation)), None)
         self._default = LoopConfig(loop.config.rate)
         self._ticks: dict[Side, Tick] = {}
         self._arrivals: dict[Side, Arrival] = {}
@@ -68,8 +80,8 @@ class LiveSession:
             "pause": loop.controls.pause,
             "resume": loop.controls.resume,
             "record": self.takes.toggle,
-            "method": self.workshop.choose,
-            "set": self.workshop.set,
+            "method": self._choose,
+            "set": self._set,
             "set_loop": self._set_loop,
             "calibrate": self._calibrate,
             "cancel_calibration": self.coach.cancel,
@@ -77,6 +89,9 @@ class LiveSession:
             "drop_operator": self._drop_operator,
             "save_operator": self._save_operator,
         }
+        if blind:
+            for name in ("method", "set"):
+                del self._actions[name]
 
     def watch(self, tick: Tick) -> None:
         """Take note of a tick; called by the loop after its sinks."""
@@ -100,18 +115,21 @@ class LiveSession:
         except TypeError:
             self._message = f"the page asks for {name!r} with the wrong values"
 
-    def look(self, *, text: bool, fields: int) -> dict[str, Any]:
+    def look(self, *, text: bool, fields: int, scenery: int = 0) -> dict[str, Any]:
         """What to show now, as JSON has it.
 
         Args:
             text: with figures and controls, not the hands alone.
             fields: for which :attr:`fields_number` the fields are known already.
+            scenery: for which number the shapes of the task's scene are.
         """
         now = self.loop.mailbox.clock()
         shown: dict[str, Any] = {
             "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
             "calibration": self.coach.look(now),
         }
+        if self._scenery is not None:
+            shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
         if text:
             shown["status"] = self._status(now)
             shown["controls"] = self._controls(fields)
@@ -124,7 +142,9 @@ class LiveSession:
         return hash((shown.method, shown.preset, self.workshop.refused, self._fields_changed))
 
     def configuration(self) -> str:
-        """The configuration as it is now, as JSON text."""
+        """The configuration as it is now, as JSON text; empty where it is not to be known."""
+        if self.blind:
+            return ""
         used = self.workshop.used
         content = live_configuration("teleop", self._asked, used.configs, loop=self.loop.config,
                                      source=self.loop.source)  # fmt: skip
@@ -132,7 +152,7 @@ class LiveSession:
 
     def close(self) -> None:
         """End what runs beside the loop."""
-        self.workshop.stop()
+        self.workshop.close()
 
     def _configuration(self) -> Mapping[str, Any]:
         used = self.workshop.used
@@ -156,7 +176,7 @@ class LiveSession:
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
             "age_s": age,
-            "latched": pipeline.latched,
+            "latched": () if self.blind else pipeline.latched,  # which not all methods do
             "scale": pipeline.retargeter.config.alignment.scale,
         }
 
@@ -171,10 +191,11 @@ class LiveSession:
         stages = {
             name: {key: round(found[key], 3) for key in ("p50", "p99")}
             for name, found in statistics.recent(500).items()
-            if found
+            if found and not (self.blind and name in _TELLING)
         }
         return {
             "rates": {side: round(rate, 1) for side, rate in self._rates.items()},
+            "blind": self.blind,
             "stages": stages,
             "missed_share": statistics.missed_share,
             "unusable": statistics.unusable,
@@ -188,11 +209,10 @@ class LiveSession:
         workshop, modes = self.workshop, {tick.mode for tick in self._ticks.values()}
         shown, number = workshop.wanted, self.fields_number
         controls: dict[str, Any] = {
-            "method": shown.method,
-            "preset": shown.preset,
-            "presets": {method: list(presets) for method, presets in PRESETS.items()},
-            "building": workshop.building,
-            "message": self._message or workshop.error or self.takes.error,
+            "building": self._told(workshop.building, "getting ready"),
+            "message": self._message
+            or self._told(workshop.error, "that could not be done; the experimenter knows why")
+            or self.takes.error,
             "stopped": Mode.STOPPED in modes,
             "paused": Mode.PAUSED in modes,
             "recording": self.takes.recording,
@@ -202,11 +222,25 @@ class LiveSession:
             },
             "fields_number": number,
         }
+        if not self.blind:
+            controls["method"], controls["preset"] = shown.method, shown.preset
+            controls["presets"] = live_presets()
         if number != known:
-            controls["fields"] = [asdict(f) for f in config_fields(shown.shown, shown.base)]
+            if not self.blind:
+                controls["fields"] = [asdict(f) for f in config_fields(shown.shown, shown.base)]
             loop = config_fields(self.loop.config, self._default)
             controls["loop_fields"] = [asdict(field) for field in loop if field.path != "rate"]
         return controls
+
+    def _told(self, words: str, blind: str) -> str:
+        """What may name a method, or what is said in its place."""
+        return blind if words and self.blind else words
+
+    def _choose(self, method: str, preset: str | None = None) -> None:
+        self.workshop.choose(method, preset)
+
+    def _set(self, path: str, value: Any) -> None:
+        self.workshop.adjust(lambda config: changed(config, path, value))
 
     def _set_loop(self, path: str, value: Any) -> None:
         try:
@@ -222,11 +256,11 @@ class LiveSession:
 
     def _use_operator(self) -> None:
         operator = checked(self.coach.operator)
-        self.workshop.operate(operator.side, operator)
+        self.workshop.operate({operator.side: operator})
         self._fields_changed += 1
 
     def _drop_operator(self, side: Side) -> None:
-        self.workshop.operate(side, None)
+        self.workshop.operate({side: None})
         self._fields_changed += 1
 
     def _save_operator(self) -> None:

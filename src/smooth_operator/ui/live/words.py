@@ -31,8 +31,8 @@ _SMALL: Final = "padding:0.2em 0.8em;font-size:0.8em;font-variant-numeric:tabula
 _CELL: Final = "padding:0 0.9em 0 0;text-align:right"
 
 
-def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
-    """What the loop does with each hand, and which fingers are latched."""
+def modes(hands: Mapping[str, Mapping[str, Any]], *, latches: bool = True) -> str:
+    """What the loop does with each hand, and which fingers are latched, if that may be known."""
     rows = []
     for side, state in hands.items():
         sign, words, color = _MODES[state["mode"]]
@@ -40,9 +40,11 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
         rows.append(
             f'<div data-side="{html.escape(side)}" data-mode="{state["mode"]}" style="'
             f'border-left:0.5em solid {color};padding-left:0.6em;margin:0.25em 0">'
-            f"<b>{sign} {side}: {words}</b><br>"
-            f"<span data-latched>pinch latches: {html.escape(latched)}</span></div>"
-        )
+            f"<b>{sign} {side}: {words}</b>"
+            + (f"<br><span data-latched>pinch latches: {html.escape(latched)}</span>"
+               if latches else "")
+            + "</div>"
+        )  # fmt: skip
     return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
 
 
@@ -51,13 +53,15 @@ def summary(status: Mapping[str, Any]) -> str:
     total = status["stages"].get("total", {})
     rates = " / ".join(f"{rate:.0f}" for rate in status["rates"].values()) or "–"
     latency = (
-        f"<b>{total['p50']:.1f}</b> ms p50, <b>{total['p99']:.1f}</b> ms p99"
+        f" · received to sent <b>{total['p50']:.1f}</b> ms p50, <b>{total['p99']:.1f}</b> ms p99"
         if total
-        else "no frame answered yet"
+        else ""
+        if status["blind"]
+        else " · no frame answered yet"
     )
     source = status["source"]
     return (
-        f'<div id="live-summary" style="{_BOX}"><b>{rates}</b> Hz · received to sent {latency}<br>'
+        f'<div id="live-summary" style="{_BOX}"><b>{rates}</b> Hz{latency}<br>'
         f"{_sign(source['state'])} {html.escape(source['label'])}: {source['state']}"
         f"{_detail(source['detail'])}</div>"
     )
@@ -110,7 +114,12 @@ def legend(fingers: Sequence[str], simulated: bool) -> str:
         f"⬤</span> {html.escape(name)}</span>"
         for name, color in zip(fingers, finger_colors(len(fingers)), strict=True)
     )
-    ghost = "<br>yellow, where it leaves the command: the simulated hand" if simulated else ""
+    ghost = (
+        "<br>yellow, where it leaves the command: the simulated hand (with a task: the command, "
+        "where it leaves the simulated hand)"
+        if simulated
+        else ""
+    )
     return f'<div style="padding:0 0.8em 0.5em;font-size:0.75em">{chips}{ghost}</div>'
 
 

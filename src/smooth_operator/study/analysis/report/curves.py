@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LABELS: Final[dict[Outcome, str]] = {
     "success": "success rate [%]",
     "time": "completion time [s]",
-    "tlx": "raw TLX",
+    "tlx": "workload (NASA-TLX)",
 }
 _BINS: Final = 10
 _FEWEST: Final = 3

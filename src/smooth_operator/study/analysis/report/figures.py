@@ -15,7 +15,12 @@ from smooth_operator.study.data.rows import ITEMS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_OUTCOMES: Final = {"success": "success", "time_s": "time", "raw_tlx": "workload"}
+_OUTCOMES: Final = {
+    "success": "success",
+    "time_s": "time",
+    "raw_tlx": "workload",
+    "weighted_tlx": "workload",
+}
 _BAR: Final = 0.8
 
 

@@ -135,7 +135,8 @@ class _Page:
         else:
             parts.append(self._drawn(
                 figures.radar_figure, "tlx-radar",
-                "The six scales of the NASA-TLX; a smaller area is less workload.",
+                "The six scales of the NASA-TLX; a smaller area is less workload. Below, workload "
+                f"is their {'unweighted' if analysis.workload == 'raw' else 'weighted'} mean.",
             ))  # fmt: skip
         for i, scope in enumerate(analysis.scopes):
             by_mode = {mode: analysis.results[mode][outcome][scope] for mode in MODES}

@@ -1,0 +1,25 @@
+"""What groups of subcommands share: ``smooth-operator hands``, ``smooth-operator study``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def described(kind: Any) -> str:
+    """Help of a subcommand: what its class's docstring says, and its details."""
+    return f"{kind.__doc__}\n\n{kind.details}"
+
+
+class Group:
+    """Options of a group: a field ``what``, the options of the subcommand that was chosen."""
+
+    what: Any
+
+    @property
+    def debug(self) -> bool:
+        """Whether an error shows its traceback."""
+        return bool(self.what.debug)
+
+    def run(self) -> None:
+        """Runs the subcommand."""
+        self.what.run()

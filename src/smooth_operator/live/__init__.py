@@ -1,0 +1,1 @@
+"""What is done to a loop while it runs: another method, another operator, another task."""

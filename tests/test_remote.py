@@ -1,0 +1,574 @@
+"""A running teleoperation that other programs switch: methods, operators, tasks, trials, blind."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_time import until
+from test_operator_profile import profile
+
+from smooth_operator import Retargeter, load_hand, method_names
+from smooth_operator.cli import main
+from smooth_operator.errors import (
+    ConfigError,
+    MissingExtraError,
+    RemoteError,
+    RemoteRefusedError,
+    SinkError,
+    UnknownNameError,
+)
+from smooth_operator.human.operator_file import write_operator
+from smooth_operator.live import workshop as workshop_module
+from smooth_operator.live.orders import Orders
+from smooth_operator.live.workshop import Workshop
+from smooth_operator.offline import request
+from smooth_operator.recording import read_log
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.remote import remote
+from smooth_operator.runtime.remote_client import RemoteTeleop
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.sinks.record import RecordSink
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.scenes import SceneState
+from smooth_operator.sinks.simulation import Simulation
+from smooth_operator.sinks.tick import Driver, Mode, Tick
+from smooth_operator.sources.catalogue import build_source
+from smooth_operator.study.tasks import read_trial
+from smooth_operator.study.tasks.desk import TaskDesk
+from smooth_operator.ui.live.link import Link
+from smooth_operator.ui.live.panel import LivePanel
+from smooth_operator.ui.live.scene import LiveScene
+from smooth_operator.ui.live.session import LiveSession
+from smooth_operator.ui.viser_server import close_server, open_server
+
+zmq = pytest.importorskip("zmq")
+
+LONG = 120.0  # a busy machine
+LIFT = np.array([0.0, 0.0, 0.02])
+
+
+@dataclass
+class Stage:
+    """A running loop that listens, and who talks to it."""
+
+    loop: TeleopLoop
+    workshop: Workshop
+    simulation: Simulation
+    desk: TaskDesk
+    orders: Orders
+    session: LiveSession
+    folder: Path
+    teleop: RemoteTeleop
+    ticks: list[Tick] = field(default_factory=list)
+
+    def do(self, word: str, **fields: Any) -> dict[str, Any]:
+        return self.teleop.request(word, **fields)
+
+    def config(self) -> Any:
+        return self.loop.pipelines["right"].retargeter.config
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    asked = request(method="joint_angle")
+    retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
+    retargeter.warm_up()
+    config = LoopConfig(rate=50.0)
+    folder = tmp_path_factory.mktemp("remote")
+    simulation, record = Simulation(), RecordSink(folder / "take.mcap", flush_s=0.05)
+    driver = Driver(asked.method, asked.preset, asked.config)
+    loop = TeleopLoop(
+        {"right": HandPipeline(retargeter, config, driver=driver)},
+        build_source("synthetic:rate=50", "right"),
+        SinkRunner((simulation, record)),
+        config,
+    )
+    workshop = Workshop(loop, asked)
+    opened: list[TaskDesk] = []
+    orders = Orders(loop, workshop, lambda: opened[0] if opened else None, blind=True)
+    session = LiveSession(loop, asked, (simulation,), folder, workshop=workshop, blind=True)
+    ticks: list[Tick] = []
+
+    def watch(tick: Tick) -> None:
+        session.watch(tick)
+        ticks.append(tick)
+
+    loop.watch = watch
+
+    def started() -> None:
+        about = lambda: {"method": workshop.used.method}  # noqa: E731
+        note = lambda side, text: loop.controls.change(lambda hand: hand.note(text))  # noqa: E731
+        desk = TaskDesk(simulation, ("right",), folder / "trials", about, note=note)
+        opened.append(desk)
+
+    turn = sys.getswitchinterval()
+    sys.setswitchinterval(5e-4)  # as the command does
+    with remote(loop, "tcp://127.0.0.1:*", orders.words, orders.status) as address:
+        thread = threading.Thread(target=lambda: loop.run(started=started))
+        thread.start()
+        until(lambda: ticks and ticks[-1].mode is Mode.TRACKING, LONG)
+        teleop = RemoteTeleop(address, 20.0)
+        yield Stage(
+            loop, workshop, simulation, opened[0], orders, session, folder, teleop, ticks
+        )  # fmt: skip
+        loop.controls.quit()
+        thread.join(LONG)
+    session.close()
+    sys.setswitchinterval(turn)
+    assert not thread.is_alive()
+
+
+# -- methods and operators --------------------------------------------------------------------
+
+
+def test_the_status_tells_what_runs(stage: Stage) -> None:
+    stage.do("method", method="joint_angle")
+    seen = stage.do("status")
+    assert (seen["method"], seen["preset"], seen["hand"]) == (
+        "joint_angle",
+        "default",
+        "mimic_p050",
+    )
+    assert (seen["sides"], seen["blind"], seen["busy"]) == (["right"], True, ["status"][:0])
+    assert seen["source"]["state"] == "running"
+    assert {sink["label"].split()[0] for sink in seen["sinks"]} == {"mujoco", "record"}
+    assert (seen["operators"], seen["task"], seen["trial"]) == ({"right": None}, None, None)
+
+
+def test_another_method_while_the_hand_moves(stage: Stage) -> None:
+    first, before = len(stage.ticks), stage.loop.pipelines["right"].retargeter
+    answer = stage.do("method", method="geort", preset="default")
+    assert answer == {"ok": True, "method": "geort", "preset": "default"}
+    assert stage.loop.pipelines["right"].retargeter is not before  # in force, not just asked for
+    assert stage.do("status")["method"] == "geort"
+    until(lambda: stage.ticks[-1].mode is Mode.TRACKING, LONG)
+    ticks = stage.ticks[first:]
+    assert [t.number for t in ticks] == list(range(ticks[0].number, ticks[-1].number + 1))
+    assert {t.mode for t in ticks} <= {Mode.TRACKING, Mode.BLENDING, Mode.HOLDING}
+    switched = next(i for i, t in enumerate(ticks) if t.driver and t.driver.method == "geort")
+    assert any(t.mode is Mode.BLENDING for t in ticks[switched:])
+    assert all(t.driver and t.driver.method == "joint_angle" for t in ticks[:switched])
+    assert "another method" in " ".join(ticks[switched].events)
+    limit = stage.loop.config.limits.velocity
+    assert max(np.abs(tick.velocity).max() for tick in ticks) <= limit + 1e-6
+    # the same again: nothing is built, nothing blends
+    same = stage.loop.pipelines["right"].retargeter
+    assert stage.do("method", method="geort")["preset"] == "default"
+    assert stage.loop.pipelines["right"].retargeter is same
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"method": "telepathy"}, "unknown method 'telepathy'"),
+        ({"method": "geort", "preset": "no-such"}, "no-such"),
+        ({}, "which method"),
+        ({"method": 3}, "expected a text, not 3"),
+    ],
+)
+def test_a_method_that_is_none_is_refused_and_the_old_one_goes_on(
+    stage: Stage, fields: dict[str, Any], words: str
+) -> None:
+    before = stage.loop.pipelines["right"].retargeter
+    with pytest.raises(RemoteRefusedError, match=words):
+        stage.do("method", **fields)
+    assert stage.loop.pipelines["right"].retargeter is before
+
+
+def test_a_stop_is_answered_while_a_method_is_compiled(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, build = threading.Event(), workshop_module.build_retargeter
+
+    def slow(*args: Any) -> Any:
+        assert go.wait(LONG)
+        return build(*args)
+
+    monkeypatch.setattr(workshop_module, "build_retargeter", slow)
+    stage.do("method", method=stage.workshop.used.method)
+    hasty = RemoteTeleop(stage.teleop.address, 0.4)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(hasty.request, "method", method="joint_angle")
+        until(lambda: stage.do("status")["busy"] == ["method"], LONG)
+        until(lambda: stage.workshop.building, LONG)
+        assert stage.do("status")["building"] == "compiling joint_angle default"
+        assert stage.do("stop")["modes"] == {"right": "stopped"}
+        assert stage.do("release")["ok"]
+        time.sleep(1.0)  # longer than the silence that it puts up with
+        assert not first.done()
+        second = pool.submit(stage.do, "method", method="geort")
+        with pytest.raises(RemoteRefusedError, match="meanwhile"):
+            first.result(LONG)
+        go.set()
+        assert second.result(LONG)["method"] == "geort"
+    assert stage.do("status")["busy"] == []
+
+
+def test_a_method_that_cannot_be_built_is_said(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*args: Any) -> Any:
+        raise MemoryError("no room")
+
+    used = stage.do("status")["method"]
+    other = "joint_angle" if used == "geort" else "geort"
+    with monkeypatch.context() as patched:
+        patched.setattr(workshop_module, "build_retargeter", broken)
+        with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
+            stage.do("method", method=other)
+    assert stage.do("status")["method"] == used
+    assert stage.do("method", method=other)["method"] == other
+
+
+def test_an_operators_file_is_loaded_and_dropped(stage: Stage, tmp_path: Path) -> None:
+    path = tmp_path / "operator.json"
+    write_operator(path, profile(load_hand("mimic_p050"), "scale"))
+    answer = stage.do("calibration", path=str(path))
+    assert (answer["side"], answer["hand"]) == ("right", "mimic_p050")
+    assert stage.config().alignment.operator.scale == 0.8
+    assert stage.do("status")["operators"] == {"right": "here"}
+    stage.do("method", method="geort")
+    assert stage.config().alignment.operator.scale == 0.8  # it is the operator's, not the method's
+    left = tmp_path / "left.json"
+    write_operator(left, profile(load_hand("mimic_p050", "left")))
+    other = tmp_path / "other.json"
+    write_operator(other, profile(load_hand("allegro_hand")))
+    for bad, words in ((left, "no left hand"), (other, "allegro"), (tmp_path / "no", "no such")):
+        with pytest.raises(RemoteRefusedError, match=words):
+            stage.do("calibration", path=str(bad))
+    assert stage.do("status")["operators"] == {"right": "here"}
+    stage.do("calibration")
+    assert stage.config().alignment.operator is None
+
+
+def test_the_record_knows_which_method_was_used_when(stage: Stage) -> None:
+    for method in ("joint_angle", "geort"):
+        stage.do("method", method=method)
+        count = len(stage.ticks)
+        until(lambda count=count: len(stage.ticks) > count + 5, LONG)
+    path = stage.folder / "take.mcap"
+    until(lambda: [m.method for m in read_log(path).methods][-2:] == ["joint_angle", "geort"], LONG)
+    log = read_log(path)
+    assert (log.methods[0].method, log.methods[0].preset) == ("joint_angle", "default")
+    assert log.commands is not None
+    assert log.loop is not None
+    stamps = [use.stamp for use in log.methods]
+    assert stamps == sorted(stamps)
+    assert set(stamps) <= set(log.commands.stamps.tolist())
+    assert stamps[0] == log.commands.stamps[0]
+    # A switch that was recorded as an event has the stamp of that command.
+    said = [
+        log.commands.stamps[index]
+        for index, words in log.loop.events.items()
+        if "another method" in " ".join(words)
+    ]
+    assert said == stamps[1:]
+    assert "model" in log.methods[-1].config
+    assert log.methods[-1].config["alignment"]["operator"] is None
+
+
+# -- blind ------------------------------------------------------------------------------------
+
+
+def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
+    stage.do("method", method="joint_angle")
+    with contextlib.suppress(RemoteRefusedError):
+        stage.do("method", method="geort", preset="no-such")
+    for word in (("method", "geort"), ("set", "model", "x"), ("record",), ("record",)):
+        stage.session.do(*word)
+    shown = json.dumps(stage.session.look(text=True, fields=0))
+    assert not [name for name in method_names() if name in shown]
+    assert '"default"' not in shown  # nor the preset
+    open_eyed = LiveSession(stage.loop, request(), workshop=stage.workshop)
+    assert "joint_angle" in json.dumps(open_eyed.look(text=True, fields=0))
+    assert not stage.session.configuration()
+    assert stage.do("status")["method"] == "joint_angle"  # whom the page asked in vain
+    seen = stage.session.look(text=True, fields=0)
+    assert "fields" not in seen["controls"]
+    assert seen["controls"]["loop_fields"]
+    assert not {"solve", "total"} & set(seen["status"]["stages"])
+    assert seen["hands"]["right"]["latched"] == ()
+
+
+def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
+    server = open_server("127.0.0.1", 0)
+    try:
+        hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
+        scene = LiveScene(server, hands, simulated=True)
+        sent = io.BytesIO()
+        panel = LivePanel(server, hands, Link(io.BytesIO(), sent), scene, None)
+        stage.do("method", method="geort")
+        panel.show(json.loads(json.dumps(stage.session.look(text=True, fields=-1))))
+        texts = (panel._modes, panel._summary, panel._timing, panel._notice)
+        shown = " ".join(text.content for text in texts)
+        assert not [name for name in method_names() if name in shown]
+        assert "latches" not in shown
+        assert "tracking" in shown
+        assert not hasattr(panel, "_method")
+        assert panel.fields_number == stage.session.fields_number
+        assert not sent.getvalue()
+    finally:
+        close_server(server)
+
+
+def test_blind_the_terminal_does_not_name_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    record = tmp_path / "take.mcap"
+    with contextlib.suppress(SystemExit):
+        main(
+            ["teleop", "--method", "joint_angle", "--blind", "--no-view", "--duration", "0.4",
+             "--sink", f"record:{record}", "table", "--control", "tcp://127.0.0.1:*"]
+        )  # fmt: skip
+    printed = "".join(capsys.readouterr())
+    assert "compiling the method for mimic_p050" in printed
+    assert "joint_angle" not in printed
+    assert [use.method for use in read_log(record).methods] == ["joint_angle"]
+
+
+# -- tasks ------------------------------------------------------------------------------------
+
+
+def test_a_task_is_loaded_switched_and_left(stage: Stage) -> None:
+    with pytest.raises(RemoteRefusedError, match="load one first"):
+        stage.do("trial", begin=True)
+    first = len(stage.ticks)
+    answer = stage.do("task", task="A")
+    assert (answer["task"], answer["title"]) == ("card", "Card pickup")
+    assert {"done", "dropped"} <= {line["name"] for line in answer["rubric"]}
+    look = stage.session.look(text=False, fields=0)["scenery"]
+    assert {part["name"] for part in look["parts"]["right"]} == {"platform", "card"}
+    assert len(look["poses"]["right"]) == 7
+    axes = np.array(look["views"]["right"])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-4)
+    again = stage.session.look(text=False, fields=0, scenery=look["number"])["scenery"]
+    assert "parts" not in again
+    assert stage.do("status")["task"] == "card"
+    stage.do("task", task="cube")
+    look = stage.session.look(text=False, fields=0, scenery=look["number"])["scenery"]
+    assert "cube" in {part["name"] for part in look["parts"]["right"]}
+    for bad, words in (("chess", "unknown task 'chess'"), (3, "expected a text")):
+        with pytest.raises(RemoteRefusedError, match=words):
+            stage.do("task", task=bad)
+    assert stage.do("status")["task"] == "cube"
+    assert stage.do("task")["task"] is None
+    look = stage.session.look(text=False, fields=0, scenery=look["number"])["scenery"]
+    assert (look["parts"], look["poses"]) == ({}, {})
+    numbers = [tick.number for tick in stage.ticks[first:]]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))  # no command was left out
+    assert all(health.failed == 0 for health in stage.loop.sinks.health())
+
+
+def test_a_trial_from_begin_to_record(stage: Stage) -> None:
+    stage.do("task", task="screwdriver")
+    ready = stage.do("trial")
+    assert (ready["phase"], ready["elapsed_s"], ready["time_s"]) == ("ready", 0.0, None)
+    stage.do("reset")  # no trial runs: the object is put back, and nothing is capped
+    used = stage.do("status")["method"]
+    begun = stage.do("trial", begin=True, about={"participant": "P07", "trial": 3})
+    assert (begun["phase"], begun["number"], begun["resets"]) == ("running", 1, 0)
+    with pytest.raises(RemoteRefusedError, match="running"):
+        stage.do("trial", begin=True)
+    with pytest.raises(RemoteRefusedError, match="at once"):
+        stage.do("trial", begin=True, finish=True)
+    until(lambda: stage.do("trial")["elapsed_s"] > 0.2, LONG)
+    assert stage.do("reset")["resets"] == 1
+    with pytest.raises(RemoteRefusedError, match="one reset"):
+        stage.do("reset")
+    done = stage.do("trial", finish=True, side="right")
+    assert (done["phase"], done["ended"], done["line"], done["score"]) == (
+        "done", "finished", "not-done", 0.0,
+    )  # fmt: skip
+    assert done["time_s"] == done["elapsed_s"] > 0.2
+    assert done["text"]
+    path = stage.folder / "trials" / "screwdriver-001.npz"
+    until(path.exists, LONG)
+    about = read_trial(path).about
+    assert about == {"participant": "P07", "trial": 3, "method": used}
+    for fields, words in (
+        ({"finish": True}, "no trial is running"),
+        ({"side": "left"}, "no left hand"),
+        ({"side": "up"}, "right or left"),
+        ({"begin": True, "about": [1]}, "about: expected an object"),
+    ):
+        with pytest.raises(RemoteRefusedError, match=words):
+            stage.do("trial", **fields)
+    stage.do("trial", begin=True)
+    assert stage.do("trial", cancel=True)["phase"] == "ready"
+    assert len(stage.desk.outcomes["right"]) == 1
+    until(lambda: any("is forgotten" in " ".join(t.events) for t in stage.ticks[-50:]), LONG)
+    said = [event for tick in stage.ticks for event in tick.events if event.startswith("trial ")]
+    assert said == [f"trial {n} of screwdriver: {what}" for n, what in (
+        (1, "begins"), (1, "the object is put back"), (1, "ends"), (2, "begins"),
+        (2, "is forgotten"),
+    )]  # fmt: skip
+    stage.do("trial", begin=True)
+    stage.do("task", task="card")  # which forgets it
+    assert stage.do("trial")["phase"] == "ready"
+    assert len(stage.desk.outcomes["right"]) == 1
+    stage.do("task")
+
+
+class Script:
+    """Shows the session at the desk a card that goes where the script says."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.session = stage.desk._sessions["right"]
+        stage.simulation.watch("right", None)  # the physics' own card is not looked at
+        seen = stage.simulation.scene_state("right")
+        assert seen is not None
+        self.state, self.positions = seen, np.zeros(len(self.session._record.joint_names))
+        self.starts = self.state.starts + 1  # beginning a trial puts the object back
+
+    def show(self, seconds: float, **changes: Any) -> None:
+        end = self.state.time + seconds
+        self.state = replace(self.state, starts=self.starts, placed=True, **changes)
+        while self.state.time < end:
+            self.state: SceneState = replace(self.state, time=self.state.time + 0.02)
+            self.session.observe(self.state, self.positions)
+
+
+def on_table(stage: Stage) -> Script:
+    stage.do("task")
+    stage.do("task", task="card")
+    script = Script(stage)
+    script.show(0.02)
+    stage.do("trial", begin=True)
+    script.show(0.5, support=0.1)
+    return script
+
+
+def pinched(script: Script) -> dict[str, Any]:
+    count = len(script.state.force)
+    force, touch = np.zeros(count), np.full((count, 3), np.nan)
+    force[:2], touch[0], touch[1] = 1.0, (0, 0, -0.001), (0, 0, 0.001)
+    return {"force": force, "touch": touch, "support": 0.0}
+
+
+def test_scripted_motion_is_scored_and_told(stage: Stage) -> None:
+    script = on_table(stage)
+    edge = script.state.position - (0.02, 0, 0)
+    script.show(0.4, position=edge, support=0.1)
+    assert stage.do("trial")["reason"] == "over the edge"
+    script.show(0.4, **pinched(script), position=edge + LIFT)
+    assert stage.do("trial")["phase"] == "running"
+    script.show(0.4)
+    told = stage.do("trial")
+    assert (told["phase"], told["line"], told["score"]) == ("done", "done", 1.0)
+    assert told["ended"] == "success"
+    assert told["time_s"] == pytest.approx(1.42, abs=0.05)
+    assert stage.do("status")["trial"] == {k: v for k, v in told.items() if k != "ok"}
+    script = on_table(stage)
+    script.show(0.6, **pinched(script), position=script.state.position + LIFT)
+    told = stage.do("trial")
+    assert (told["line"], told["score"], told["phase"]) == ("no-edge", 0.5, "done")
+    script = on_table(stage)
+    script.show(0.1, position=script.state.position - (0, 0, 0.5), support=0.0)
+    told = stage.do("trial")
+    assert (told["line"], told["score"], told["ended"]) == ("dropped", 0.0, "drop")
+    stage.do("task")
+
+
+def test_without_a_simulation_there_is_no_task(stage: Stage) -> None:
+    orders = Orders(stage.loop, stage.workshop)
+    assert orders.status()["task"] is None
+    for word in ("task", "trial", "reset"):
+        with pytest.raises(ConfigError, match="--task card or with --sink mujoco"):
+            orders.words[word]({})
+    closed = Simulation()
+    with pytest.raises(SinkError, match="not open"):
+        closed.change_task("card")
+    with pytest.raises(UnknownNameError, match="chess"):
+        stage.desk.change("chess")
+
+
+# -- the client -------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def answering(answer: bytes, address: str = "tcp://127.0.0.1:*") -> Iterator[str]:
+    """Something that answers everything alike."""
+    context, done = zmq.Context(), threading.Event()
+    socket = context.socket(zmq.REP)
+    socket.bind(address)
+    bound = socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
+
+    def listen() -> None:
+        while not done.is_set():
+            if socket.poll(20):
+                socket.recv()
+                socket.send(answer)
+        socket.close(0)
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    try:
+        yield bound
+    finally:
+        done.set()
+        thread.join()
+        context.term()
+
+
+def test_a_teleoperation_may_end_and_be_started_again() -> None:
+    with answering(b'{"ok": true, "n": 1}') as address:
+        teleop = RemoteTeleop(address, 0.3)
+        assert teleop.request("status") == {"ok": True, "n": 1}
+    with pytest.raises(RemoteError, match=f"nobody answers at {address} within 0.3 s") as caught:
+        teleop.request("method", method="sbr")
+    assert not isinstance(caught.value, RemoteRefusedError)
+    with answering(b'{"ok": true, "n": 2}', address):
+        assert teleop.request("status")["n"] == 2
+
+
+@pytest.mark.parametrize("answer", [b"hello", b"[1]", b"\xff"])
+def test_something_else_that_answers_is_no_teleoperation(answer: bytes) -> None:
+    with answering(answer) as address, pytest.raises(RemoteError, match="no teleoperation"):
+        RemoteTeleop(address, 5.0).request("status")
+
+
+def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    for make, words in (
+        (lambda: RemoteTeleop("127.0.0.1:5558"), "no ZeroMQ address"),
+        (lambda: RemoteTeleop("tcp://127.0.0.1:5558", 0.0), "timeout_s"),
+        (lambda: RemoteTeleop("tcp://nowhere").request("status"), "can't be connected to"),
+        (lambda: RemoteTeleop("tcp://127.0.0.1:1").request("x", y={1, 2}), "JSON can't hold"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            make()
+    monkeypatch.setitem(sys.modules, "zmq", None)
+    with pytest.raises(MissingExtraError, match="zmq"):
+        RemoteTeleop("tcp://127.0.0.1:5558")
+
+
+def test_many_threads_may_ask_at_once(stage: Stage) -> None:
+    ask: Callable[[int], dict[str, Any]] = lambda _: stage.do("status")  # noqa: E731
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(ask, range(40)))
+    assert {answer["hand"] for answer in answers} == {"mimic_p050"}
+
+
+def test_a_word_that_goes_wrong_is_answered(stage: Stage) -> None:
+    def wrong(fields: Any) -> Any:
+        raise RuntimeError("not foreseen")
+
+    with remote(stage.loop, "tcp://127.0.0.1:*", {"odd": wrong}) as address:
+        teleop = RemoteTeleop(address, 10.0)
+        with pytest.raises(RemoteRefusedError, match="RuntimeError: not foreseen"):
+            teleop.request("odd")
+        with pytest.raises(RemoteRefusedError, match=r"can't do .*expected one of stop.*odd"):
+            teleop.request("even")
+        assert teleop.request("status")["busy"] == []

@@ -1,0 +1,131 @@
+"""What the hands work on, on the live page: where it is, how one looks at it, and the pixels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+from browser_page import new_page, settled
+
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.sinks.simulation import Simulation
+from smooth_operator.types import Side
+from smooth_operator.ui.live.scene import LiveScene
+from smooth_operator.ui.live.scenery import Scenery
+from smooth_operator.ui.viser_server import close_server, open_server
+
+SIDES: tuple[Side, ...] = ("right", "left")
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Iterator[Simulation]:
+    made = Simulation(task="card")
+    made.open({side: load_hand("mimic_p050", side) for side in SIDES}, {})
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[tuple[viser.ViserServer, LiveScene]]:
+    server = open_server("127.0.0.1", 0)
+    server.scene.configure_environment_map(None)
+    scene = LiveScene(server, {"right": load_hand("mimic_p050")}, simulated=True)
+
+    async def greet(client: viser.ClientHandle) -> None:
+        scene.aiming.greet(client)
+
+    server.on_client_connect(greet)
+    yield server, scene
+    close_server(server)
+
+
+def looked(simulation: Simulation, sides: tuple[Side, ...] = SIDES, known: int = 0) -> Any:
+    return json.loads(json.dumps(Scenery(simulation).look(sides, known)))  # as through the pipe
+
+
+@pytest.mark.parametrize("task", ["card", "cube", "screwdriver"])
+def test_the_object_is_where_the_physics_has_it(simulation: Simulation, task: str) -> None:
+    simulation.change_task(task)
+    seen = looked(simulation)
+    for side in SIDES:
+        scene = simulation.scene_of(side)
+        position, turn = scene.mount.palm
+        pose = np.array(seen["poses"][side])
+        # at its start, or a hair's breadth below, where it lies
+        np.testing.assert_allclose(turn @ pose[:3] + position, scene.start[0], atol=2e-3)
+        parts = {part["name"]: part for part in seen["parts"][side]}
+        assert any(part["moves"] for part in parts.values())
+        for part in simulation.parts_of(side):
+            if not part.moves:
+                at = turn @ np.array(parts[part.name]["position"]) + position
+                np.testing.assert_allclose(at, part.position, atol=1e-4)
+        axes = np.array(seen["views"][side])
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-4)
+        assert np.linalg.det(axes) > 0.99
+        up = turn.T @ (0.0, 0.0, 1.0)
+        assert axes[1] @ up > 0.8  # the picture's up is the world's
+        assert axes[2] @ up >= 0  # seen from above, if at all
+    # a left hand is seen as a right hand's mirror image is: its thumb on the other side
+    radial = {s: simulation.scene_of(s).mount.directions[:, 1] for s in SIDES}
+    across = {
+        s: np.array(seen["views"][s][0]) @ simulation.scene_of(s).mount.palm[1].T @ radial[s]
+        for s in SIDES
+    }
+    assert across["left"] == pytest.approx(-across["right"], abs=1e-3)
+
+
+def test_the_hands_turn_to_the_scene_and_back(
+    simulation: Simulation, page: tuple[viser.ViserServer, LiveScene]
+) -> None:
+    server, scene = page
+    view = scene._sides["right"]
+    before, size = view._roots["robot"].wxyz.copy(), scene.aiming.half
+    simulation.change_task("screwdriver")
+    seen = looked(simulation, ("right",))
+    scene.draw_scenery(seen)
+    assert scene.scenery_number == seen["number"]
+    assert view.scenery.there
+    assert np.abs(view._roots["robot"].wxyz - before).max() > 0.1
+    np.testing.assert_allclose(view._roots["human"].wxyz, view._roots["robot"].wxyz)
+    blade = np.array(seen["views"]["right"]) @ view.scenery.bounds(seen["poses"]["right"]).T
+    assert (blade.min(axis=1) >= view.low - 1e-9).all()
+    assert (blade.max(axis=1) <= view.high + 1e-9).all()
+    assert scene.aiming.half != size
+    # what is looked at is the hand that touches things, not what it was told
+    hand = view._hand
+    straight, bent = hand.expand(hand.limits[:, 0]), hand.expand(hand.limits[:, 1])
+    state = {"positions": straight, "simulated": bent, "human": None, "latched": ()}
+    scene.draw({"right": state})
+    np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(bent))
+    simulation.change_task("none")
+    scene.draw_scenery(looked(simulation, ("right",), seen["number"]))
+    assert not view.scenery.there
+    np.testing.assert_allclose(view._roots["robot"].wxyz, before)
+    np.testing.assert_allclose(scene.aiming.half, size)
+    scene.draw({"right": state})
+    np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(straight))
+    assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
+
+
+def test_the_card_is_seen(
+    chromium: Any, simulation: Simulation, page: tuple[viser.ViserServer, LiveScene]
+) -> None:
+    server, scene = page
+    simulation.change_task("card")
+    scene.draw_scenery(looked(simulation, ("right",)))
+    browser, problems = new_page(chromium, 900, 560)
+    browser.goto(f"http://127.0.0.1:{server.get_port()}")
+
+    def shown(picture: np.ndarray) -> bool:
+        red, green, blue = picture[..., 0], picture[..., 1], picture[..., 2]
+        card = (red > 180) & (green < 0.75 * red) & (abs(green - blue) < 60)
+        table = (red > 150) & (green > 0.75 * red) & (blue < 0.9 * green) & (blue > 0.6 * green)
+        return bool(card.sum() > 1000 and table.sum() > 4000)
+
+    settled(browser, 900, 560, shown)
+    browser.close()
+    assert not [problem for problem in problems if "WebGL" not in problem]
