@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -35,6 +35,8 @@ class ScrewdriverScene(Scene):
 
     The object's frame: z from the handle's end to the blade's tip, the origin where it is gripped.
     """
+
+    view: ClassVar = (200.0, -5.0)
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
         """Nothing: it is in the hand, or on the floor."""
