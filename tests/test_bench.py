@@ -599,7 +599,7 @@ def test_sources_have_names_that_tell_them_apart(tmp_path: Path) -> None:
 def test_methods_by_name(tmp_path: Path) -> None:
     assert [c.method for c in select_methods(("all",))] == list(PRESETS)
     chosen = select_methods(("sbr:tiny", "sbr:all", "sbr"))
-    assert [c.preset for c in chosen] == ["tiny", "realtime", "paper"]
+    assert [c.preset for c in chosen] == ["tiny", "realtime", "paper", "offline"]
     assert chosen[0].config is TINY
     with pytest.raises(UnknownNameError, match="tiny"):
         select_methods((f"sbr:{save(tmp_path / 'x.npz')}",))  # it has no model to be read

@@ -39,13 +39,13 @@ NAMES = (
     "schunk_svh", "shadow_dexee", "shadow_hand", "wuji_hand",
 )  # fmt: skip
 SIDES = ("right", "left")
-METHODS = ("sbr", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort")
+METHODS = ("sbr", "smooth", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort")
 MIRRORED = ("mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
 REFUSED: dict[tuple[str, str], str] = {}
 """(hand, method) -> why the method can't serve the hand; none so far."""
 
 FLOORS = {
-    "sbr": 0.88, "dexpilot": 0.92, "ako": 0.88, "keyvector": 0.87, "hybrid": 0.87,
+    "sbr": 0.88, "smooth": 0.9, "dexpilot": 0.92, "ako": 0.88, "keyvector": 0.87, "hybrid": 0.87,
     "joint_angle": 0.8, "geort": 0.5,
 }  # fmt: skip
 """Mean cosine of the thumb-to-tip vectors that every hand exceeds; what was measured is 0.02 to

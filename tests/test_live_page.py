@@ -25,7 +25,7 @@ from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.offline import request
 from smooth_operator.recording import read_log
-from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.retargeters.presets import PRESETS, live_presets
 from smooth_operator.runtime.limiter import Limiter
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.pipeline import HandPipeline
@@ -45,6 +45,7 @@ EVERY_PRESET = [
     pytest.param(config, id=f"{method}-{preset}")
     for method, presets in PRESETS.items()
     for preset, config in presets.items()
+    if preset in live_presets()[method]
 ]
 
 

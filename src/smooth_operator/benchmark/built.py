@@ -6,15 +6,14 @@ import hashlib
 from collections import OrderedDict
 from typing import Final
 
-from smooth_operator.offline import Plan, build
+from smooth_operator.offline import Plan, Runner, build
 from smooth_operator.recording import to_json
-from smooth_operator.retargeters.retargeter import Retargeter
 
 _KEPT: Final = 16
-_built: OrderedDict[str, tuple[Retargeter, float]] = OrderedDict()
+_built: OrderedDict[str, tuple[Runner, float]] = OrderedDict()
 
 
-def built_for(todo: Plan) -> tuple[Retargeter, float]:
+def built_for(todo: Plan) -> tuple[Runner, float]:
     """What :func:`smooth_operator.offline.build` gives, made once for a hand and a configuration.
 
     A retargeter serves many recordings, since its state is not inside it.

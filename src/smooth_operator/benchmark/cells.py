@@ -102,7 +102,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
     """
     content: dict[str, Any] = {
         "frames": cell.source.digest,
-        "hand": _hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
+        "hand": hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
         "method": cell.method,
         "preset": cell.preset,
         "config": cell.config,
@@ -135,7 +135,7 @@ def code_digest() -> str:
 
 
 @cache
-def _hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
+def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
     """The hand's description and the content of its model file, not the folder it is in."""
     try:
         spec = load_hand(name, side, fingers=dict(fingers) or None).spec

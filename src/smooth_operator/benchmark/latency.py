@@ -17,6 +17,7 @@ from jaxtyping import Float
 from smooth_operator.benchmark.built import built_for
 from smooth_operator.benchmark.cells import Cell
 from smooth_operator.benchmark.machine import Watch
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.metrics import service
 from smooth_operator.offline import Plan
@@ -137,4 +138,7 @@ def _built(cell: Cell, seed: int) -> Retargeter:
     assert cell.source.recording is not None  # looked at by the caller
     hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
     todo = Plan(cell.source.recording, hand, cell.method, cell.preset, cell.config, seed)
-    return built_for(todo)[0]
+    built, _ = built_for(todo)
+    if not isinstance(built, Retargeter):
+        raise ConfigError("it is solved for the whole recording, so no frame has a latency")
+    return built

@@ -2,7 +2,8 @@
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
 and may bring settings of its own after an ``@``, separated by commas: a range of frames, a rate, a
-side. ``glove.npz@:500``, ``video.npz@30hz``, ``synthetic:3@left,100:300``.
+side; for the built-in operator also the noise of its tracker. ``glove.npz@:500``,
+``video.npz@30hz``, ``synthetic:3@left,100:300``, ``synthetic:3@0.5mm``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.offline.discovery import SUFFIXES, find_recordings
 from smooth_operator.recording import frame_slice, read_recording
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources import SyntheticOperator, TrackerModel
 from smooth_operator.types import HandRecording, Side, as_side
 
 SYNTHETIC: Final = "synthetic"
@@ -27,6 +28,7 @@ SYNTHETIC_SECONDS: Final = 20.0
 """How long the built-in operator moves [s]."""
 
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
+_NOISE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class Request:
         frames: ``A:B``, or None for all.
         rate: frames a second [Hz]; None as the file says.
         side: None as the file says.
+        noise: of the built-in operator's tracker: standard deviation of each coordinate [m].
     """
 
     path: Path | None
@@ -46,6 +49,7 @@ class Request:
     frames: str | None = None
     rate: float | None = None
     side: Side | None = None
+    noise: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +108,12 @@ def parse_request(
     name, at, options = text.rpartition("@")
     if not at or Path(text).exists():  # a file's name may hold an @
         name, options = text, ""
+    noise = 0.0
     for option in filter(None, (part.strip() for part in options.split(","))):
-        rated = _RATE.fullmatch(option)
-        if rated:
+        if rated := _RATE.fullmatch(option):
             rate = float(rated[1])
+        elif noisy := _NOISE.fullmatch(option):
+            noise = 1e-3 * float(noisy[1])
         elif ":" in option:
             frames = option
         elif option.lower() in ("left", "right", "l", "r"):
@@ -115,7 +121,8 @@ def parse_request(
         else:
             raise ConfigError(
                 f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
-                "frames (:500), a rate (60hz) or a side (left), with commas between them"
+                "frames (:500), a rate (60hz), a side (left) or, for the built-in operator, the "
+                "noise of its tracker (0.5mm), with commas between them"
             )
     if frames is not None:
         frame_slice(frames, 10**12)  # a text that is no range is refused before anything is read
@@ -123,7 +130,10 @@ def parse_request(
         seed = name.partition(":")[2] or "0"
         if not (seed.isascii() and seed.isdigit()):
             raise ConfigError(f"{name!r}: the seed must be a whole number, as in {SYNTHETIC}:3")
-        return Request(None, int(seed), frames, rate if "hz" in options.lower() else None, side)
+        own_rate = rate if "hz" in options.lower() else None
+        return Request(None, int(seed), frames, own_rate, side, noise)
+    if noise:
+        raise ConfigError(f"{text!r}: noise is for the built-in operator, as in {SYNTHETIC}:3@1mm")
     return Request(Path(name), 0, frames, rate, side)
 
 
@@ -217,10 +227,17 @@ def _load(request: Request) -> Source:
 
 def _read(request: Request) -> HandRecording:
     if request.path is None:
-        operator = SyntheticOperator(seed=request.seed, side=request.side or "right")
+        operator = SyntheticOperator(
+            seed=request.seed,
+            side=request.side or "right",
+            tracker=TrackerModel(noise=request.noise, seed=request.seed),
+        )
         if request.rate is not None:
             operator = replace(operator, rate_hz=request.rate)
-        return operator.record(SYNTHETIC_SECONDS)
+        recording = operator.record(SYNTHETIC_SECONDS)
+        if not request.noise:
+            return recording
+        return replace(recording, name=f"{recording.name}+{1e3 * request.noise:g}mm")
     if request.path.is_dir():
         raise RecordingError(
             f"{request.path}: no recordings in it or in its folders; expected names that end in "

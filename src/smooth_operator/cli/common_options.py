@@ -32,9 +32,9 @@ class Retargeting:
     """Retargeting method: sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method: for sbr realtime (used if left out) or paper; for keyvector default,
-    vector, position or slsqp; for hybrid, dexpilot and ako default or slsqp; for geort the file of
-    a model that you trained."""
+    """Preset of the method: for sbr realtime (used if left out), paper or, for recordings, offline;
+    for keyvector default, vector, position or slsqp; for hybrid, dexpilot and ako default or slsqp;
+    for geort the file of a model that you trained; for any of them the preset.toml of a tuning."""
 
     seed: int = 0
     """Of all random numbers: the same seed and frames give the same commands."""

@@ -19,6 +19,7 @@ from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.train_options import Train
+from smooth_operator.cli.tune_options import Tune
 from smooth_operator.cli.view_options import View
 
 _EXAMPLES = """Examples:
@@ -40,6 +41,8 @@ _EXAMPLES = """Examples:
       the operator's hand on the robot's, for --operator; with a report
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
+  smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out
+      the numbers of a preset searched, never on what is held out
   smooth-operator glove-simulator
       a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
@@ -65,6 +68,7 @@ Command: TypeAlias = (
     | Study
     | Teleop
     | Train
+    | Tune
     | View
 )
 
@@ -79,6 +83,7 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "paper": Paper,
     "ablate": Ablate,
     "train": Train,
+    "tune": Tune,
     "hands": Hands,
     "calibrate": Calibrate,
     "glove-simulator": GloveSimulate,

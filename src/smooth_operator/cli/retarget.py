@@ -9,6 +9,7 @@ from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline import configuration, plan
 from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
+from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.types import Status
 
 
@@ -54,7 +55,12 @@ def retarget(options: Retarget) -> None:
         write_commands(options.output, outcome.commands, config)
     held = int((outcome.commands.status != Status.OK).sum())
     if held:
-        progress.note(f"{held} of {len(outcome.commands)} frames repeat the last good command")
+        done = (
+            "had no usable hand: short gaps are bridged, over longer ones the last pose is held"
+            if isinstance(todo.config, WholeConfig)
+            else "repeat the last good command"
+        )
+        progress.note(f"{held} of {len(outcome.commands)} frames {done}")
     progress.note(f"wrote {options.output}")
     if options.json:
         print(to_json(metrics))

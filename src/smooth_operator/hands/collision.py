@@ -39,15 +39,10 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
             f"joint positions must have shape (T, {len(hand.joint_names)}) for hand "
             f"{hand.name!r}, not {q.shape}"
         )
-    model = hand.model
-    counts = _counting_pairs(hand)
-    if not counts.any():
+    counts = colliding_shapes(hand)
+    if not _counting_pairs(hand).any():
         return None
-    data = mujoco.MjData(model)
-    neutral, depth = _overlaps(hand, data, hand.expand(hand.neutral))
-    touching = neutral[depth > 0]
-    counts[touching[:, 0], touching[:, 1]] = counts[touching[:, 1], touching[:, 0]] = False
-
+    data = mujoco.MjData(hand.model)
     depths = np.full(len(q), np.nan)
     for frame, pose in enumerate(q):
         if np.isfinite(pose).all():
@@ -55,6 +50,16 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
             counted = depth[counts[pairs[:, 0], pairs[:, 1]]]
             depths[frame] = max(float(counted.max(initial=0.0)), 0.0)
     return depths
+
+
+def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
+    """Which pairs of the model's shapes :func:`penetration_depths` looks at."""
+    counts = _counting_pairs(hand)
+    if counts.any():
+        neutral, depth = _overlaps(hand, mujoco.MjData(hand.model), hand.expand(hand.neutral))
+        touching = neutral[depth > 0]
+        counts[touching[:, 0], touching[:, 1]] = counts[touching[:, 1], touching[:, 0]] = False
+    return counts
 
 
 def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:

@@ -175,21 +175,9 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         UnknownNameError: if the description names a body or joint that the model lacks.
     """
     model, couplings = load_model(spec.model, mirror=spec.mirror)
-    points = {LANDMARKS[WRIST]: spec.wrist}
-    for finger in spec.fingers:
-        first = BASES[FINGERS.index(finger.name)]
-        points |= {LANDMARKS[first + i]: p for i, p in enumerate(finger.points) if p is not None}
     palm = _body(model, spec.palm)
     own = own_joints(model, palm)
-    tree = build_tree(
-        model,
-        palm,
-        {
-            name: _at(model, point.mirrored if spec.mirror else point)
-            for name, point in points.items()
-        },
-        own,
-    )
+    tree = build_tree(model, palm, landmark_points(model, spec), own)
     every = tuple(model.joint(j).name for j in range(model.njnt))
     for name in [*spec.neutral, *(n for c in couplings for n in (c.joint, c.follows))]:
         if name not in every:
@@ -209,6 +197,21 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     )
     within = tuple(coupling for coupling in couplings if coupling.follows in names)
     return Hand(spec, model, names, actuated, within, limits, neutral, tree, expansion)
+
+
+def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[int, np.ndarray]]:
+    """The landmarks that a hand's description names: name -> (body, (3,) position in it [m]).
+
+    Raises:
+        UnknownNameError: if the model lacks a body that one of them is on.
+    """
+    points = {LANDMARKS[WRIST]: spec.wrist}
+    for finger in spec.fingers:
+        first = BASES[FINGERS.index(finger.name)]
+        points |= {LANDMARKS[first + i]: p for i, p in enumerate(finger.points) if p is not None}
+    return {
+        name: _at(model, point.mirrored if spec.mirror else point) for name, point in points.items()
+    }
 
 
 def _commanded(model: mujoco.MjModel, own: tuple[int, ...], tree: KinematicTree) -> set[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -16,9 +16,14 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.offline.cache import enable_cache, healing
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.plan import Plan
+from smooth_operator.offline.whole import WholeRetargeter
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.types import CommandTrajectory
+
+Runner: TypeAlias = Retargeter | WholeRetargeter
+"""What answers a recording: frame by frame, or as a whole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +42,8 @@ class Outcome:
     first_command_s: float
 
 
-def build(todo: Plan) -> tuple[Retargeter, float]:
-    """A retargeter for the plan, compiled.
+def build(todo: Plan) -> tuple[Runner, float]:
+    """A retargeter for the plan, compiled; for presets that need it one of whole recordings.
 
     Two settings of the process change: JAX's compilation cache is switched on (see
     :func:`smooth_operator.offline.cache.enable_cache`), and programs run on the calling thread (see
@@ -47,11 +52,22 @@ def build(todo: Plan) -> tuple[Retargeter, float]:
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
-    return build_retargeter(todo.hand, todo.config, todo.seed)
+    if not isinstance(todo.config, WholeConfig):
+        return build_retargeter(todo.hand, todo.config, todo.seed)
+    started = time.perf_counter()
+    dispatch_here()
+    with healing(enable_cache()):
+        whole = WholeRetargeter(todo.hand, todo.config, todo.seed)
+        whole.warm_up()
+    return whole, time.perf_counter() - started
 
 
 def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retargeter, float]:
-    """The same without a plan."""
+    """The same for live use, without a plan.
+
+    Raises:
+        ConfigError: the preset needs the whole recording.
+    """
     started = time.perf_counter()
     dispatch_here()
     with healing(enable_cache()):
@@ -62,7 +78,7 @@ def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retar
 
 def execute(
     todo: Plan,
-    built: tuple[Retargeter, float] | None = None,
+    built: tuple[Runner, float] | None = None,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> Outcome:
     """Retargets the recording from a fresh state.

@@ -13,14 +13,14 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.offline.discovery import Found
 from smooth_operator.offline.dispatch import dispatch_here
-from smooth_operator.offline.execution import build
+from smooth_operator.offline.execution import Runner, build
 from smooth_operator.offline.finished import digest, identity
 from smooth_operator.offline.plan import Plan, Request, configuration, plan
 from smooth_operator.offline.scan import Scan, find_scan
+from smooth_operator.offline.whole import WholeRetargeter, check_method
 from smooth_operator.recording import frame_slice, read_recording, to_json
 from smooth_operator.recording.checks import stamps_from_rate
 from smooth_operator.recording.results import encode_commands, write_encoded_commands
-from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.types import HandRecording, Side, Status
 
 State: TypeAlias = Literal["done", "kept", "failed"]
@@ -44,7 +44,7 @@ def checked(asked: Request) -> Request:
     if operator is not None:
         operator.check(hand)
     config = asked.config
-    config.build(hand)
+    check_method(config, hand)
     if isinstance(asked.scale, float | int):
         replace(config.alignment, scale=float(asked.scale))  # refuses what is none
     stamps_from_rate(0, asked.rate, "--rate")  # refuses one that can't be
@@ -166,7 +166,7 @@ def _read(path: Path, asked: Request) -> tuple[HandRecording, float | None]:
 
 @dataclass(frozen=True)
 class _Tools:
-    retargeter: Retargeter
+    retargeter: Runner
     scan: Scan | None
 
 
@@ -182,7 +182,10 @@ def _tools(todo: Plan, *, reuse: bool) -> _Tools:
     key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
     if key not in _SHELF:
         retargeter, _ = build(todo)
-        _SHELF[key] = _Tools(retargeter, find_scan(retargeter))
+        if isinstance(retargeter, WholeRetargeter):  # which does without
+            _SHELF[key] = _Tools(retargeter, None)
+        else:
+            _SHELF[key] = _Tools(retargeter, find_scan(retargeter))
         while len(_SHELF) > _SHELF_SIZE:
             _SHELF.popitem(last=False)
     _SHELF.move_to_end(key)

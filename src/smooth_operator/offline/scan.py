@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.retargeters.method import HostMethod, Method
-from smooth_operator.retargeters.program import RetargetState, compiled, frame_step
+from smooth_operator.retargeters.program import RetargetState, compiled, frame_step, ticks_of
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
@@ -36,22 +36,27 @@ class Scan:
         self._retargeter = retargeter
         step = frame_step(cast(Method, retargeter.shared.method), retargeter.config.alignment)
 
-        def scan(state: RetargetState, landmarks: Any, valid: Any) -> Any:
-            return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, (landmarks, valid))
+        def scan(state: RetargetState, *frames: Any) -> Any:
+            return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, frames)
 
         self._scan = compiled(scan)
 
-    def run(self, recording: HandRecording) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+    def run(
+        self, recording: HandRecording, *, seed: int | None = None
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
         """As :meth:`smooth_operator.Retargeter.run`, with NaN for the latencies."""
         hand = self._retargeter.hand
         whole = len(recording) // CHUNK * CHUNK
         landmarks = self._retargeter.seen(recording.landmarks)
         assert recording.valid is not None  # filled in on construction
+        frames = [landmarks, recording.valid]
+        if self._retargeter.timed:
+            frames.append(ticks_of(recording.stamps))
         positions, status, loss = [], [], []
-        state = self._retargeter.init()
+        state = self._retargeter.init(seed)
         for start in range(0, whole, CHUNK):
             part = slice(start, start + CHUNK)
-            state, answer = self._scan(state, landmarks[part], recording.valid[part])
+            state, answer = self._scan(state, *(each[part] for each in frames))
             q = np.clip(np.asarray(answer.q, float), hand.limits[:, 0], hand.limits[:, 1])
             # One by one, as live: a product of matrices may add up in another order.
             positions += [hand.expand(row) for row in q]

@@ -44,28 +44,48 @@ def run_in_pool(
     function: Callable[[T], R], tasks: Sequence[T], workers: int, retries: int
 ) -> Iterator[TaskResult[R]]:
     """See :func:`smooth_operator.parallel.run_tasks`."""
-    pool = _Pool(function, tasks, retries)
+    pool = Pool(function, retries)
     try:
-        for slot in range(min(workers, len(tasks))):
-            pool.start(slot)
+        pool.add(tasks)
+        pool.start_up_to(min(workers, len(tasks)))
         yield from pool.results()
     finally:
         pool.stop()
 
 
-class _Pool:
-    def __init__(self, function: Callable[[Any], Any], tasks: Sequence[Any], retries: int) -> None:
+class Pool:
+    """The processes; tasks may be added while they wait.
+
+    Args:
+        function: importable by its module and name.
+        retries: how often a task is tried again whose worker died.
+    """
+
+    def __init__(self, function: Callable[[Any], Any], retries: int) -> None:
         self._function = function
-        self._tasks = tasks
+        self._tasks: dict[int, Any] = {}
         self._retries = retries
-        self._waiting = deque(range(len(tasks)))
-        self._attempts = [0] * len(tasks)
+        self._waiting: deque[int] = deque()
+        self._attempts: list[int] = []
         self._workers: list[_Worker] = []
         self._false_starts = 0
         # Fork is unsafe beside JAX's threads.
         self._context = multiprocessing.get_context("spawn")
 
-    def start(self, slot: int) -> None:
+    def add(self, tasks: Sequence[Any]) -> None:
+        """More tasks; they are numbered on from those before."""
+        first = len(self._attempts)
+        self._tasks |= dict(enumerate(tasks, first))
+        self._waiting.extend(range(first, first + len(tasks)))
+        self._attempts += [0] * len(tasks)
+
+    def start_up_to(self, count: int) -> None:
+        """Has at least so many workers."""
+        taken = {worker.slot for worker in self._workers}
+        for slot in [slot for slot in range(count) if slot not in taken]:
+            self._start(slot)
+
+    def _start(self, slot: int) -> None:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=serve, args=(theirs, slot), daemon=True)
         with _no_interrupt():
@@ -77,6 +97,9 @@ class _Pool:
 
     def results(self) -> Iterator[TaskResult[Any]]:
         """Until every task has its result."""
+        for worker in list(self._workers):
+            if worker.ready and worker.task is None:
+                yield from self._give(worker)
         while self._waiting or any(w.task is not None for w in self._workers):
             links = {worker.link: worker for worker in self._workers}
             for link in connection.wait(list(links)):
@@ -134,6 +157,7 @@ class _Pool:
     ) -> TaskResult[Any]:
         index, worker.task = worker.task, None
         assert index is not None
+        self._tasks.pop(index, None)
         return TaskResult(index, value, error, seconds, self._attempts[index])
 
     def _bury(self, worker: _Worker) -> Iterator[TaskResult[Any]]:
@@ -158,7 +182,7 @@ class _Pool:
             else:
                 self._waiting.appendleft(index)
         if self._waiting:
-            self.start(worker.slot)
+            self._start(worker.slot)
 
 
 def _since(worker: _Worker) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
@@ -63,6 +63,26 @@ class Method(Stateful, Protocol):
         Args:
             state: from :meth:`init` or the last step.
             aligned: (21, 3) landmarks in the palm frame [m]; those in :attr:`needs` are finite.
+        """
+
+
+class TimedMethod(Stateful, Protocol):
+    """A method that is one compiled program, and goes by the frames' stamps."""
+
+    @property
+    def timed(self) -> bool:
+        """True."""
+
+    def step(
+        self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[Any, MethodOutput]:
+        """One frame, as of :class:`Method`.
+
+        Args:
+            state: from :meth:`init` or the last step.
+            aligned: (21, 3) landmarks in the palm frame [m]; those in :attr:`needs` are finite.
+            ticks: the frame's stamp in microseconds modulo 2^32. It may stand still where frames
+                have no stamps.
         """
 
 

@@ -10,6 +10,7 @@ from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets
 from smooth_operator.retargeters.method import MethodConfig
+from smooth_operator.retargeters.whole import WholeConfig
 
 
 def operated_by(config: MethodConfig, operator: OperatorProfile) -> MethodConfig:
@@ -50,5 +51,7 @@ def aligned_by(config: MethodConfig, **changes: Any) -> MethodConfig:
 
 
 def _replaced(config: MethodConfig, **changes: Any) -> MethodConfig:
+    if isinstance(config, WholeConfig):
+        return dataclasses.replace(config, causal=_replaced(config.causal, **changes))
     # Every method's configuration is a dataclass with these fields; the protocol can't say so.
     return cast(MethodConfig, dataclasses.replace(cast(Any, config), **changes))

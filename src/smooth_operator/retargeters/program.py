@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
+from numpy.typing import ArrayLike
 
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
@@ -50,13 +51,11 @@ class Answer(NamedTuple):
     scale: Float[Array, ""] | float
 
 
-Step: TypeAlias = Callable[[RetargetState, Array, Array], tuple[RetargetState, Answer]]
-"""State, (21, 3) landmarks [m] and (21,) validity to the next state and the answer; traceable."""
+Step: TypeAlias = Callable[..., tuple[RetargetState, Answer]]
+"""State, (21, 3) landmarks [m], (21,) validity and, for a method that is timed, the frame's ticks
+(:func:`ticks_of`) to the next state and the answer; traceable."""
 
-Program: TypeAlias = Callable[
-    [RetargetState, Float[np.ndarray, "21 3"], Bool[np.ndarray, "21"]],
-    tuple[RetargetState, Answer],
-]
+Program: TypeAlias = Callable[..., tuple[RetargetState, Answer]]
 """The same on the host, compiled."""
 
 
@@ -64,10 +63,13 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     """One frame as a function to be compiled, by itself or in a longer program."""
 
     def step(
-        state: RetargetState, landmarks: Float[Array, "21 3"], valid: Bool[Array, "21"]
+        state: RetargetState,
+        landmarks: Float[Array, "21 3"],
+        valid: Bool[Array, "21"],
+        *ticks: UInt32[Array, ""],
     ) -> tuple[RetargetState, Answer]:
-        seen = _see(method, alignment, landmarks, valid)
-        after, output = method.step(state.method, seen.aligned)
+        seen = see(method, alignment, landmarks, valid)
+        after, output = method.step(state.method, seen.aligned, *ticks)
         solved = jnp.isfinite(output.q).all()
         status = jnp.where((seen.status == Status.OK) & ~solved, Status.SOLVER_FAILED, seen.status)
         kept = RetargetState(after, output.q)
@@ -83,16 +85,18 @@ def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Pr
         return _host_program(method, alignment)
     step = frame_step(method, alignment)
 
-    def packed(state: RetargetState, landmarks: Array, valid: Array) -> tuple[RetargetState, Array]:
-        state, answer = step(state, landmarks, valid)
+    def packed(
+        state: RetargetState, landmarks: Array, valid: Array, *ticks: Array
+    ) -> tuple[RetargetState, Array]:
+        state, answer = step(state, landmarks, valid, *ticks)
         return state, _pack(answer.q, answer.status, answer.tracking_loss, answer.scale)
 
     run = compiled(packed)
 
     def program(
-        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, *ticks: np.uint32
     ) -> tuple[RetargetState, Answer]:
-        state, flat = run(state, landmarks, valid)
+        state, flat = run(state, landmarks, valid, *ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
         return state, Answer(numbers[:-3], int(status), loss, scale)
@@ -110,7 +114,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return jax.jit(function, compiler_options=_compiler_options())
 
 
-class _Seen(NamedTuple):
+class Seen(NamedTuple):
     """A frame after alignment; harmless landmarks where it can't be used."""
 
     aligned: Float[Array, "21 3"]
@@ -118,7 +122,7 @@ class _Seen(NamedTuple):
     scale: Float[Array, ""]
 
 
-def _see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array) -> _Seen:
+def see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array) -> Seen:
     """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
     hand, operator = method.hand, alignment.operator
     corrected = () if operator is None else operator.needs(hand)
@@ -136,12 +140,12 @@ def _see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: 
     aligned = palm.apply(safe)
     if operator is not None:
         aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
-    return _Seen(aligned, status, palm.scale)
+    return Seen(aligned, status, palm.scale)
 
 
 def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
     def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array]:
-        seen = _see(method, alignment, landmarks, valid)
+        seen = see(method, alignment, landmarks, valid)
         return method.prepare(state, seen.aligned), _pack(seen.status, seen.scale)
 
     before = compiled(prepare)
@@ -160,6 +164,17 @@ def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
         return RetargetState(after, output.q), Answer(output.q, int(code), loss, scale)
 
     return program
+
+
+def ticks_of(stamp: Float[ArrayLike, "*n"]) -> UInt32[np.ndarray, "*n"]:
+    """Time as the programs take it: microseconds modulo 2^32, whose differences are right for half
+    an hour, where a float32 of the time of day is not good to a minute.
+
+    Args:
+        stamp: [s]; one that is not finite counts as 0.
+    """
+    whole = np.round(np.nan_to_num(np.asarray(stamp, float), posinf=0.0, neginf=0.0) * 1e6)
+    return np.asarray(np.mod(whole, 2.0**32)).astype(np.uint32)
 
 
 @cache

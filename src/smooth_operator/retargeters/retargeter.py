@@ -19,6 +19,7 @@ from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
 from smooth_operator.retargeters.presets import method_config
 from smooth_operator.retargeters.program import RetargetState as RetargetState
+from smooth_operator.retargeters.program import ticks_of
 from smooth_operator.retargeters.shared import shared_program
 from smooth_operator.types import (
     CommandTrajectory,
@@ -81,6 +82,11 @@ class Retargeter:
         self.shared = shared_program(self.hand, self.config)
         self._state = self.init()
 
+    @property
+    def timed(self) -> bool:
+        """Whether the method goes by the frames' stamps."""
+        return bool(getattr(self.method, "timed", False))
+
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
@@ -111,7 +117,8 @@ class Retargeter:
                 f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
             )
         assert frame.valid is not None  # filled in on construction
-        state, answer = self.shared.run(state, self.seen(frame.landmarks), frame.valid)
+        ticks = (ticks_of(frame.stamp),) if self.timed else ()
+        state, answer = self.shared.run(state, self.seen(frame.landmarks), frame.valid, *ticks)
         q, status = np.asarray(answer.q, float), Status(int(answer.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))

@@ -1,0 +1,93 @@
+"""Options of ``smooth-operator tune``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from smooth_operator.cli.common_options import Common
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tune(Common):
+    """Search the numbers of a method's preset on recordings that will not be judged."""
+
+    details: ClassVar[str] = """FOLDER gets preset.toml (for --preset, wherever there is one),
+result.json (figures of the start and of the best, recording by recording), pareto.png (what was
+traded for what) and trials.jsonl, the log. Ctrl-C keeps all of it; the same command goes on from
+there, and ends where a search that was never stopped ends. More --trials go on further.
+
+The score is 0 at the start and less where it is better: on each recording the sum of
+weight x log(error / error at the start), for the errors cosine, cosine_all, scale, motion,
+velocity, flatness, collision and pinch, and ten times what bounds are broken by. Lag stays within
+a frame, a joint's largest step within 0.25 rad at 115 Hz, and no frame is frozen, unless bounds
+say otherwise.
+
+What is named with --held-out is refused under any name, and in parts.
+
+Examples:
+  smooth-operator tune sbr train.npz@:500 --vary pose_weight=0.01:0.1:log
+      --vary velocity_weight=0.02:0.5:log --held-out judge.npz --output out
+  smooth-operator tune sbr train.npz synthetic:7@1mm --vary w_thumb=1:4 --weight flatness=2
+      --at-least cosine_similarity=0.99 --trials 200 --output out
+  smooth-operator retarget glove.npz --preset out/preset.toml --output commands.npz
+"""
+
+    method: Annotated[Positional[str], arg(metavar="METHOD")]
+    """The method whose preset is tuned."""
+
+    recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING...")]
+    """What to tune on: files, folders or synthetic:SEED, each with settings after an @ if need be
+    (a range of frames :500, a rate 60hz, a side, of synthetic ones noise 0.5mm)."""
+
+    output: Annotated[Path, arg(metavar="FOLDER")]
+    """Folder to write, new, empty or of an earlier search."""
+
+    vary: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=LOW:HIGH[:log]")] = ()
+    """A setting to vary, by its path in the configuration or the end of it; may be given more than
+    once. With log, equal steps are equal ratios."""
+
+    fix: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=VALUE")] = ()
+    """Another value for a setting that is not varied."""
+
+    preset: Annotated[str | None, arg(metavar="NAME|FILE.toml")] = None
+    """Where the search begins; the method's default if left out."""
+
+    held_out: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="RECORDING")] = ()
+    """A recording that must not be tuned on; may be given more than once."""
+
+    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
+    """Robot hand, by its catalogue name."""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames a second of recordings that hold no time stamps [Hz]."""
+
+    trials: int = 120
+    """How many sets of values may be tried: half of them spread, half stepping from the best."""
+
+    weight: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="TERM=WEIGHT")] = ()
+    """Another weight in the score, such as flatness=2 or pinch=0."""
+
+    at_least: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FIGURE=VALUE")] = ()
+    """A lower bound of a figure on every recording, such as cosine_similarity=0.99."""
+
+    at_most: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FIGURE=VALUE")] = ()
+    """An upper bound, such as flatness=2e-6, self_collision.share=0.05 or lag_frames=0.5."""
+
+    workers: Annotated[int | None, arg(metavar="N")] = None
+    """How many trials at once; as many as there are cores if left out, 0 for this process alone."""
+
+    seed: int = 0
+    """Of the search: the same seed and recordings give the same preset."""
+
+    quiet: bool = False
+    """No progress on standard error, no table on standard output."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.tune import tune
+
+        tune(self)

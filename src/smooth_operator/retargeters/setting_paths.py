@@ -1,0 +1,97 @@
+"""Settings of a method by name: ``objective.pose_weight`` of a configuration, read and replaced."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeVar, cast
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+
+C = TypeVar("C")
+
+
+def numeric_settings(config: object) -> dict[str, float | int]:
+    """All numbers of a configuration, by their path: names of fields with dots between them.
+
+    Args:
+        config: a dataclass, with dataclasses in its fields.
+
+    Returns:
+        path -> value, in the order of the fields; switches (true or false) are not among them.
+    """
+    return dict(_numbers(config, ""))
+
+
+def find_setting(config: object, name: str) -> str:
+    """The path of a setting that is named by its path, or by the end of it.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigError: more than one path ends so.
+    """
+    known = numeric_settings(config)
+    if name in known:
+        return name
+    matching = [path for path in known if path.endswith(f".{name}")]
+    if len(matching) > 1:
+        raise ConfigError(f"{name!r} is the end of several settings: {', '.join(matching)}")
+    if not matching:
+        raise UnknownNameError("setting", name, known)
+    return matching[0]
+
+
+def with_settings(config: C, values: Mapping[str, float | int]) -> C:
+    """A configuration with other values.
+
+    Args:
+        config: stays as it is.
+        values: path -> value; one for a whole number is rounded.
+
+    Raises:
+        UnknownNameError: there is no such setting.
+        ConfigError: a value can't be, alone or beside the others.
+    """
+    known = numeric_settings(config)
+    for path in values:
+        if path not in known:
+            raise UnknownNameError("setting", path, known)
+    whole = {path for path, value in known.items() if isinstance(value, int)}
+    rounded = {path: round(v) if path in whole else float(v) for path, v in values.items()}
+    return cast(C, _replaced(config, rounded, checked=True))
+
+
+def with_unchecked(config: C, values: Mapping[str, Any]) -> C:
+    """The same without a look at the values, which may be what a compiler traces."""
+    return cast(C, _replaced(config, values, checked=False))
+
+
+def _numbers(config: object, prefix: str) -> Iterator[tuple[str, float | int]]:
+    if not dataclasses.is_dataclass(config):
+        return
+    for field in dataclasses.fields(config):
+        value, path = getattr(config, field.name), f"{prefix}{field.name}"
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            yield path, value
+        else:
+            yield from _numbers(value, f"{path}.")
+
+
+def _replaced(config: Any, values: Mapping[str, Any], *, checked: bool) -> Any:
+    changes: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        name, dot, rest = path.partition(".")
+        if dot:
+            inner.setdefault(name, {})[rest] = value
+        else:
+            changes[name] = value
+    for name, below in inner.items():
+        changes[name] = _replaced(getattr(config, name), below, checked=checked)
+    if checked:
+        return dataclasses.replace(config, **changes)
+    changed = copy.copy(config)
+    for name, value in changes.items():
+        object.__setattr__(changed, name, value)  # of a frozen dataclass, past its own checks
+    return changed

@@ -1,0 +1,479 @@
+"""Whole recordings at once: the solver of trajectories, gaps, and the retargeter around it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator import HandRecording, Retargeter, Status, align_recording
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.offline import WholeRetargeter, build, execute, plan, request
+from smooth_operator.offline import whole as whole_module
+from smooth_operator.offline.segments import even_stamps, segments, windows, without_leaps
+from smooth_operator.offline.whole import check_method
+from smooth_operator.recording import read_commands, read_recording
+from smooth_operator.retargeters.operated import aligned_by
+from smooth_operator.retargeters.presets import PRESETS, live_presets, method_config
+from smooth_operator.retargeters.sbr import SbrConfig
+from smooth_operator.retargeters.whole import WholeConfig
+from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.solvers.trajectory import (
+    Led,
+    TrajectoryConfig,
+    motion_price,
+    smooth_trajectory,
+)
+from smooth_operator.sources import SyntheticOperator, TrackerModel
+
+# -- the solver ----------------------------------------------------------------------------------
+
+WIDE = np.array([[-10.0, 10.0], [-10.0, 10.0]])
+
+
+def following(goal: np.ndarray, weight: np.ndarray | float = 1.0) -> Any:
+    """Each frame's cost: weight (q - goal)^2 / 2."""
+    w = np.broadcast_to(weight, goal.shape[:1])
+
+    def costs(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        off = q - goal
+        hessian = w[:, None, None] * np.eye(goal.shape[1])
+        return 0.5 * w * (off**2).sum(axis=1), w[:, None] * off, hessian
+
+    return costs
+
+
+def noisy(count: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    stamps = np.cumsum(rng.uniform(0.01, 0.03, count))
+    smooth = np.stack([np.sin(3 * stamps), np.cos(2 * stamps)], axis=1)
+    return stamps, smooth + rng.normal(scale=0.05, size=smooth.shape)
+
+
+def derivatives(stamps: np.ndarray, order: int) -> np.ndarray:
+    """(T - order, T) a matrix that differentiates, the slow way: fitted polynomials."""
+    rows = np.zeros((len(stamps) - order, len(stamps)))
+    for t in range(len(rows)):
+        at = stamps[t : t + order + 1] - stamps[t]
+        fit = np.linalg.inv(np.vander(at, increasing=True))
+        rows[t, t : t + order + 1] = fit[order] * np.prod(np.arange(1, order + 1))
+    return rows
+
+
+def test_a_quadratic_is_solved_as_linear_equations_are():
+    stamps, goal = noisy()
+    config = TrajectoryConfig(velocity_weight=2e-3, acceleration_weight=1e-5, jerk_weight=1e-8)
+    found = smooth_trajectory(following(goal), goal, stamps, WIDE, config)
+    matrix = np.eye(len(goal))
+    for order, weight in ((1, 2e-3), (2, 1e-5), (3, 1e-8)):
+        d = derivatives(stamps, order)
+        matrix += 2 * weight * d.T @ d
+    assert found.converged
+    np.testing.assert_allclose(found.q, np.linalg.solve(matrix, goal), atol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_motion_has_the_price_that_is_said(order: int):
+    stamps, _ = noisy(12)
+    names = ("velocity_weight", "acceleration_weight", "jerk_weight")
+    price = motion_price(stamps, TrajectoryConfig(**{names[order - 1]: 0.5}))
+    q = (stamps - stamps[0]) ** order  # its derivative of that order is constant
+    dense = sum(np.diag(price[k, : len(q) - k], -k) for k in range(4))
+    dense = dense + np.tril(dense, -1).T
+    expected = 0.5 * (len(q) - order) * np.prod(np.arange(1.0, order + 1)) ** 2
+    assert 0.5 * q @ dense @ q == pytest.approx(expected, rel=1e-6)
+    low = dense @ (1 + 2 * (stamps - stamps[0])) if order > 1 else dense @ np.ones(12)
+    assert np.abs(low).max() < 1e-6 * np.abs(dense).max()
+
+
+def test_bounds_hold_and_what_is_free_is_optimal():
+    stamps, goal = noisy()
+    limits = np.array([[-0.5, 0.4], [-0.2, 2.0]])
+    config = TrajectoryConfig(acceleration_weight=1e-6, tolerance=1e-9)
+    q = smooth_trajectory(following(goal), np.zeros_like(goal), stamps, limits, config).q
+    assert (q >= limits[:, 0]).all()
+    assert (q <= limits[:, 1]).all()
+    assert (q == limits[0, 1]).any()
+    d = derivatives(stamps, 2)
+    slope = q - goal + 2e-6 * d.T @ d @ q
+    free = (q > limits[:, 0]) & (q < limits[:, 1])
+    assert np.abs(slope[free]).max() < 1e-6
+    assert (slope[q == limits[:, 0]] >= -1e-6).all()
+    assert (slope[q == limits[:, 1]] <= 1e-6).all()
+
+
+def test_frames_that_ask_nothing_go_where_motion_is_cheapest():
+    stamps = np.arange(11) * 0.01
+    goal = np.zeros((11, 1))
+    goal[10] = 1.0
+    weight = np.zeros(11)
+    weight[[0, 10]] = 1e9
+    config = TrajectoryConfig(velocity_weight=1.0)
+    q = smooth_trajectory(following(goal, weight), goal, stamps, WIDE[:1], config).q
+    np.testing.assert_allclose(q[:, 0], np.linspace(0, 1, 11), atol=1e-4)
+
+
+def test_the_beginning_may_be_fixed():
+    stamps, goal = noisy()
+    config = TrajectoryConfig(acceleration_weight=1e-5)
+    whole = smooth_trajectory(following(goal), goal, stamps, WIDE, config).q
+    rest = smooth_trajectory(
+        following(goal[20:]),
+        np.concatenate([whole[20:23], goal[23:]]),
+        stamps[20:],
+        WIDE,
+        config,
+        3,
+    ).q
+    np.testing.assert_allclose(rest, whole[20:], atol=1e-6)
+
+
+def test_joints_keep_to_the_speed_limit():
+    stamps = np.arange(40) * 0.01
+    goal = np.where(stamps < 0.2, 0.0, 1.0)[:, None]
+    steps = {}
+    for limit in (np.inf, 10.0):
+        config = TrajectoryConfig(acceleration_weight=1e-9, speed_limit=limit)
+        q = smooth_trajectory(following(goal), goal, stamps, WIDE[:1], config).q
+        steps[limit] = np.abs(np.diff(q[:, 0])).max()
+    assert steps[np.inf] > 0.5
+    assert steps[10.0] < 0.1 + 0.01
+
+
+def test_points_move_as_others_do():
+    stamps, goal = noisy(50)
+    rng = np.random.default_rng(4)
+    mix = rng.normal(size=(3, 2))  # three points that depend on two joints
+
+    def points(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return q @ mix.T, np.broadcast_to(mix, (len(q), 3, 2))
+
+    steps, weights = rng.normal(scale=0.02, size=(49, 3)), rng.uniform(0, 5, (49, 3))
+    weights[20:25] = 0.0
+    config = TrajectoryConfig(acceleration_weight=1e-7)
+    found = smooth_trajectory(
+        following(goal), goal, stamps, WIDE, config, led=Led(points, steps, weights)
+    )
+    # the same as one linear system
+    d = derivatives(stamps, 2)
+    matrix = np.kron(np.eye(50) + 2e-7 * d.T @ d, np.eye(2))
+    right = goal.ravel().copy()
+    for t in range(49):
+        rows = np.zeros((3, 100))
+        rows[:, 2 * t : 2 * t + 2], rows[:, 2 * t + 2 : 2 * t + 4] = -mix, mix
+        matrix += rows.T @ (weights[t, :, None] * rows)
+        right += rows.T @ (weights[t] * steps[t])
+    expected = np.linalg.solve(matrix, right).reshape(50, 2)
+    np.testing.assert_allclose(found.q, expected, atol=1e-6)
+
+
+def test_a_cost_with_hills_never_rises():
+    stamps, goal = noisy(80)
+
+    def costs(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        off = 6 * (q - goal)
+        hessian = np.einsum("tj,jk->tjk", 36 * np.cos(off), np.eye(2))  # bends down beyond the hill
+        return (1 - np.cos(off)).sum(axis=1), 6 * np.sin(off), hessian
+
+    config = TrajectoryConfig(acceleration_weight=1e-5)
+    start = goal + np.random.default_rng(1).uniform(-0.6, 0.6, goal.shape)
+    found = smooth_trajectory(costs, start, stamps, WIDE, config)
+    price = motion_price(stamps, config)
+    dense = sum(np.diag(price[k, : len(goal) - k], -k) for k in range(4))
+    dense = dense + np.tril(dense, -1).T
+    first, last = (costs(q)[0].sum() + 0.5 * (q * (dense @ q)).sum() for q in (start, found.q))
+    assert found.converged
+    assert last == pytest.approx(found.cost)
+    assert last < 0.5 * first
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{}, {"velocity_weight": -1.0, "jerk_weight": 1.0}, {"jerk_weight": np.inf},
+     {"jerk_weight": 1.0, "iterations": 0}, {"jerk_weight": 1.0, "tolerance": 0.0},
+     {"jerk_weight": 1.0, "speed_limit": 0.0}, {"jerk_weight": 1.0, "motion_weight": -1.0}],
+)  # fmt: skip
+def test_prices_that_cannot_be_are_refused(wrong: dict[str, float]):
+    with pytest.raises(ConfigError):
+        TrajectoryConfig(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_recording_of_one_or_two_frames():
+    config = TrajectoryConfig(jerk_weight=1.0, acceleration_weight=1.0)
+    for count in (1, 2, 3):
+        goal = np.arange(2.0 * count).reshape(count, 2)
+        q = smooth_trajectory(following(goal), goal, np.arange(count) * 0.1, WIDE, config).q
+        assert q.shape == goal.shape
+        assert np.isfinite(q).all()
+
+
+# -- gaps and windows ----------------------------------------------------------------------------
+
+
+def test_stamps_on_an_even_grid():
+    stamps = np.array([5.0, 5.011, 5.019, 5.05, 5.0601, 5.07])
+    np.testing.assert_allclose(
+        even_stamps(stamps), np.array([0, 1, 2, 5, 6, 7]) * np.median(np.diff(stamps))
+    )
+    assert even_stamps(np.array([3.0])).tolist() == [0.0]
+
+
+def test_segments_end_at_long_gaps():
+    stamps = np.arange(30) * 0.1
+    seen = np.ones(30, bool)
+    seen[[0, 1, 10, 11, 20, 21, 22, 23, 29]] = False
+    assert segments(seen, stamps, 0.3) == [slice(2, 20), slice(24, 29)]
+    assert segments(seen, stamps, 0.0) == [slice(2, 10), slice(12, 20), slice(24, 29)]
+    assert segments(np.zeros(30, bool), stamps, 0.3) == []
+    stamps = stamps + np.where(np.arange(30) >= 15, 5.0, 0.0)  # frames that never came
+    assert segments(seen, stamps, 0.3) == [slice(2, 15), slice(15, 20), slice(24, 29)]
+
+
+def test_leaps_are_spread_and_nothing_is_late():
+    t = np.arange(40.0)[:, None, None]
+    seen = np.ones(40, bool)
+    steady = np.concatenate([0.001 * t, 0.0 * t, 0.002 * t], axis=-1)
+    found = without_leaps(steady, seen, 0.03)
+    np.testing.assert_allclose(found[10:30], steady[10:30], atol=1e-6)  # late by as much as early
+    leap = np.where(t < 20, 0.0, 0.05) * np.ones(3)
+    spread = without_leaps(leap, seen, 0.03)
+    assert np.abs(np.diff(spread[:, 0, 0])).max() < 0.5 * 0.05
+    np.testing.assert_allclose(spread + spread[::-1], 0.05, atol=1e-12)  # alike before and after
+    assert np.array_equal(without_leaps(leap, seen, 0.0), leap)
+    seen[18:22] = False
+    leap[18:22] = 7.0
+    assert (without_leaps(leap, seen, 0.03)[18:22] == 7.0).all()
+    assert np.abs(without_leaps(leap, seen, 0.03)[seen]).max() < 0.051
+
+
+@pytest.mark.parametrize("count", [1, 5, 99, 100, 101, 130, 131, 500])
+def test_windows_cover_a_stretch_once(count: int):
+    parts = windows(count, 100, 30)
+    assert [p for first, keep, _ in parts for p in range(first, keep)] == list(range(count))
+    assert all(keep <= end <= count for _, keep, end in parts)
+    assert all(end == min(keep + 30, count) for _, keep, end in parts)
+
+
+# -- recordings ----------------------------------------------------------------------------------
+
+CAUSAL = SbrConfig(
+    sampling=SamplingConfig(samples=64, elites=12, cycles=3, draws="quasi"),
+    polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
+)
+CONFIG = WholeConfig(
+    CAUSAL, TrajectoryConfig(acceleration_weight=1e-7, speed_limit=28.0), leap=0.03
+)
+LED = replace(CONFIG, future=replace(CONFIG.future, motion_weight=0.05, motion_speed=0.6))
+
+
+@pytest.fixture(scope="module")
+def hand() -> Any:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module")
+def whole(hand: Any) -> WholeRetargeter:
+    return WholeRetargeter(hand, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def recording() -> HandRecording:
+    tracker = TrackerModel(noise=5e-4, seed=3)
+    return SyntheticOperator(seed=12, rate_hz=60.0, tracker=tracker).record(4.0)[40:200]
+
+
+@pytest.fixture
+def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(whole_module, "WINDOW", 50)
+    monkeypatch.setattr(whole_module, "AHEAD_S", 0.6)
+
+
+def lost(recording: HandRecording, *frames: slice) -> HandRecording:
+    landmarks = recording.landmarks.copy()
+    for part in frames:
+        landmarks[part] = np.nan
+    return replace(recording, landmarks=landmarks, valid=None)
+
+
+def test_it_is_smoother_than_frame_by_frame_and_no_later(
+    whole: WholeRetargeter, recording: HandRecording, hand: Any
+):
+    found, loss = whole.run(recording)
+    causal, _ = whole.causal.run(recording)
+    ours, theirs = (
+        evaluate(assemble_trace(recording, c, hand, CAUSAL.alignment, reach_samples=0))
+        for c in (found, causal)
+    )
+    assert ours["flatness"] < 0.5 * theirs["flatness"]  # type: ignore[operator]
+    assert ours["cosine_similarity"] > theirs["cosine_similarity"] - 1e-3  # type: ignore[operator]
+    assert ours["lag_ms"] == 0.0
+    assert ours["limit_violation_share"] == 0.0
+    assert (found.status == Status.OK).all()
+    assert np.isfinite(loss).all()
+    assert np.isnan(found.latency_ms).all()
+    # what is followed is the human without noise, better than the causal method does
+    clean = SyntheticOperator(seed=12, rate_hz=60.0).record(4.0)[40:200]
+    human = align_recording(clean, hand, CAUSAL.alignment)
+    speed = np.diff(human[:, 8] - human[:, 0], axis=0)
+    correlation = []
+    for commands in (found, causal):
+        tips = np.diff(hand.tips(commands.joint_positions)[:, 1], axis=0)
+        correlation.append(np.corrcoef(speed.ravel(), tips.ravel())[0, 1])
+    assert correlation[0] > correlation[1]
+
+
+def test_led_fingertips_move_as_the_humans(
+    whole: WholeRetargeter, recording: HandRecording, hand: Any
+):
+    free, led = (
+        evaluate(assemble_trace(recording, r.run(recording)[0], hand, reach_samples=0))
+        for r in (whole, whole.priced(LED))
+    )
+    assert led["motion_preservation"] > free["motion_preservation"] + 0.1  # type: ignore[operator]
+    assert led["velocity_correlation"] > free["velocity_correlation"] + 0.1  # type: ignore[operator]
+    assert led["cosine_similarity"] > free["cosine_similarity"] - 0.03  # type: ignore[operator]
+    with pytest.raises(AssertionError):
+        whole.priced(PRESETS["sbr"]["offline"])  # type: ignore[arg-type]
+
+
+def test_it_repeats_itself_to_the_bit(whole: WholeRetargeter, recording: HandRecording):
+    first, second = (whole.run(recording)[0] for _ in range(2))
+    assert first.joint_positions.tobytes() == second.joint_positions.tobytes()
+
+
+def test_windows_do_not_show(whole: WholeRetargeter, recording: HandRecording, small_windows: None):
+    parts, _ = whole.run(recording)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(whole_module, "WINDOW", 1000)
+        once, _ = whole.run(recording)
+    assert len(windows(len(recording), 50, 36)) > 2
+    assert np.abs(parts.joint_positions - once.joint_positions).max() < 5e-3
+
+
+def test_short_gaps_are_bridged_long_ones_held(
+    whole: WholeRetargeter, recording: HandRecording, hand: Any
+):
+    gaps = (slice(0, 3), slice(30, 36), slice(70, 110), slice(155, 160))
+    found, loss = whole.run(lost(recording, *gaps))
+    full, _ = whole.run(recording)
+    q = found.joint_positions
+    missing = np.concatenate([np.arange(160)[gap] for gap in gaps])
+    assert (found.status[missing] == Status.INVALID_LANDMARKS).all()
+    assert (np.delete(found.status, missing) == Status.OK).all()
+    assert np.array_equal(np.isnan(loss), found.status != Status.OK)
+    assert np.isfinite(q).all()
+    # before the first good frame the neutral pose, over the long gap and at the end the last one
+    np.testing.assert_allclose(q[:3], hand.expand(hand.neutral)[None].repeat(3, 0), atol=1e-9)
+    assert (q[70:110] == q[69]).all()
+    assert (q[155:] == q[154]).all()
+    # over the short one the hand goes on, and near where it would have been
+    assert (
+        np.abs(np.diff(q[29:37], axis=0)).max()
+        < 2.0 * np.abs(np.diff(full.joint_positions, axis=0)).max()
+    )
+    assert np.abs(q[30:36] - full.joint_positions[30:36]).max() < 0.1
+
+
+def test_frames_that_never_came_are_bridged_in_time(
+    whole: WholeRetargeter, recording: HandRecording
+):
+    kept = np.delete(np.arange(160), [60, 61, 62])
+    thinned = replace(
+        recording, landmarks=recording.landmarks[kept], stamps=recording.stamps[kept],
+        valid=None, metacarpals=None, orientations=None, meta={},
+    )  # fmt: skip
+    found, _ = whole.run(thinned)
+    full, _ = whole.run(recording)
+    assert np.abs(found.joint_positions - full.joint_positions[kept]).max() < 0.15
+
+
+def test_a_recording_without_any_hand(whole: WholeRetargeter, recording: HandRecording, hand: Any):
+    found, loss = whole.run(lost(recording[:5], slice(0, 5)))
+    assert (found.status == Status.INVALID_LANDMARKS).all()
+    assert (found.joint_positions == np.asarray(hand.expand(hand.neutral))).all()
+    assert np.isnan(loss).all()
+
+
+def test_one_frame(whole: WholeRetargeter, recording: HandRecording):
+    found, loss = whole.run(recording[:1])
+    assert found.status.tolist() == [Status.OK]
+    assert np.isfinite(loss).all()
+
+
+# -- where it may be used ------------------------------------------------------------------------
+
+
+def test_live_use_is_refused(hand: Any):
+    with pytest.raises(ConfigError, match="whole recording"):
+        Retargeter(hand, config=CONFIG)
+    assert "offline" not in live_presets()["sbr"]
+    assert "realtime" in live_presets()["sbr"]
+
+
+def test_methods_without_derivatives_are_refused(hand: Any):
+    config = WholeConfig(method_config("joint_angle"), CONFIG.future)
+    with pytest.raises(ConfigError, match="sbr and smooth can"):
+        check_method(config, hand)
+    check_method(CONFIG, hand)
+    with pytest.raises(ConfigError, match="bridge"):
+        replace(CONFIG, bridge=-1.0)
+
+
+def test_an_alignment_reaches_the_method_within():
+    changed = aligned_by(CONFIG, scale=0.8)
+    assert isinstance(changed, WholeConfig)
+    assert (changed.alignment.scale, changed.future) == (0.8, CONFIG.future)
+
+
+def test_a_plan_with_the_preset_is_done_as_a_whole(
+    recording: HandRecording, monkeypatch: pytest.MonkeyPatch, whole: WholeRetargeter
+):
+    monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
+    todo = plan(recording, request(preset="tiny"))
+    built = build(todo)
+    assert isinstance(built[0], WholeRetargeter)
+    shown: list[int] = []
+
+    def track(frames: Any) -> Iterator[int]:
+        for frame in frames:
+            shown.append(frame)
+            yield frame
+
+    outcome = execute(todo, built, track)
+    assert shown == list(range(160))
+    expected, _ = whole.run(recording)
+    assert outcome.commands.joint_positions.tobytes() == expected.joint_positions.tobytes()
+
+
+def test_a_folder_is_done_as_a_whole_and_kept(
+    recording: HandRecording,
+    monkeypatch: pytest.MonkeyPatch,
+    whole: WholeRetargeter,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
+    (tmp_path / "in").mkdir()
+    np.save(tmp_path / "in" / "take.npy", recording.landmarks)
+    words = ["retarget", str(tmp_path / "in"), "--rate", "60", "--side", "right", "--json",
+             "--preset", "tiny", "--output", str(tmp_path / "out"), "--workers", "0"]  # fmt: skip
+    assert main(words) == 0
+    made = (tmp_path / "out" / "take.npz").read_bytes()
+    read = read_recording(tmp_path / "in" / "take.npy", rate=60.0, side="right")
+    expected, _ = whole.run(read)
+    found = read_commands(tmp_path / "out" / "take.npz")
+    assert found.joint_positions.tobytes() == expected.joint_positions.tobytes()
+    capsys.readouterr()
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["recordings"][0]["state"] == "kept"
+    assert (tmp_path / "out" / "take.npz").read_bytes() == made

@@ -1,0 +1,228 @@
+"""The method ``smooth`` as a whole: what it promises, whatever its settings are tuned to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trees import limited_poses
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.pursuit import PursuitConfig
+from smooth_operator.landmarks import LANDMARKS, TIPS
+from smooth_operator.metrics.consistency import frozen_share, motion_preservation
+from smooth_operator.objective.clearance import ClearanceConfig
+from smooth_operator.offline.scan import Scan
+from smooth_operator.retargeters.presets import method_config
+from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.retargeters.smooth import SmoothConfig
+from smooth_operator.types import HandFrame, HandRecording, Status
+
+RATE = 115.0
+
+
+def landmarks_of(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(T, 21, 3) a human hand that is the robot's, at poses of the actuated joints."""
+    out = np.zeros((len(q), 21, 3))
+    out[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.landmark_positions(q)
+    return out
+
+
+def recording(landmarks: np.ndarray, rate: float = RATE) -> HandRecording:
+    return HandRecording(landmarks, np.arange(len(landmarks)) / rate, "right")
+
+
+def commands(retargeter: Retargeter, of: HandRecording) -> np.ndarray:
+    """(T, n) joint positions of a run."""
+    state, out = retargeter.init(), []
+    for frame in (of[i] for i in range(len(of))):
+        state, result = retargeter.step(state, frame)
+        out.append(result.command.positions)
+    return np.stack(out)
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand()
+
+
+@pytest.fixture(scope="module")
+def smooth() -> Retargeter:
+    return Retargeter(method="smooth")
+
+
+@pytest.fixture(scope="module")
+def motion(hand: Hand) -> HandRecording:
+    """Within the robot's reach, and back: 150 frames."""
+    low, high = hand.limits.T
+    ends = 0.7 * hand.neutral + 0.3 * limited_poses(np.random.default_rng(0), hand.limits, 6)
+    ends = np.clip(ends, low, high)
+    at = np.linspace(0, 5, 150)
+    blend = 0.5 - 0.5 * np.cos(np.pi * (at % 1.0))
+    first = np.minimum(at.astype(int), 4)
+    q = ends[first] + blend[:, None] * (ends[first + 1] - ends[first])
+    return recording(landmarks_of(hand, q))
+
+
+@pytest.fixture(scope="module")
+def answer(smooth: Retargeter, motion: HandRecording) -> np.ndarray:
+    return commands(smooth, motion)
+
+
+def test_the_preset_is_listed() -> None:
+    assert isinstance(method_config("smooth"), SmoothConfig)
+    assert method_config("smooth") == method_config("smooth", "teleop")
+
+
+def test_it_follows_and_never_freezes(
+    hand: Hand, motion: HandRecording, answer: np.ndarray
+) -> None:
+    tips, wrist = motion.landmarks[:, list(TIPS)], motion.landmarks[:, :1]
+    robot = hand.tips(answer)
+    assert frozen_share(tips - wrist, answer) == 0
+    preserved = motion_preservation(tips - wrist, robot - hand.wrist)
+    assert preserved is not None
+    assert preserved > 0.9
+    apart = np.linalg.norm((tips - tips[:, :1])[:, 1:] - (robot - robot[:, :1])[:, 1:], axis=-1)
+    assert np.median(apart) < 0.004
+
+
+def test_steps_are_bounded_when_the_hand_leaps(smooth: Retargeter, hand: Hand) -> None:
+    low, high = hand.limits.T
+    q = np.where(np.arange(40)[:, None] % 10 < 5, low + 0.05, high - 0.05)
+    steps = np.abs(np.diff(commands(smooth, recording(landmarks_of(hand, q))), axis=0))
+    assert 0.1 < steps.max() <= 0.25
+
+
+def test_after_lost_frames_steps_are_no_larger(smooth: Retargeter, hand: Hand) -> None:
+    low, high = hand.limits.T
+    q = np.where(np.arange(40)[:, None] % 10 < 5, low + 0.05, high - 0.05)
+    stamps = np.cumsum(np.where(np.arange(40) % 5 == 0, 3.0, 1.0)) / RATE
+    lossy = HandRecording(landmarks_of(hand, q), stamps, "right")
+    steps = np.abs(np.diff(commands(smooth, lossy), axis=0))
+    assert steps.max() <= 26.0 * 1.5 / RATE  # the mean time between frames is 1.4 periods
+
+
+def test_commands_stay_within_the_limits(answer: np.ndarray, hand: Hand) -> None:
+    low, high = hand.joint_limits.T
+    assert (answer >= low - 1e-9).all()
+    assert (answer <= high + 1e-9).all()
+
+
+def test_the_left_hand_mirrors_the_right(motion: HandRecording, answer: np.ndarray) -> None:
+    left = Retargeter("mimic_p050", side="left", method="smooth")
+    mirrored = HandRecording(motion.landmarks * (-1, 1, 1), motion.stamps, "left")
+    np.testing.assert_array_equal(commands(left, mirrored)[:40], answer[:40])
+
+
+def test_a_bad_frame_holds_and_leaves_no_trace(smooth: Retargeter, motion: HandRecording) -> None:
+    state = smooth.init()
+    for i in range(20):
+        state, good = smooth.step(state, motion[i])
+    missing = motion[20].landmarks.copy()
+    missing[TIPS[2]] = np.nan
+    after, held = smooth.step(state, HandFrame(missing, motion[20].stamp))
+    assert held.status == Status.INVALID_LANDMARKS
+    np.testing.assert_array_equal(held.command.positions, good.command.positions)
+    _, straight = smooth.step(state, motion[21])
+    _, resumed = smooth.step(after, motion[21])
+    np.testing.assert_array_equal(resumed.command.positions, straight.command.positions)
+
+
+def test_stamps_need_not_be_there(smooth: Retargeter, hand: Hand, motion: HandRecording) -> None:
+    state, out = smooth.init(), []
+    for i in range(30):
+        state, result = smooth.step(state, motion.landmarks[i])
+        out.append(result.command.positions)
+    stamped = commands(smooth, recording(motion.landmarks[:30], rate=100.0))
+    np.testing.assert_allclose(out, stamped, atol=1e-4)
+
+
+def test_a_time_of_day_is_as_good_as_a_small_one(
+    smooth: Retargeter, motion: HandRecording, answer: np.ndarray
+) -> None:
+    late = HandRecording(motion.landmarks[:30], motion.stamps[:30] + 1.7e9, "right")
+    np.testing.assert_allclose(commands(smooth, late), answer[:30], atol=2e-3)
+
+
+def test_after_a_long_gap_the_basin_is_found_anew(smooth: Retargeter, hand: Hand) -> None:
+    """A fist, then nothing for a second, then an open hand: the same pose as from the start."""
+    high = hand.limits[:, 1]
+    fist, flat = hand.neutral + 0.7 * (high - hand.neutral), hand.neutral
+    landmarks = landmarks_of(hand, np.stack([fist] * 5 + [flat] * 60))
+    stamps = np.arange(65) / RATE + np.where(np.arange(65) >= 5, 1.0, 0.0)
+    resumed = commands(smooth, HandRecording(landmarks, stamps, "right"))
+    fresh = commands(smooth, recording(landmarks[5:]))
+    np.testing.assert_allclose(hand.tips(resumed[-1]), hand.tips(fresh[-1]), atol=2e-3)
+
+
+def test_it_scans_to_the_same_commands(
+    smooth: Retargeter, motion: HandRecording, answer: np.ndarray
+) -> None:
+    trajectory, _ = Scan(smooth).run(motion)
+    np.testing.assert_allclose(trajectory.joint_positions, answer, atol=1e-5)
+
+
+def crossing(hand: Hand) -> HandRecording:
+    """The index and middle tips change places, sideways: 60 frames."""
+    q = np.tile(hand.neutral, (60, 1))
+    landmarks = landmarks_of(hand, q)
+    index, middle = landmarks[0, TIPS[1]], landmarks[0, TIPS[2]]
+    share = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0, 1, 60))[:, None]
+    landmarks[:, TIPS[1]] = index + 0.8 * share * (middle - index)
+    landmarks[:, TIPS[2]] = middle + 0.8 * share * (index - middle)
+    return recording(landmarks)
+
+
+def test_clearance_keeps_fingers_out_of_each_other(smooth: Retargeter, hand: Hand) -> None:
+    frames = crossing(hand)
+    config = method_config("smooth")
+    assert isinstance(config, SmoothConfig)
+    without = Retargeter(config=replace(config, clearance=ClearanceConfig(weight=0.0)))
+    deep, clear = (penetration_depths(hand, commands(r, frames)) for r in (without, smooth))
+    assert deep is not None
+    assert clear is not None
+    assert deep.max() > 0.004
+    assert clear.max() < 0.0025
+
+
+def test_a_pinch_closes(smooth: Retargeter, hand: Hand) -> None:
+    """Thumb and index tips meet between where they are."""
+    landmarks = landmarks_of(hand, np.tile(hand.neutral, (80, 1)))
+    thumb, index = landmarks[0, TIPS[0]], landmarks[0, TIPS[1]]
+    middle = 0.5 * (thumb + index)
+    share = np.clip(np.linspace(0, 1.6, 80), 0, 1)[:, None]
+    gap = 0.004 * (index - thumb) / np.linalg.norm(index - thumb)
+    landmarks[:, TIPS[0]] = thumb + share * (middle - 0.5 * gap - thumb)
+    landmarks[:, TIPS[1]] = index + share * (middle + 0.5 * gap - index)
+    q = commands(smooth, recording(landmarks))
+    tips = hand.tips(q[-1])
+    assert np.linalg.norm(tips[0] - tips[1]) < 0.008
+    depth = penetration_depths(hand, q)
+    assert depth is not None
+    assert depth.max() < 0.0025
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"settle_rounds": 0}, {"motion_weight": -1.0}, {"joint_speed": 0.0}, {"gap": -1.0}],
+    ids=lambda bad: next(iter(bad)),
+)
+def test_settings_are_checked(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        replace(SmoothConfig(), **bad)  # type: ignore[arg-type]
+
+
+def test_every_term_can_be_left_out(motion: HandRecording) -> None:
+    bare = SmoothConfig(
+        motion_weight=0.0,
+        motion_speed=0.0,
+        clearance=ClearanceConfig(weight=0.0),
+        landmarks=PursuitConfig(),
+    )
+    result = commands(Retargeter(config=bare), motion[0:10])
+    assert np.isfinite(result).all()

@@ -1,0 +1,309 @@
+"""The parts of the method ``smooth``, one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from trees import float64, limited_poses
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.pursuit import PursuitConfig, pursue
+from smooth_operator.objective.clearance import ClearanceConfig, crowding
+from smooth_operator.objective.close_targets import CloseTargets
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
+from smooth_operator.retargeters.program import ticks_of
+from smooth_operator.solvers.damped import damped_newton
+from smooth_operator.solvers.newton import NewtonConfig
+
+HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
+
+
+def ends_of(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(..., 2 C, 3) ends of the capsules at poses of the actuated joints."""
+    points = np.asarray(pairs.tree.positions(hand.expand(q)))
+    return points[..., [pairs.tree.names.index(name) for name in pairs.names], :]
+
+
+def depths(pairs: CapsulePairs, ends: np.ndarray) -> np.ndarray:
+    """(..., P) depth of each pair [m]."""
+    one, other = ((ends[..., 2 * c, :], ends[..., 2 * c + 1, :]) for c in pairs.pairs.T)
+    s, t = (share[..., None] for share in segment_parameters(one, other))
+    apart = one[0] + s * (one[1] - one[0]) - other[0] - t * (other[1] - other[0])
+    return pairs.reach - np.linalg.norm(apart, axis=-1)
+
+
+# Capsules
+
+
+def test_segments_are_nearest_where_a_search_says_so() -> None:
+    rng = np.random.default_rng(0)
+    ends = rng.normal(0, 1, (40, 4, 3))
+    ends[0, 1] = ends[0, 0]  # a point
+    ends[1, 3] = ends[1, 2] + 2 * (ends[1, 1] - ends[1, 0])  # parallel
+    s, t = segment_parameters((ends[:, 0], ends[:, 1]), (ends[:, 2], ends[:, 3]))
+
+    def distance(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+        one = ends[:, 0] + s[..., None] * (ends[:, 1] - ends[:, 0])
+        return np.linalg.norm(one - ends[:, 2] - t[..., None] * (ends[:, 3] - ends[:, 2]), axis=-1)
+
+    share = np.linspace(0, 1, 201)
+    grid = np.stack([distance(np.full(40, a), np.full(40, b)) for a in share for b in share])
+    assert (distance(s, t) <= grid.min(axis=0) + 1e-6).all()
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_capsules_are_as_deep_as_the_models_shapes(name: str) -> None:
+    """Palms are boxes, filled from within: there, capsules are less deep, at edges most."""
+    hand = load_hand(name)
+    pairs = capsule_pairs(hand)
+    q = np.random.default_rng(1).uniform(*hand.limits.T, (150, len(hand.limits)))
+    ours = np.maximum(depths(pairs, ends_of(pairs, hand, q)).max(axis=-1), 0.0)
+    theirs = penetration_depths(hand, hand.expand(q))
+    assert theirs is not None
+    assert (theirs > 0.002).mean() > 0.1  # such poses are among them
+    assert np.abs(ours - theirs).max() < (1e-9 if name == "mimic_p050" else 0.02)
+    assert np.median(np.abs(ours - theirs)) < 1e-3
+
+
+def test_pairs_that_cannot_meet_are_left_out() -> None:
+    hand = load_hand()
+    pairs = capsule_pairs(hand)
+    shapes = {frozenset(hand.model.geom(int(g)).name for g in pair) for pair in pairs.shapes}
+    assert frozenset(("index_dp", "thumb_dp")) in shapes
+    assert frozenset(("index_dp", "index_pp")) not in shapes  # of one finger
+    assert frozenset(("index_mcp", "pinky_mcp")) not in shapes  # too far from each other
+
+
+def test_a_hand_without_shapes_has_no_pairs() -> None:
+    hand = load_hand()
+    model = hand.spec.model
+    spec = mujoco.MjSpec.from_file(str(model))
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    bare = replace(hand, model=_compiled_without_inertia(spec))
+    assert len(capsule_pairs(bare).pairs) == 0
+    assert penetration_depths(bare, hand.expand(hand.neutral)[None]) is None
+
+
+def _compiled_without_inertia(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    for body in spec.bodies[1:]:
+        body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
+    return spec.compile()
+
+
+# Clearance
+
+
+def test_the_price_is_that_of_the_depths() -> None:
+    hand = load_hand()
+    pairs, config = capsule_pairs(hand), ClearanceConfig(weight=7.0, margin=0.001)
+    q = np.random.default_rng(2).uniform(*hand.limits.T, (20, len(hand.limits)))
+    ends = ends_of(pairs, hand, q)
+    inside = np.maximum(depths(pairs, ends) + config.margin, 0.0)
+    expected = 7.0 * (inside**2).sum(axis=-1) / (2 * 0.02)
+    assert (expected > 0).sum() > 5
+    with float64():
+        found = [crowding(pairs, jnp.asarray(one), config).cost for one in ends]
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
+# The objective
+
+
+def problem(hand: Hand, seed: int) -> tuple[SmoothObjective, SmoothGoal]:
+    rng = np.random.default_rng(seed)
+    config = ObjectiveConfig(targets=CloseTargets(), pose_weight=0.03, transition=0.013)
+    objective = Objective(hand, config)
+    count = len(objective.layout.vectors)
+    goal = SmoothGoal(
+        FrameGoal(
+            jnp.asarray(rng.normal(0, 0.05, (count, 3))),
+            jnp.asarray(rng.uniform(0, 3, count)),
+            jnp.asarray(limited_poses(rng, hand.limits, 1)[0]),
+            0.2,
+        ),
+        jnp.asarray(
+            hand.tips(hand.expand(hand.neutral)) + rng.normal(0, 0.01, (len(hand.fingers), 3))
+        ),
+        jnp.asarray(rng.uniform(0, 40, len(hand.fingers))),
+    )
+    return SmoothObjective(objective, ClearanceConfig(weight=20.0, margin=0.002)), goal
+
+
+@pytest.mark.parametrize("name", ["mimic_p050", "inspire_hand"])
+def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
+    hand = load_hand(name)
+    with float64():
+        smooth, goal = problem(hand, 3)
+        derivatives = jax.jit(lambda q, weight: _weighted(smooth, weight).derivatives(q, goal))
+        poses = limited_poses(np.random.default_rng(4), hand.limits, 30)
+        deep = depths(smooth.pairs, ends_of(smooth.pairs, hand, poses)).max(axis=-1)
+        poses = poses[deep > 0.001][:3]  # parts touch in each
+        assert len(poses) > 1
+        step = 1e-6
+        for weight, exact in ((20.0, False), (0.0, True)):
+            for q in poses:
+                around = [
+                    (derivatives(q + e, weight), derivatives(q - e, weight))
+                    for e in step * np.eye(len(q))
+                ]
+                _, gradient, hessian = derivatives(q, weight)
+                slopes = [(a[0] - b[0]) / (2 * step) for a, b in around]
+                np.testing.assert_allclose(gradient, slopes, atol=1e-6, rtol=1e-5)
+                np.testing.assert_allclose(hessian, hessian.T, atol=1e-9)
+                if exact:  # it is, but for the line between parts that touch
+                    bends = [(a[1] - b[1]) / (2 * step) for a, b in around]
+                    np.testing.assert_allclose(hessian, bends, atol=1e-4, rtol=1e-4)
+
+
+def _weighted(smooth: SmoothObjective, weight: float) -> SmoothObjective:
+    return replace(smooth, clearance=replace(smooth.clearance, weight=weight))
+
+
+def test_it_is_eq_1_where_nothing_is_added() -> None:
+    hand = load_hand()
+    with float64():
+        smooth, goal = problem(hand, 5)
+        plain = replace(smooth, clearance=ClearanceConfig(weight=0.0))
+        goal = goal._replace(motion_weights=jnp.zeros_like(goal.motion_weights))
+        poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
+        expected = smooth.objective(list(jnp.asarray(poses).T), goal.frame, within_limits=False)
+        found = jax.jit(lambda q: plain.values(q, goal))(jnp.asarray(poses))
+        np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_the_descent_reaches_a_bounded_minimum() -> None:
+    hand = load_hand()
+    with float64():
+        smooth, goal = problem(hand, 7)
+        run = jax.jit(
+            lambda q: damped_newton(
+                lambda one: smooth.derivatives(one, goal),
+                lambda few: smooth.values(few, goal),
+                q,
+                hand.limits,
+                NewtonConfig(iterations=60, damping=(0.0, 1.0, 30.0, 1000.0)),
+            )
+        )
+        found = run(jnp.asarray(hand.neutral, float))
+        cost, gradient, _ = smooth.derivatives(found, goal)
+        low, high = hand.limits.T
+        free = np.clip(found - gradient, low, high) - found
+        assert np.abs(free).max() < 1e-5
+        assert cost < smooth.values(jnp.asarray(hand.neutral, float)[None], goal)[0]
+
+
+# Targets
+
+
+def targets_of(config: CloseTargets, human: np.ndarray):
+    layout = config.layout(("thumb", "index", "middle"))
+    return layout, config(layout, jnp.asarray(human), jnp.zeros(2, bool))
+
+
+def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus() -> None:
+    human = np.zeros((6, 3))
+    human[:, 0] = (0.1, 0.1, 0.1, 0.06, 0.01, 0.06)
+    _, plain = targets_of(
+        CloseTargets(w_wrist=1.0, w_thumb=2.0, w_between=0.5, focus=0.0, focus_between=0.0), human
+    )
+    np.testing.assert_allclose(plain.weights, [1, 1, 1, 2, 2, 0.5], rtol=1e-6)
+    _, focused = targets_of(
+        CloseTargets(w_wrist=1.0, w_thumb=2.0, focus=2.0, floor=0.01, contact=0.0), human
+    )
+    np.testing.assert_allclose(focused.weights[:4], [1, 1, 1, 2], rtol=1e-5)
+    np.testing.assert_allclose(focused.weights[4], 2 * (36 + 1) / (1 + 1), rtol=1e-5)
+    np.testing.assert_allclose(focused.vectors, human)
+
+
+def test_a_pinch_closes_without_a_jump() -> None:
+    config = CloseTargets(contact=0.008, release=0.02, closed=0.004)
+    gaps, lengths = np.linspace(0.0, 0.03, 301), []
+    for gap in gaps:
+        human = np.tile([0.1, 0.0, 0.0], (6, 1))
+        human[3] = (0.0, gap, 0.0)
+        lengths.append(float(np.linalg.norm(targets_of(config, human)[1].vectors[3])))
+    length = np.array(lengths)
+    np.testing.assert_allclose(length[gaps >= 0.0201], gaps[gaps >= 0.0201], rtol=1e-5)
+    np.testing.assert_allclose(length[(gaps > 0.0041) & (gaps < 0.0079)], 0.004, rtol=1e-5)
+    assert (length <= gaps + 1e-6).all()
+    assert np.abs(np.diff(length)).max() < 4e-4  # for steps of 1e-4 of the human's
+
+
+@pytest.mark.parametrize(
+    "bad", [{"contact": 0.03}, {"at": 0.0}, {"floor": -0.01}], ids=lambda bad: next(iter(bad))
+)
+def test_target_settings_are_checked(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError):
+        CloseTargets(**bad)
+
+
+# Followed points
+
+
+def follow(path: np.ndarray, config: PursuitConfig, dt: float = 0.01) -> np.ndarray:
+    points, out = jnp.asarray(path[0]), []
+    for point in path:
+        points = pursue(points, jnp.asarray(point), dt, config)
+        out.append(np.asarray(points))
+    return np.stack(out)
+
+
+def test_an_idle_tracker_passes_points() -> None:
+    path = np.random.default_rng(0).normal(0, 1, (5, 2, 3)).astype(np.float32)
+    np.testing.assert_array_equal(follow(path, PursuitConfig()), path)
+
+
+def test_steady_motion_is_late_by_the_lag() -> None:
+    path = 1e-3 * np.arange(60.0)[:, None, None] * np.ones(3) / np.sqrt(3)  # 1 mm a frame
+    late = np.linalg.norm((path - follow(path, PursuitConfig(lag=0.4)))[-1, 0])
+    assert late == pytest.approx(0.4e-3, rel=1e-3)
+    late = np.linalg.norm((path - follow(path, PursuitConfig(leap=0.1)))[-1, 0])
+    assert late < 0.02e-3
+
+
+def test_a_leap_is_spread_and_not_overshot() -> None:
+    path = np.zeros((40, 1, 3))
+    path[3:] = (0.05, 0.0, 0.0)
+    followed = follow(path, PursuitConfig(leap=0.05))[:, 0, 0]
+    steps = np.diff(followed)
+    assert steps.max() == pytest.approx(0.025, rel=1e-3)  # half of a step of that size
+    assert (steps >= -1e-9).all()
+    assert followed[-1] == pytest.approx(0.05, abs=1e-6)
+    # and accelerates less than the leap did
+    assert (np.diff(followed, 2) ** 2).sum() < 0.6 * (np.diff(path[:, 0, 0], 2) ** 2).sum()
+
+
+def test_what_a_hand_can_do_in_that_time_is_no_leap() -> None:
+    config = PursuitConfig(leap=0.05, leap_speed=2.0)
+    path = np.array([[[0.0, 0.0, 0.0]], [[0.1, 0.0, 0.0]]])
+    assert follow(path, config, dt=0.01)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
+    assert follow(path, config, dt=0.025)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
+    assert follow(path, config, dt=0.2)[1, 0, 0] == pytest.approx(0.08, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["lag", "leap", "leap_speed"])
+def test_tracker_settings_are_checked(name: str) -> None:
+    with pytest.raises(ConfigError, match=name):
+        PursuitConfig(**{name: -1.0})
+
+
+def test_ticks_tell_short_times_apart_at_any_time_of_day() -> None:
+    stamps = 1.7e9 + np.array([0.0, 0.008, 0.016])
+    ticks = ticks_of(stamps)
+    assert ticks.dtype == np.uint32
+    np.testing.assert_array_equal(np.diff(ticks), [8000, 8000])
+    wrapped = ticks_of(np.array([4294.967, 4294.969]))  # 2^32 microseconds lie between them
+    assert wrapped[1] < wrapped[0]
+    assert np.diff(wrapped).astype(np.int32) == 2000
+    assert ticks_of(np.nan) == 0

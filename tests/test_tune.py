@@ -1,0 +1,377 @@
+"""Tuning: settings by name, preset files, what is held out, the search and its log."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
+from smooth_operator.retargeters.preset_file import (
+    PresetFile,
+    read_preset_file,
+    write_preset_file,
+)
+from smooth_operator.retargeters.presets import PRESETS, SBR_REALTIME, method_config
+from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.retargeters.sbr import SbrConfig
+from smooth_operator.retargeters.setting_paths import (
+    find_setting,
+    numeric_settings,
+    with_settings,
+)
+from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.tuning import Tuned, TuningSettings, plan_tuning, tune
+from smooth_operator.tuning.held_out import check_held_out
+from smooth_operator.tuning.log import Trial, TrialLog
+from smooth_operator.tuning.pareto import front
+from smooth_operator.tuning.score import Bound, Scoring
+from smooth_operator.tuning.search import search
+from smooth_operator.tuning.traced import TracedRun
+from smooth_operator.tuning.variables import parse_variable, values_at
+from smooth_operator.types import HandRecording
+
+TINY = SbrConfig(
+    sampling=SamplingConfig(samples=32, elites=8, cycles=2, draws="quasi"),
+    polish=NewtonConfig(iterations=2, damping=(0.0, 1.0)),
+    settle_rounds=4,
+)
+
+
+# -- settings and preset files -------------------------------------------------------------------
+
+
+def test_settings_are_found_by_the_end_of_their_path():
+    assert find_setting(SBR_REALTIME, "pose_weight") == "objective.pose_weight"
+    assert find_setting(SBR_REALTIME, "targets.blend") == "objective.targets.blend"
+    with pytest.raises(ConfigError, match=r"polish\.iterations.*approach|several"):
+        find_setting(PRESETS["sbr"]["offline"], "iterations")
+    with pytest.raises(UnknownNameError, match="pose_weight"):
+        find_setting(SBR_REALTIME, "pose_wieght")
+
+
+def test_settings_are_replaced_and_checked():
+    changed = with_settings(SBR_REALTIME, {"objective.pose_weight": 0.5, "sampling.samples": 99.6})
+    assert changed.objective.pose_weight == 0.5
+    assert changed.sampling.samples == 100
+    assert SBR_REALTIME.objective.pose_weight == 0.049
+    assert replace(changed, objective=SBR_REALTIME.objective, sampling=SBR_REALTIME.sampling) == (
+        SBR_REALTIME
+    )
+    with pytest.raises(ConfigError, match="weights"):
+        with_settings(SBR_REALTIME, {"objective.pose_weight": -1.0})
+    assert "future.acceleration_weight" in numeric_settings(PRESETS["sbr"]["offline"])
+
+
+def test_variables():
+    v = parse_variable("pose_weight=0.01:1:log", SBR_REALTIME)
+    assert (v.path, v.log, v.whole) == ("objective.pose_weight", True, False)
+    assert v.value(0.5) == pytest.approx(0.1)
+    assert v.share(v.value(0.3)) == pytest.approx(0.3, abs=1e-5)
+    assert (v.value(-1.0), v.value(2.0)) == (0.01, 1.0)
+    whole = parse_variable("samples=10:20", SBR_REALTIME)
+    assert {whole.value(x) for x in np.linspace(0, 1, 99)} == set(range(10, 21))
+    assert parse_variable("pose_weight=0.1:1", SBR_REALTIME).start == 0.1  # not beyond the bounds
+    assert values_at([v, whole], np.array([1.0, 0.0])) == {v.path: 1.0, whole.path: 10}
+
+
+@pytest.mark.parametrize(
+    "text", ["pose_weight", "pose_weight=1", "pose_weight=2:1", "pose_weight=a:b",
+             "pose_weight=0:1:log", "pose_weight=0:1:lin", "samples=1.2:1.8"],
+)  # fmt: skip
+def test_what_is_no_variable_is_refused(text: str):
+    with pytest.raises(ConfigError):
+        parse_variable(text, SBR_REALTIME)
+
+
+def test_a_preset_file_stands_for_a_preset(tmp_path: Path):
+    path = tmp_path / "mine.toml"
+    made = {"by": 'a "test"', "score": -0.5, "tuned_on": ["glove", "ünïcode"], "more": {"a": 1}}
+    write_preset_file(path, PresetFile("sbr", "realtime", {"objective.pose_weight": 1e-05}, made))
+    assert read_preset_file(path).made == made
+    expected = with_settings(SBR_REALTIME, {"objective.pose_weight": 1e-5})
+    assert method_config("sbr", str(path)) == expected
+    with pytest.raises(ConfigError, match="method 'sbr', not of 'ako'"):
+        method_config("ako", str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("format = 2", "format = 1"),
+        ("format = 1\nmethod = 3\nbase = 'x'", "must be a name"),
+        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = 'b'", "a number"),
+        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = nan", "a number"),
+        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\nnone = 1.0", "'none'"),
+        ("format = 1\nmethod = 'sbr'\nbase = 'other.toml'", "name of a preset"),
+        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\nmore = 1", "unknown entries more"),
+        ("{", "TOML"),
+    ],
+)
+def test_a_preset_file_that_is_none_is_refused(tmp_path: Path, text: str, reason: str):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises((ConfigError, UnknownNameError), match=reason):
+        method_config("sbr", str(path))
+
+
+def test_a_preset_file_that_is_not_there(tmp_path: Path):
+    with pytest.raises(ConfigError, match="no preset file"):
+        method_config("sbr", str(tmp_path / "none.toml"))
+
+
+# -- what is held out ----------------------------------------------------------------------------
+
+
+def named(recording: HandRecording, name: str) -> Source:
+    return replace(
+        load_sources([parse_request("synthetic:1@:2")])[0], recording=recording, name=name
+    )
+
+
+@pytest.fixture(scope="module")
+def held() -> Source:
+    return load_sources([parse_request("synthetic:1@:200")])[0]
+
+
+def moved(recording: HandRecording) -> np.ndarray:
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    return recording.landmarks @ turn.T + 0.3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: r,
+        lambda r: r[40:60],
+        lambda r: r[::5],
+        lambda r: replace(r, landmarks=r.landmarks.astype(np.float32).astype(float)),
+        lambda r: replace(r, landmarks=r.landmarks * [-1, 1, 1]),
+        lambda r: replace(r, landmarks=moved(r)),
+        lambda r: replace(r, stamps=r.stamps * 3),
+    ],
+    ids=["whole", "slice", "thinned", "float32", "mirrored", "moved", "other stamps"],
+)
+def test_what_is_held_out_is_known_again(held: Source, change: Any):
+    assert held.recording is not None
+    with pytest.raises(ConfigError, match="held out for judging"):
+        check_held_out([named(change(held.recording), "innocent")], [held])
+
+
+def test_other_frames_of_the_same_operator_are_not_held_out(held: Source):
+    others = load_sources([parse_request(t) for t in ("synthetic:1@300:600", "synthetic:2@:200")])
+    check_held_out(others, [held])
+
+
+def test_the_command_refuses_what_is_held_out(tmp_path: Path, capsys: Any):
+    words = ["tune", "sbr", "synthetic:1@50:90", "--held-out", "synthetic:1@:100", "--vary",
+             "pose_weight=0.01:0.1", "--output", str(tmp_path / "out")]  # fmt: skip
+    assert main(words) == 2
+    assert "held out" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+# -- score and search ----------------------------------------------------------------------------
+
+START = {"cosine_similarity": 0.9, "flatness": 1e-6, "rate_hz": 115.0, "lag_ms": 0.0,
+         "max_joint_step": 0.1, "frozen_share": 0.0, "motion_preservation": None}  # fmt: skip
+
+
+def test_the_score_is_relative_to_the_start():
+    scoring = Scoring({"flatness": 2.0}, ())
+    assert scoring.score([START, START], [START, START]) == 0.0
+    flatter = START | {"flatness": 0.5e-6}
+    assert scoring.score([flatter], [START]) == pytest.approx(2 * np.log(0.5), abs=1e-2)
+    assert scoring.score([flatter, START], [START, START]) == pytest.approx(np.log(0.5), abs=1e-2)
+    assert Scoring({"flatness": 0.0}, ()).score([flatter], [START]) == 0.0
+
+
+def test_what_breaks_a_bound_is_worse_than_what_does_not():
+    late = START | {"lag_ms": 2e3 / 115, "flatness": 1e-8}
+    assert Scoring({}, ()).score([late], [START]) > 0
+    assert Scoring({}, (Bound("lag_frames", 2.1),)).score([late], [START]) < 0
+    below = Scoring({}, (Bound("cosine_similarity", 0.95, True),))
+    assert below.score([START], [START]) > 0
+    with pytest.raises(UnknownNameError, match="flatness"):
+        Scoring({"flattness": 1.0}, ())
+    with pytest.raises(UnknownNameError):
+        Scoring({}, (Bound("lag", 1.0),))
+
+
+def run_search(cost: Any, trials: int, size: int = 3) -> tuple[list[np.ndarray], list[float]]:
+    points, scores = [], []
+    looking = search(np.full(size, 0.9), trials, 0)
+    try:
+        batch = next(looking)
+        while True:
+            points += batch
+            scores += [cost(p) for p in batch]
+            batch = looking.send(scores[-len(batch) :])
+    except StopIteration:
+        return points, scores
+
+
+def test_the_search_finds_a_minimum_and_repeats_itself():
+    goal = np.array([0.4, 0.62, 1.0])  # one of them at the bound
+
+    def cost(p: np.ndarray) -> float:
+        return float((((p - goal) * [1, 3, 2]) ** 2).sum() + p[0] * p[1])
+
+    points, scores = run_search(cost, 150)
+    assert len(points) <= 150
+    assert np.allclose(points[0], 0.9)
+    assert all((p >= 0).all() and (p <= 1).all() for p in points)
+    true = [0.0926, 0.6149, 1.0]  # by hand: x = 0.4 - y / 2, y = 0.62 - x / 18
+    best = points[int(np.argmin(scores))]
+    assert np.allclose(best, true, atol=0.02)
+    again, _ = run_search(cost, 150)
+    assert np.array_equal(points, again)
+
+
+def test_a_search_of_few_trials_and_failures():
+    assert len(run_search(lambda p: 1.0, 2)[0]) == 2
+    points, _ = run_search(lambda p: 0.0 if np.allclose(p, 0.9) else float("inf"), 40)
+    assert len(points) == 40
+
+
+def test_the_front_of_the_trials():
+    points = np.array([[1, 5], [2, 2], [3, 3], [4, 1], [2, 4], [5, 1]], float)
+    assert front(points).tolist() == [True, True, False, True, False, False]
+
+
+# -- log -----------------------------------------------------------------------------------------
+
+
+def test_the_log_survives_half_a_line(tmp_path: Path):
+    path = tmp_path / "trials.jsonl"
+    log = TrialLog(path, "one")
+    log.add(Trial({"a": 1.0}, [{"x": 2.0}], None, 0.1))
+    log.add(Trial({"a": 2.0}, None, "ConfigError: no", 0.1))
+    with path.open("ab") as file:
+        file.write(b'{"search": "one", "val')
+    again = TrialLog(path, "one")
+    assert len(again) == 2
+    assert again.find({"a": 2.0}).reason == "ConfigError: no"  # type: ignore[union-attr]
+    again.add(Trial({"a": 3.0}, [], None, 0.1))
+    assert len(TrialLog(path, "one")) == 3
+    assert len(TrialLog(path, "another")) == 0
+    path.write_text("no trial\n")
+    with pytest.raises(OutputError, match="no trial"):
+        TrialLog(path, "one")
+
+
+# -- all of it -----------------------------------------------------------------------------------
+
+
+def settings(folder: Path, **changes: Any) -> TuningSettings:
+    made: dict[str, Any] = {
+        "output": folder, "method": "sbr", "preset": "tiny", "recordings": ("synthetic:4@:40",),
+        "vary": ("pose_weight=0.005:0.2:log", "velocity_weight=0.02:0.5:log"), "trials": 7,
+        "workers": 0,
+    }  # fmt: skip
+    return TuningSettings(**made | changes)
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    folder = tmp_path_factory.mktemp("tuned") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS["sbr"], "tiny", TINY)
+        yield folder, tune(plan_tuning(settings(folder)))
+
+
+def test_a_search_leaves_a_preset_that_can_be_used(tuned: tuple[Path, Tuned]):
+    folder, found = tuned
+    assert (found.trials, found.fresh) == (7, 7)
+    trials = [json.loads(s) for s in (folder / "trials.jsonl").read_text().splitlines()]
+    start = Scoring({}, ()).score(trials[0]["metrics"], trials[0]["metrics"])
+    assert found.score < start
+    config = method_config("sbr", str(folder / "preset.toml"))
+    assert config == with_settings(TINY, found.values)
+    assert read_preset_file(folder / "preset.toml").made["tuned_on"] == ["synthetic-right-4[0:40]"]
+    result = json.loads((folder / "result.json").read_text())
+    figures = result["recordings"]["synthetic-right-4[0:40]"]
+    assert figures["best"]["cosine_similarity"] == found.best[0]["cosine_similarity"]
+    assert (folder / "pareto.png").read_bytes().startswith(b"\x89PNG")
+    assert len((folder / "trials.jsonl").read_text().splitlines()) == 7
+
+
+def test_a_search_goes_on_where_it_was_stopped(tuned: tuple[Path, Tuned], tmp_path: Path):
+    folder, whole = tuned
+    again = tune(plan_tuning(settings(folder)))
+    assert (again.fresh, again.values, again.score) == (0, whole.values, whole.score)
+
+    def stop(count: int, best: float, reason: str | None) -> None:
+        if count == 4:
+            raise KeyboardInterrupt
+
+    todo = plan_tuning(settings(tmp_path / "stopped"))
+    with pytest.raises(KeyboardInterrupt):
+        tune(todo, stop)
+    assert (tmp_path / "stopped" / "preset.toml").exists()
+    rest = tune(todo)
+    assert (rest.fresh, rest.values, rest.score) == (3, whole.values, whole.score)
+
+
+def test_values_as_arguments_give_what_values_as_constants_do(tuned: Any):
+    recording = load_sources([parse_request("synthetic:4@:40")])[0].recording
+    assert recording is not None
+    values = {"objective.pose_weight": 0.2, "objective.velocity_weight": 0.3}
+    traced = TracedRun(Retargeter(config=TINY), tuple(values)).run(recording, values)
+    constant, _ = Retargeter(config=with_settings(TINY, values)).run(recording)
+    assert np.abs(traced.joint_positions - constant.joint_positions).max() < 1e-3
+    assert np.array_equal(traced.status, constant.status)
+
+
+def test_what_cannot_be_traced_is_compiled_and_what_cannot_be_is_left_out(
+    tuned: Any, tmp_path: Path
+):
+    # escape below project can't be, and targets look at their weights while they are compiled
+    found = tune(
+        plan_tuning(
+            settings(
+                tmp_path / "out",
+                vary=("escape=0.001:0.05", "w_thumb=1:2"),
+                trials=3,
+                recordings=("synthetic:4@:10",),
+            )
+        )
+    )
+    lines = [json.loads(s) for s in (tmp_path / "out/trials.jsonl").read_text().splitlines()]
+    bad = [line for line in lines if line["values"]["objective.targets.escape"] < 0.01]
+    assert found.trials == len(lines) == 3
+    assert all("project <= escape" in line["reason"] for line in bad)
+    assert all(line["metrics"] for line in lines if line not in bad)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"vary": ()}, "what to vary"),
+        ({"vary": ("pose_weight=0:1", "objective.pose_weight=0:2")}, "twice"),
+        ({"fix": {"pose_weight": 0.1}}, "twice"),
+        ({"trials": 1}, "2 trials"),
+        ({"recordings": ()}, "recording"),
+        ({"preset": "none"}, "none"),
+        ({"hand": "no_hand"}, "no_hand"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_tried(
+    tuned: Any, tmp_path: Path, changes: dict[str, Any], reason: str
+):
+    with pytest.raises((ConfigError, UnknownNameError), match=reason):
+        plan_tuning(settings(tmp_path / "out", **changes))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_something_else_is_left_alone(tuned: Any, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="something other"):
+        plan_tuning(settings(tmp_path))
