@@ -254,15 +254,23 @@ class Smooth:
         # here once, for a program with two of them takes twice as long to compile.
         rounds = jnp.where(clock.anew, config.settle_rounds, 0)
 
-        def solve(round: Array, q: Array) -> Array:
-            start = lax.cond(round < rounds, sampled, lambda _, q: q, round, q)
-            return damped_newton(
+        def cost(q: Array) -> Array:
+            return self.objective.values(q[None], goal)[0]
+
+        def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+            start = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
+            found = damped_newton(
                 lambda one: self.objective.derivatives(one, goal),
                 lambda few: self.objective.values(few, goal),
                 start,
                 limits,
                 config.polish,
             )
+            # a later round may end in a worse basin; polishing alone never does
+            reached = lax.cond(rounds > 0, cost, lambda _: best[1], found)
+            worse = reached > best[1]
+            return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
 
-        found: Array = lax.fori_loop(0, rounds + 1, solve, state.solved)
-        return found
+        nothing_yet = jnp.asarray(jnp.inf, state.solved.dtype)
+        best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (state.solved, nothing_yet))
+        return best[0]
