@@ -242,6 +242,9 @@ class Host:
     def connect(self, **changes: Any) -> Any:
         context = ssl.create_default_context()
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        # This client reads in a thread of its own, and with older Pythons' ssl (gh-124984) loses
+        # its first request if TLS 1.3's tickets come just then. Browsers use 1.3.
+        context.maximum_version = ssl.TLSVersion.TLSv1_2
         address = self.address.replace("https", "wss") + "/link"
         return client.connect(address, ssl=context, proxy=None, **changes)
 
