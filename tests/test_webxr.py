@@ -634,15 +634,32 @@ def test_the_page_comes_back_by_itself(cache: Path, chromium: Any, emulator: str
         assert mailbox.wait(["right"], 15.0)  # paired again, and still tracking
         page.get_by_text("linked", exact=True).wait_for()
         other = new_headset(chromium, emulator)
-        other.goto(f"{first.address}/#{CODE}")
-        page.get_by_text("Another headset took over").wait_for()
-        eventually(lambda: second.link.session == 2)
+        told = page.get_by_text("Another headset took over")
+        for _ in range(3):  # a busy machine may keep it from connecting: people try again
+            other.goto("about:blank")
+            other.goto(f"{first.address}/#{CODE}")
+            if shown(told, 15.0):
+                break
+        told.wait_for()
+        eventually(lambda: second.link.session >= 2)
+        taken = second.link.session
         page.wait_for_timeout(700)
-        assert second.link.session == 2  # it does not fight back
+        assert second.link.session == taken  # it does not fight back
     finally:
         second.stop()
         for opened in (page, other):
             opened.context.close()
+
+
+def shown(found: Any, seconds: float) -> bool:
+    """Whether something comes to be visible in time."""
+    try:
+        found.wait_for(timeout=1e3 * seconds)
+    except Exception as error:
+        if type(error).__name__ != "TimeoutError":
+            raise
+        return False
+    return True
 
 
 @pytest.mark.browser
