@@ -158,23 +158,31 @@ class Sampling:
         return q, cycles
 
 
-@dataclass(frozen=True)
-class Rmsprop:
-    """RMSProp, single-start or in the batched form."""
+class _FromStarts:
+    """What solvers share that descend from one start or several; each has its own settings."""
 
-    config: RmspropConfig = field(default_factory=RmspropConfig)
-    starts: Starts = field(default_factory=Starts)
-    family: ClassVar[str] = "rmsprop"
+    name: ClassVar[str]
+    starts: Starts
 
     @property
     def label(self) -> str:
         """With the number of starts."""
-        return f"RMSProp{self.starts}"
+        return f"{self.name}{self.starts}"
 
     @property
     def random(self) -> bool:
         """Only where there are other starts than the last answer."""
         return self.starts.count > 1
+
+
+@dataclass(frozen=True)
+class Rmsprop(_FromStarts):
+    """RMSProp, single-start or in the batched form."""
+
+    config: RmspropConfig = field(default_factory=RmspropConfig)
+    starts: Starts = field(default_factory=Starts)
+    name: ClassVar[str] = "RMSProp"
+    family: ClassVar[str] = "rmsprop"
 
     @property
     def effort(self) -> float:
@@ -209,7 +217,7 @@ class Rmsprop:
 
 
 @dataclass(frozen=True)
-class Newton:
+class Newton(_FromStarts):
     """Projected Newton steps with the exact Hessian: ours, not the paper's.
 
     The number of steps is fixed; those after the last that gains are cheap, and change nothing.
@@ -217,18 +225,9 @@ class Newton:
 
     config: NewtonConfig = NEWTON_CONFIG
     starts: Starts = field(default_factory=Starts)
+    name: ClassVar[str] = "Newton"
     family: ClassVar[str] = "newton"
     knobs: ClassVar[tuple[float, ...]] = ()
-
-    @property
-    def label(self) -> str:
-        """With the number of starts."""
-        return f"Newton{self.starts}"
-
-    @property
-    def random(self) -> bool:
-        """Only where there are other starts than the last answer."""
-        return self.starts.count > 1
 
     @property
     def effort(self) -> float:
@@ -259,22 +258,13 @@ class Newton:
 
 
 @dataclass(frozen=True)
-class Slsqp:
+class Slsqp(_FromStarts):
     """NLopt's SLSQP, single-start or from N starts one after the other: it runs on the host."""
 
     config: SlsqpConfig = field(default_factory=SlsqpConfig)
     starts: Starts = field(default_factory=Starts)
+    name: ClassVar[str] = "SLSQP"
     family: ClassVar[str] = "slsqp"
-
-    @property
-    def label(self) -> str:
-        """With the number of starts."""
-        return f"SLSQP{self.starts}"
-
-    @property
-    def random(self) -> bool:
-        """Only where there are other starts than the last answer."""
-        return self.starts.count > 1
 
     @property
     def effort(self) -> float:

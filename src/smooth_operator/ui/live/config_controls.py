@@ -97,14 +97,16 @@ class ConfigControls:
         if kind != "shown":
             handle.on_update(asked(lambda event: self._tell(field, event.target.value)))
 
-    def _slider(self, name: str, field: Mapping[str, Any], value: float, hint: Any) -> Any:
+    def _slider(
+        self, name: str, field: Mapping[str, Any], value: float, hint: Any, off: bool = False
+    ) -> Any:
         whole = field["kind"] == "whole"
         low, high = min(field["low"], value), max(field["high"], value)
         numbers = (int(low), int(high), 1, int(value)) if whole else (
             float(low), float(high), float(field["step"]), float(value))  # fmt: skip
         return self._gui.add_slider(
             name, min=numbers[0], max=numbers[1], step=numbers[2], initial_value=numbers[3],
-            hint=hint,
+            hint=hint, disabled=off,
         )  # fmt: skip
 
     def _optional(self, name: str, field: Mapping[str, Any], hint: Any) -> Any:
@@ -112,8 +114,8 @@ class ConfigControls:
         value = field["value"]
         box = self._gui.add_checkbox(f"{name}: fixed", value is not None, hint=hint)
         start = min(max(1.0, field["low"]), field["high"]) if value is None else value
-        slider = self._slider(name, field, start, hint)
-        slider.disabled = value is None
+        # made as it is to be: a message of its own may reach a new browser before the slider does
+        slider = self._slider(name, field, start, hint, off=value is None)
 
         def toggle(_: Any) -> None:
             slider.disabled = not box.value
@@ -133,7 +135,8 @@ class ConfigControls:
         box = self._units.get(field["path"])
         if box is not None:
             box.value = value is not None
-            handle.disabled = value is None
+            if handle.disabled != (value is None):
+                handle.disabled = value is None
             if value is None:
                 return
         if field["kind"] in ("path", "numbers", "shown"):
