@@ -26,7 +26,7 @@ RESULTS: Final = Path("build") / "benchmarks"
 
 _PACKAGES: Final = ("smooth-operator", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
 
-_Table = tuple[str, tuple[str, ...], list[list[object]]]
+_Table = tuple[str, tuple[str, ...], list[list[object]], int]
 
 
 class BenchmarkError(SystemExit):
@@ -58,9 +58,18 @@ class Report:
     load_average: list[float] | None = field(default_factory=_load)
     _tables: list[_Table] = field(default_factory=list)
 
-    def table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        """Add a table to be printed; the first column is text, the others are figures."""
-        self._tables.append((title, tuple(header), [list(row) for row in rows]))
+    def table(
+        self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1
+    ) -> None:
+        """Add a table to be printed; the first ``texts`` columns are text, the others figures."""
+        self._tables.append((title, tuple(header), [list(row) for row in rows], texts))
+
+    def tables(self) -> str:
+        """All tables so far, as Markdown."""
+        return "\n\n".join(
+            f"**{title}**\n\n{markdown(header, rows, texts)}"
+            for title, header, rows, texts in self._tables
+        )
 
     def add(self, prefix: str, values: Mapping[str, float | None]) -> None:
         """Add figures under a common prefix; what could not be measured is left out."""
@@ -93,12 +102,10 @@ class Report:
             "notes": self.notes,
             "tables": [
                 {"title": title, "header": header, "rows": [[_plain(c) for c in r] for r in rows]}
-                for title, header, rows in self._tables
+                for title, header, rows, _ in self._tables
             ],
         }
-        for title, header, rows in self._tables:
-            print(f"\n**{title}**\n\n{markdown(header, rows)}")
-        print()
+        print(f"\n{self.tables()}\n")
         for note in self.notes:
             print(f"- {note}")
         print(
@@ -119,11 +126,14 @@ class Report:
             raise failure
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table; numbers are given four significant digits."""
-    lines = ["| " + " | ".join(header) + " |", "|---" + "|---:" * (len(header) - 1) + "|"]
-    lines += ["| " + " | ".join(cell(c) for c in row) + " |" for row in rows]
-    return "\n".join(lines)
+def markdown(header: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1) -> str:
+    """A Markdown table; numbers are given four significant digits, ``texts`` columns are text."""
+    lines = [_line(header), "|---" * texts + "|---:" * (len(header) - texts) + "|"]
+    return "\n".join([*lines, *(_line([cell(c) for c in row]) for row in rows)])
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "|" + "|".join(f" {text} " if text else " " for text in cells) + "|"
 
 
 def cell(value: object) -> str:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from smooth_operator.recording import atomic_write
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INK: Final = "#20262d"
@@ -37,6 +40,7 @@ FINGER_COLORS: Final = ("#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2")
 """Of the live page's palette, thumb first."""
 
 _DPI: Final = 150
+_CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 
 
 def colors_of(methods: Iterable[str]) -> dict[str, str]:
@@ -79,6 +83,74 @@ def styled() -> Iterator[None]:
     }
     with mpl.rc_context(settings):
         yield
+
+
+def name_points(
+    ax: Axes,
+    points: Mapping[str, tuple[float, float]],
+    avoid: Iterable[tuple[float, float]] = (),
+    size: float = 9.0,
+) -> None:
+    """A name beside each point, where nothing stands yet; limits and layout are to be final.
+
+    Args:
+        ax: axes that the points are in.
+        points: name -> x and y, of the data.
+        avoid: other points that names are not to cover.
+        size: of the letters [points].
+    """
+    line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
+    scale = 72.0 / ax.figure.dpi
+    places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
+    taken = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
+    taken += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
+    (x0, y0), (x1, y1) = scale * ax.bbox.get_points()
+    shifts = [sign * 0.25 * line * k for k in range(29) for sign in (1, -1)]
+    for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
+        width = letter * len(name)
+        boxes = [
+            (left, y - 0.4 * size + shift, width, line)
+            for shift in shifts
+            for left in (x + aside, x - aside - width)
+        ]
+        within = [
+            box
+            for box in boxes
+            if x0 <= box[0] and box[0] + width <= x1 and y0 <= box[1] and box[1] + line <= y1
+        ]
+        free = (box for box in within if not any(_meet(box, other) for other in taken))
+        box = next(free, (within or boxes)[0])
+        taken.append(box)
+        far = abs(box[1] + 0.4 * size - y) > line
+        ax.annotate(
+            name, points[name], textcoords="offset points", fontsize=size,
+            xytext=(box[0] - x, box[1] + 0.2 * size - y),
+            arrowprops={"arrowstyle": "-", "color": GRID, "linewidth": 0.5} if far else None,
+        )  # fmt: skip
+
+
+def _pixels(ax: Axes, points: Iterable[tuple[float, float]]) -> np.ndarray:
+    return np.asarray(ax.transData.transform(np.reshape(list(points), (-1, 2))))
+
+
+def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Whether two boxes (left, low, width, height) overlap."""
+    return all(one[k] < other[k] + other[k + 2] and other[k] < one[k] + one[k + 2] for k in (0, 1))
+
+
+def plain_logs(ax: Axes, both: bool = True) -> None:
+    """Numbers and not powers of ten, as many as there is room for; of axes that are logarithmic."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):
+        low, high = sorted(axis.get_view_interval())
+        if axis.get_scale() != "log" or low <= 0:  # without points, limits are any
+            continue
+        decades = np.log10(high / low)
+        subs = (1.0,) if decades > 3 else (1.0, 2.0, 5.0) if decades > 0.7 else _CLOSE
+        axis.set_major_locator(LogLocator(subs=subs, numticks=12))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def write_figure(figure: Figure, stem: Path) -> str:

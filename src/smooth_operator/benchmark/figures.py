@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.benchmark.drawing import FINGER_COLORS, GRID, INK, MARKERS
+from smooth_operator.benchmark.drawing import (
+    FINGER_COLORS,
+    GRID,
+    INK,
+    MARKERS,
+    name_points,
+    plain_logs,
+)
 from smooth_operator.benchmark.panels import Panel, robot_bones, view_basis
 from smooth_operator.benchmark.results import Row, row_method, value_of
 from smooth_operator.landmarks import BONES, FINGERS
@@ -59,8 +66,8 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
     ax.set_xlabel("fingertip acceleration [m/s²]   ← smoother")
     ax.set_ylabel("1 − cosine similarity   ← more accurate")
     ax.margins(0.14)
-    _plain_logs(ax)
-    _name_points(ax, means)
+    plain_logs(ax)
+    name_points(ax, means)
     handles = [_proxy(colors[m], "o", m) for m in points]
     if len(recordings) > 1:
         handles.append(_proxy(INK, "", ""))
@@ -104,7 +111,7 @@ def latency_figure(
             ha="center", va="bottom", fontsize=8,
         )  # fmt: skip
     ax.set_xscale("log")
-    _plain_logs(ax, both=False)
+    plain_logs(ax, both=False)
     ax.set_ylim(len(known) - 0.4, -0.75)
     ax.set_yticks(range(len(known)), list(known))
     ax.grid(visible=False, axis="y")
@@ -254,35 +261,6 @@ def _legend(figure: Figure, ax: Axes) -> None:
         handles, labels, loc="upper left", ncols=min(len(labels), 9), fontsize=8,
         bbox_to_anchor=(0.05, 1.0),
     )  # fmt: skip
-
-
-def _name_points(ax: Axes, points: Mapping[str, tuple[float, float]]) -> None:
-    """A name beside each point, moved down where another stands there already."""
-    line, letter = 11.0, 5.6  # of text in points
-    scale = 72.0 / ax.figure.dpi
-    places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
-    taken = [(x - 7.0, y - 4.0, 14.0) for x, y in places.values()]
-    for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
-        left, low, width = x + 9.0, y + 3.0, letter * len(name)
-        while any(
-            abs(low - other) < line and left < start + long and start < left + width
-            for start, other, long in taken
-        ):
-            low -= 1.0
-        taken.append((left, low, width))
-        ax.annotate(
-            name, points[name], textcoords="offset points", xytext=(left - x, low - y), fontsize=9
-        )
-
-
-def _plain_logs(ax: Axes, both: bool = True) -> None:
-    """1, 2, 5 and not powers of ten, which few of the values reach."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
 
 
 def _proxy(color: str, marker: str, label: str) -> Any:

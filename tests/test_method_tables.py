@@ -1,0 +1,223 @@
+"""The program that makes the tables of docs/method.md, on a moment of the built-in operator."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.benchmark.drawing import name_points
+from smooth_operator.benchmark.sources import load_sources, parse_request
+from smooth_operator.retargeters.presets import PRESETS, method_config
+from smooth_operator.retargeters.setting_paths import with_settings
+from smooth_operator.tuning.pareto import (
+    COLLISION,
+    FLATNESS,
+    VELOCITY,
+    TradeOff,
+    save_trade_offs,
+)
+from smooth_operator.tuning.score import figure
+from smooth_operator.tuning.trial import run_trial
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+HAND = "shadow_dexee"
+"""Three fingers, which are compiled soonest."""
+MOMENT = "synthetic:5@:40"
+
+
+@pytest.fixture(scope="module")
+def programs() -> Any:
+    sys.path.insert(0, str(BENCHMARKS))
+    import method
+    import variants
+
+    yield method, variants
+    sys.path.remove(str(BENCHMARKS))
+
+
+@pytest.fixture(scope="module")
+def tiny(programs: Any) -> Any:
+    """The method, made to compile sooner."""
+    program, _ = programs
+    changes = {"sampling.samples": 32, "sampling.elites": 8, "sampling.cycles": 1,
+               "polish.iterations": 2, "settle_rounds": 1}  # fmt: skip
+    config = with_settings(method_config(program.METHOD), changes)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS[program.METHOD], "tiny", config)
+        yield config
+
+
+@pytest.fixture(scope="module")
+def made(programs: Any, tiny: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A run with a few rows: its settings."""
+    program, _ = programs
+    folder = tmp_path_factory.mktemp("method")
+    settings = program.Settings(
+        ("without", "alone", "fronts"), recordings=(MOMENT,), preset="tiny", workers=0,
+        rows=("velocity term", "clearance", "lag 0.6"), hand=HAND, others=("joint_angle",),
+        cache=folder / "cache", output=folder / "method.json",
+    )  # fmt: skip
+    program.main(settings)
+    return settings
+
+
+def test_tables_and_picture(programs: Any, made: Any):
+    table = made.output.with_suffix(".md").read_text()
+    lines = [line for line in table.splitlines() if line.startswith("|")]
+    assert lines[:2] == [
+        "| | cos thumb | cos all | motion | flatness [m²] | vel. corr. | collision | pinch [mm] |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    names = [line.split(" | ")[0].removeprefix("| ") for line in lines]
+    assert [name for name in names if not name.startswith("|")] == [
+        "**all of it**", "without clearance", "without velocity term",
+        "**none of it**", "only clearance", "only velocity term", "lag 0.6, leap 0.09",
+    ]  # fmt: skip
+    figures = json.loads(made.output.read_text())["figures"]
+    whole = {k.split("/")[-1]: v for k, v in figures.items() if "/all of it/" in k}
+    late = {k.split("/")[-1]: v for k, v in figures.items() if "/lag 0.6, leap 0.09/" in k}
+    assert whole["cosine_similarity"] > 0.8
+    assert late["velocity_correlation"] < whole["velocity_correlation"]
+    picture = made.output.with_name("method-fronts.png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_was_measured_is_kept(programs: Any, made: Any, monkeypatch: Any):
+    program, variants = programs
+    before = json.loads(made.output.read_text())["figures"]
+    monkeypatch.setattr(variants, "run_tasks", lambda *a, **k: pytest.fail("it measured again"))
+    # fewer rows, and so other settings among those that any row changes
+    program.main(replace(made, parts=("without",), rows=("clearance",)))
+    after = json.loads(made.output.read_text())["figures"]
+    assert len(after) > 6
+    assert after == {name: before[name] for name in after}
+
+
+def test_a_zero_is_an_argument_where_that_is_the_same(programs: Any, made: Any, tiny: Any):
+    program, variants = programs
+    config = method_config(program.METHOD, "tiny")
+    source = load_sources([parse_request(MOMENT)])[0]
+    todo = variants.Variants(config, (source,), HAND, program.LIKE_ANY_VALUE, 0, 0, made.cache)
+    rows = program.rows_of(made)
+    full = variants.full_values(config, rows)
+    values = dict(full["without", program.WHOLE])
+    # pose weight apart: nothing else holds a joint that no fingertip feels
+    zeros = (values.keys() & todo.like_any_value) - {"objective.pose_weight"}
+    assert len(zeros) > 5
+    values |= dict.fromkeys(zeros, 0.0)
+    traced = todo.task(values)  # of the program that the rows were measured by
+    assert traced.values.keys() == values.keys()
+    constant = replace(traced, config=with_settings(config, values), values={})
+    (one,), (other,) = run_trial(traced), run_trial(constant)
+    for name in ("cosine_similarity", "motion_preservation", "flatness", "self_collision.share"):
+        assert figure(one, name) == pytest.approx(figure(other, name), rel=0.01, abs=1e-9)
+    off = todo.task(values | {"landmarks.leap": 0.0})  # which leaves leaps in; 0 m would not
+    assert "landmarks.leap" not in off.values
+    assert off.config.landmarks.leap == 0
+
+
+def test_a_row_that_cannot_be(programs: Any, monkeypatch: Any):
+    program, variants = programs
+    config = method_config(program.METHOD)
+    for values, reason in (
+        ({"clearance.wieght": 0.0}, r"'new part' of 'alone'.*clearance\.weight"),
+        ({"clearance.weight": -1.0}, r"'new part' of 'alone'.*negative"),
+    ):
+        with pytest.raises(SystemExit, match=reason):
+            variants.full_values(config, {("alone", "new part"): values})
+    monkeypatch.setitem(program.WITHOUT, "new part", {"none_such": 0.0})
+    with pytest.raises(SystemExit, match=r"'without new part' of 'without'.*none_such"):
+        program.main(program.Settings(("without",)))
+
+
+def test_parts_are_those_of_the_preset(programs: Any):
+    program, variants = programs
+    rows = program.rows_of(program.Settings())
+    full = variants.full_values(method_config(program.METHOD), rows)
+    whole, nothing = full["without", program.WHOLE], full["alone", program.NOTHING]
+    assert all(path in whole for path in program.LIKE_ANY_VALUE)
+    for name, parts in program.ALONE.items():
+        own = {path for part in parts for path in program.WITHOUT[part]}
+        alone = full["alone", f"only {name}"]
+        assert alone == nothing | {path: whole[path] for path in own}
+        assert alone != nothing
+    for part, values in program.WITHOUT.items():
+        changed = full["without", f"without {part}"]
+        assert {path for path in whole if whole[path] != changed[path]} <= set(values)
+        assert changed != whole
+
+
+def test_other_hands(programs: Any, tmp_path: Path, monkeypatch: Any, capsys: Any):
+    program, _ = programs
+    monkeypatch.setattr(program, "SBR", "joint_angle")  # neither has to be compiled for long
+    monkeypatch.setattr(program, "METHOD", "joint_angle")
+    settings = program.Settings(
+        ("hands",), recordings=(MOMENT,), hands=(HAND,), workers=0, cache=tmp_path / "cache",
+        output=tmp_path / "method.json",
+    )  # fmt: skip
+    program.main(settings)
+    out = capsys.readouterr().out
+    assert "| hand | recording | | cos thumb |" in out
+    assert "|---|---|---|---:|" in out
+    figures = json.loads(settings.output.read_text())["figures"]
+    judged = {k.split("/")[-2]: v for k, v in figures.items() if "/better/" in k}
+    assert judged["thumb cosine"] == 0  # no method is better than itself
+    assert f"| `{HAND}` | {MOMENT} | thumb cosine |" in out
+    assert f"{sum(v == 0 for v in judged.values())} of {len(judged)} lines" in out
+
+
+def test_figures_are_written_as_in_the_document(programs: Any):
+    _, variants = programs
+    names = [column.metric for column in variants.COLUMNS]
+    rows = [
+        (0.99823, 0.98, 0.9646, 2.26e-6, 1.0, 0.0, None),
+        (0.9, 0.5, 0.5, 6.9e-12, 0.5, 0.02, 7.64),
+    ]
+    figures = [dict(zip(names, row, strict=True)) for row in rows]
+    assert variants.cells_of(figures) == [
+        ".9982 / .9000", ".9800 / .5000", ".965 / .500", "2.3e-6 / 6.9e-12", "1.000 / .500",
+        "0 / 2 %", "7.6",
+    ]  # fmt: skip
+    assert variants.cells_of(figures[:1]) == [
+        "0.9982", "0.9800", "0.965", "2.3e-6", "1.000", "0 %", "–",
+    ]  # fmt: skip
+
+
+def test_what_was_not_measured_is_no_point(tmp_path: Path):
+    nothing = {"flatness": None, "velocity_correlation": 0.9}
+    assert np.isnan(FLATNESS.of(nothing))
+    assert np.isnan(FLATNESS.of({"flatness": 0.0}))  # has no place on a logarithmic axis
+    assert VELOCITY.of(nothing) == pytest.approx(0.1)
+    assert COLLISION.of({"self_collision": {"share": 0.0}}) == 0
+    for tried in ([nothing], [nothing, {"flatness": 1e-6, "velocity_correlation": 0.8}]):
+        panel = TradeOff("x", FLATNESS, VELOCITY, tried, {"chosen": nothing}, {"other": nothing})
+        save_trade_offs(tmp_path / "x.png", [[panel]])
+        assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_names_of_points_cover_nothing():
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+    drawing = Figure(figsize=(4, 3), dpi=100)
+    ax = drawing.subplots()
+    points = {f"method {i}": (0.9 + 0.01 * (i % 3), 0.5 + 0.002 * i) for i in range(8)}
+    ax.set_xlim(0, 1)
+    ax.set_ylim(0, 1)
+    drawing.draw_without_rendering()
+    name_points(ax, points, size=7.5)
+    drawing.draw_without_rendering()
+    boxes = [Text.get_window_extent(text) for text in ax.texts]  # without the lines to points
+    assert len(boxes) == len(points)
+    places = np.asarray(ax.transData.transform(list(points.values())))
+    for i, box in enumerate(boxes):
+        assert ax.bbox.x0 <= box.x0
+        assert box.x1 <= ax.bbox.x1
+        assert not any(box.overlaps(other) for other in boxes[:i])
+        assert not any(box.contains(x, y) for x, y in places)
