@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import builtins
 import time
 
+import nlopt
 import numpy as np
 import pytest
 
@@ -124,3 +126,23 @@ def test_a_gradient_against_a_bound_does_not_count() -> None:
 def test_a_bad_configuration_is_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):
         SlsqpConfig(**bad)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["RuntimeError", "RoundoffLimited", "runtime_error"])
+def test_a_line_search_that_fails_gives_the_best_so_far(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NLopt says so with one exception or another, by its version."""
+    failure = getattr(builtins, name, None) or getattr(nlopt, name, None)
+    if failure is None:
+        pytest.skip(f"this NLopt has no {name}")
+    optimize = nlopt.opt.optimize
+
+    def fail(solver: nlopt.opt, start: np.ndarray) -> None:
+        optimize(solver, start)
+        raise failure("nlopt failure")
+
+    monkeypatch.setattr(nlopt.opt, "optimize", fail)
+    found = slsqp_minimise(bowl, np.full(4, 2.5), WIDE, SlsqpConfig())
+    assert found.stopped_by == "rounding"
+    np.testing.assert_allclose(found.x, CENTRE, atol=0.01)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import nlopt
 import numpy as np
@@ -23,6 +23,15 @@ ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 Stop: TypeAlias = Literal["tolerance", "optimality", "evaluations", "time", "rounding"]
 """Why SLSQP stopped."""
+
+
+_FAILED: Final = (
+    nlopt.RoundoffLimited,
+    RuntimeError,
+    getattr(nlopt, "runtime_error", RuntimeError),
+)
+"""What NLopt raises of a failed line search, which float32 may end in: a RuntimeError or, by the
+version, an exception of its own that is none."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +137,7 @@ def slsqp_minimise(
         solver.optimize(best.copy())
     except nlopt.ForcedStop:
         pass  # it was said why
-    except (nlopt.RoundoffLimited, RuntimeError):
-        # RuntimeError is what NLopt makes of a failed line search, which float32 may end in.
+    except _FAILED:
         stopped_by = "rounding"
     else:
         code = solver.last_optimize_result()
