@@ -20,12 +20,14 @@ from smooth_operator.human.pursuit import PursuitConfig, pursue
 from smooth_operator.objective.clearance import ClearanceConfig, crowding
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.polar import PolarConfig, polar
 from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
 from smooth_operator.retargeters.program import ticks_of
 from smooth_operator.solvers.damped import damped_newton
 from smooth_operator.solvers.newton import NewtonConfig
 
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
+NOT_HELD = PolarConfig(direction=0.0, length=0.0)
 
 
 def ends_of(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
@@ -137,7 +139,8 @@ def problem(hand: Hand, seed: int) -> tuple[SmoothObjective, SmoothGoal]:
         ),
         jnp.asarray(rng.uniform(0, 40, len(hand.fingers))),
     )
-    return SmoothObjective(objective, ClearanceConfig(weight=20.0, margin=0.002)), goal
+    clearance, held = ClearanceConfig(weight=20.0, margin=0.002), PolarConfig(1.5, 30.0, 0.04)
+    return SmoothObjective(objective, clearance, held), goal
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "inspire_hand"])
@@ -145,7 +148,9 @@ def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
     hand = load_hand(name)
     with float64():
         smooth, goal = problem(hand, 3)
-        derivatives = jax.jit(lambda q, weight: _weighted(smooth, weight).derivatives(q, goal))
+        derivatives = jax.jit(
+            lambda q, weight: _weighted(smooth, weight).derivatives(q, goal), static_argnums=1
+        )
         poses = limited_poses(np.random.default_rng(4), hand.limits, 30)
         deep = depths(smooth.pairs, ends_of(smooth.pairs, hand, poses)).max(axis=-1)
         poses = poses[deep > 0.001][:3]  # parts touch in each
@@ -161,20 +166,22 @@ def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
                 slopes = [(a[0] - b[0]) / (2 * step) for a, b in around]
                 np.testing.assert_allclose(gradient, slopes, atol=1e-6, rtol=1e-5)
                 np.testing.assert_allclose(hessian, hessian.T, atol=1e-9)
-                if exact:  # it is, but for the line between parts that touch
+                if exact:  # but for the line between parts that touch, and turned vectors
                     bends = [(a[1] - b[1]) / (2 * step) for a, b in around]
                     np.testing.assert_allclose(hessian, bends, atol=1e-4, rtol=1e-4)
 
 
 def _weighted(smooth: SmoothObjective, weight: float) -> SmoothObjective:
-    return replace(smooth, clearance=replace(smooth.clearance, weight=weight))
+    """With a weight of clearance; without one, without prices on angles, too."""
+    held = smooth.polar if weight else NOT_HELD
+    return replace(smooth, clearance=replace(smooth.clearance, weight=weight), polar=held)
 
 
 def test_it_is_eq_1_where_nothing_is_added() -> None:
     hand = load_hand()
     with float64():
         smooth, goal = problem(hand, 5)
-        plain = replace(smooth, clearance=ClearanceConfig(weight=0.0))
+        plain = _weighted(smooth, 0.0)
         goal = goal._replace(motion_weights=jnp.zeros_like(goal.motion_weights))
         poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
         expected = smooth.objective(list(jnp.asarray(poses).T), goal.frame, within_limits=False)
@@ -192,7 +199,8 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
                 lambda few: smooth.values(few, goal),
                 q,
                 hand.limits,
-                NewtonConfig(iterations=60, damping=(0.0, 1.0, 30.0, 1000.0)),
+                NewtonConfig(iterations=300, damping=(0.0, 1.0, 30.0, 1000.0)),
+                still=1e-9,
             )
         )
         found = run(jnp.asarray(hand.neutral, float))
@@ -219,29 +227,79 @@ def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus() -> None:
     )
     np.testing.assert_allclose(plain.weights, [1, 1, 1, 2, 2, 0.5], rtol=1e-6)
     _, focused = targets_of(
-        CloseTargets(w_wrist=1.0, w_thumb=2.0, focus=2.0, floor=0.01, contact=0.0), human
+        CloseTargets(w_wrist=1.0, w_thumb=2.0, focus=2.0, floor=0.01, apart=0.0), human
     )
     np.testing.assert_allclose(focused.weights[:4], [1, 1, 1, 2], rtol=1e-5)
     np.testing.assert_allclose(focused.weights[4], 2 * (36 + 1) / (1 + 1), rtol=1e-5)
     np.testing.assert_allclose(focused.vectors, human)
 
 
-def test_a_pinch_closes_without_a_jump() -> None:
-    config = CloseTargets(contact=0.008, release=0.02, closed=0.004)
-    gaps, lengths = np.linspace(0.0, 0.03, 301), []
-    for gap in gaps:
-        human = np.tile([0.1, 0.0, 0.0], (6, 1))
-        human[3] = (0.0, gap, 0.0)
-        lengths.append(float(np.linalg.norm(targets_of(config, human)[1].vectors[3])))
-    length = np.array(lengths)
-    np.testing.assert_allclose(length[gaps >= 0.0201], gaps[gaps >= 0.0201], rtol=1e-5)
-    np.testing.assert_allclose(length[(gaps > 0.0041) & (gaps < 0.0079)], 0.004, rtol=1e-5)
-    assert (length <= gaps + 1e-6).all()
-    assert np.abs(np.diff(length)).max() < 4e-4  # for steps of 1e-4 of the human's
+def test_targets_of_a_pinch_stay_apart_and_point_the_same_way() -> None:
+    config = CloseTargets(apart=0.004)
+    gaps = np.linspace(1e-4, 0.03, 300)
+    human = np.tile([0.1, 0.0, 0.0], (len(gaps), 6, 1))
+    human[:, 3] = gaps[:, None] * np.array([0.0, 0.6, -0.8])
+    targets = np.stack([targets_of(config, one)[1].vectors for one in human])
+    np.testing.assert_allclose(targets[:, [0, 1, 2, 5]], human[:, [0, 1, 2, 5]], rtol=1e-6)
+    length = np.linalg.norm(targets[:, 3], axis=-1)
+    np.testing.assert_allclose(
+        targets[:, 3] / length[:, None], human[:, 3] / gaps[:, None], atol=1e-3
+    )
+    assert length.min() >= 0.00399
+    assert (np.diff(length) >= -1e-8).all()  # it opens as the human does
+    assert np.abs(length - gaps)[gaps > 0.012].max() < 4e-5
+
+
+# Angle and length
+
+
+def polar_cost(config: PolarConfig, vector: np.ndarray, target: np.ndarray) -> float:
+    return float(polar(jnp.asarray(vector)[None], jnp.asarray(target)[None], config).cost)
+
+
+def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
+    target = np.array([0.0, 0.008, 0.0])
+    turned = np.array([0.008 * np.sin(1.2), 0.008 * np.cos(1.2), 0.0])
+    with float64():
+        only_direction = PolarConfig(direction=2.0, length=0.0)
+        for size in (1.0, 3.0):  # whatever its length; 2 mm round the shortest off
+            cosine = np.cos(1.2) / np.sqrt(1 + 0.25**2 / size**2)
+            found = polar_cost(only_direction, size * turned, target)
+            assert found == pytest.approx(2.0 * (1 - cosine))
+        only_length = PolarConfig(direction=0.0, length=100.0, near=0.008)
+        size = np.hypot(0.012, 0.002)
+        found = polar_cost(only_length, 1.5 * turned, target)  # wherever it points
+        assert found == pytest.approx(0.5 * 100 / 0.02 * (size - 0.008) ** 2 / 2, rel=1e-4)
+        far = 10 * target  # of long vectors the length counts for nothing
+        assert polar_cost(only_length, 1.1 * far, far) < 1e-3 * polar_cost(
+            only_length, 1.1 * target + [0.0, 0.0072, 0.0], target
+        )
+
+
+def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
+    rng, config = np.random.default_rng(0), PolarConfig(0.7, 50.0, 0.02)
+    vectors, targets = rng.normal(0, 0.02, (2, 12, 3))
+    with float64():
+        given, wanted = jnp.asarray(vectors), jnp.asarray(targets)
+        slope = jax.grad(lambda v: polar(v, wanted, config).cost)(given)
+        found = polar(given, wanted, config)
+        np.testing.assert_allclose(found.pull, slope, rtol=1e-8, atol=1e-10)
+        assert np.linalg.eigvalsh(np.asarray(found.bend)).min() > -1e-9  # no step goes uphill
+        # where a vector points as it should, nothing is left out
+        aligned = wanted * 1.0
+        exact = jax.hessian(lambda v: polar(v[None], wanted[:1], config).cost)(aligned[0])
+        near = polar(aligned[:1], wanted[:1], config).bend[0]
+        assert np.abs(near - exact).max() < 0.2 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("bad", [{"direction": -1.0}, {"length": -2.0}, {"near": 0.0}])
+def test_prices_of_angle_and_length_are_checked(bad: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match=next(iter(bad))):
+        PolarConfig(**bad)
 
 
 @pytest.mark.parametrize(
-    "bad", [{"contact": 0.03}, {"at": 0.0}, {"floor": -0.01}], ids=lambda bad: next(iter(bad))
+    "bad", [{"apart": -0.01}, {"at": 0.0}, {"floor": -0.01}], ids=lambda bad: next(iter(bad))
 )
 def test_target_settings_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError):

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import CapsulePairs, segment_parameters
+from smooth_operator.objective.polar import TRANSITION
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,8 @@ class ClearanceConfig:
         margin: distance from which a pair counts [m]. Negative lets soft parts sink in.
     """
 
-    weight: float = 2000.0
-    margin: float = -0.0017
+    weight: float = 6000.0
+    margin: float = -0.0016
 
     def __post_init__(self) -> None:
         if isinstance(self.weight, float) and self.weight < 0:
@@ -45,9 +46,6 @@ class Crowding(NamedTuple):
     force: Float[Array, "E 3"]
     rows: Float[Array, "P E 3"]
     bend: Float[Array, " P"]
-
-
-_TRANSITION = 0.02  # [m], that of the keyvectors' smooth-L1, so that weights compare
 
 
 def crowding(pairs: CapsulePairs, ends: Float[Array, "E 3"], config: ClearanceConfig) -> Crowding:
@@ -73,7 +71,7 @@ def crowding(pairs: CapsulePairs, ends: Float[Array, "E 3"], config: ClearanceCo
     distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
     depth = jnp.asarray(pairs.reach + 0.0, ends.dtype) + config.margin - distance
     inside = jnp.maximum(depth, 0.0)
-    scale = config.weight / _TRANSITION
+    scale = config.weight / TRANSITION
     direction = -apart / distance[:, None]
     shares = jnp.stack([1 - s, s, t - 1, -t], axis=-1)  # of the four ends
     at = np.stack([2 * first, 2 * first + 1, 2 * second, 2 * second + 1], axis=-1)

@@ -28,10 +28,8 @@ class CloseTargets:
         focus_between: the same for finger-to-finger vectors.
         at: length at which the weights are those given [m].
         floor: length below which weights rise no more [m].
-        contact: human thumb-to-tip distance under which a pinch is meant to close [m]: targets are
-            then ``closed``; 0 leaves them the human's.
-        release: distance from which the target is the human's own [m].
-        closed: distance of the robot's tips in a closed pinch [m].
+        apart: soft lower bound of thumb-to-tip targets, since pads touch before tips meet: a length
+            g becomes (g^4 + apart^4)^(1/4); 0 leaves them the human's [m].
     """
 
     w_wrist: float = 0.3
@@ -41,22 +39,18 @@ class CloseTargets:
     focus_between: float = 1.6
     at: float = 0.06
     floor: float = 0.01
-    contact: float = 0.008
-    release: float = 0.02
-    closed: float = 0.005
+    apart: float = 0.003
 
     def __post_init__(self) -> None:
-        numbers = (self.contact, self.release, self.at, self.floor)
-        if all(isinstance(n, float) for n in numbers):
-            if self.contact and not 0 < self.contact < self.release:
-                raise ConfigError(
-                    "pinch distances must satisfy 0 < contact < release, not "
-                    f"contact={self.contact}, release={self.release} [m]"
-                )
-            if self.at <= 0 or self.floor <= 0:
-                raise ConfigError(
-                    f"at and floor must be positive lengths [m], not {self.at}, {self.floor}"
-                )
+        if (
+            all(isinstance(n, float) for n in (self.at, self.floor))
+            and min(self.at, self.floor) <= 0
+        ):
+            raise ConfigError(
+                f"at and floor must be positive lengths [m], not {self.at}, {self.floor}"
+            )
+        if isinstance(self.apart, int | float) and not self.apart >= 0:
+            raise ConfigError(f"apart must not be a negative length [m]: {self.apart}")
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
@@ -80,12 +74,7 @@ class CloseTargets:
             + thumb * self.w_thumb * ratio ** (self.focus / 2)
             + between * self.w_between * ratio ** (self.focus_between / 2)
         )
-        vectors = human
-        if not (isinstance(self.contact, int | float) and self.contact == 0):
-            distance = length[layout.thumb]
-            share = jnp.clip((distance - self.contact) / (self.release - self.contact), 0.0, 1.0)
-            share = share * share * (3 - 2 * share)
-            wanted = self.closed + share * (distance - self.closed)
-            wanted = jnp.minimum(wanted, distance)
-            vectors = human.at[layout.thumb].multiply((wanted / distance)[:, None])
+        near = length[layout.thumb]
+        longer = (near**4 + self.apart**4) ** 0.25 / near
+        vectors = human.at[layout.thumb].multiply(longer[:, None])
         return unlatched(vectors, weights, latched, closure)

@@ -1,7 +1,8 @@
 """What the method ``smooth`` minimises near one pose: value, gradient and Hessian.
 
-Eq. (1) with two more terms: fingertips move as the human's do, and parts of the hand stay out of
-each other (:mod:`smooth_operator.objective.clearance`).
+Eq. (1) with three more terms: fingertips move as the human's do, parts of the hand stay out of each
+other (:mod:`smooth_operator.objective.clearance`), and the thumb's vectors are held by angle and
+length, too (:mod:`smooth_operator.objective.polar`).
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.human.pursuit import is_off
 from smooth_operator.landmarks import FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.clearance import ClearanceConfig, crowding
+from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import FrameGoal, Objective
+from smooth_operator.objective.polar import PolarConfig, polar
 
 
 class SmoothGoal(NamedTuple):
@@ -44,10 +48,12 @@ class SmoothObjective:
     Attributes:
         objective: Eq. (1).
         clearance: of the hand's parts from each other.
+        polar: prices on angle and length of the thumb's vectors.
     """
 
     objective: Objective
     clearance: ClearanceConfig
+    polar: PolarConfig
 
     @cached_property
     def collides(self) -> bool:
@@ -66,6 +72,14 @@ class SmoothObjective:
         if not self.collides:
             return PointKinematics(self.objective.hand.tree, marks)
         return PointKinematics(self.pairs.tree, (*marks, *self.pairs.names))
+
+    @cached_property
+    def thumb(self) -> slice:
+        """The vectors from the thumb's tip to others."""
+        layout = self.objective.layout
+        if not isinstance(layout, KeyvectorLayout):
+            raise ConfigError(f"smooth needs the paper's keyvectors, not {type(layout).__name__}")
+        return layout.thumb
 
     @cached_property
     def marks(self) -> tuple[int, ...]:
@@ -99,7 +113,8 @@ class SmoothObjective:
     ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
         """Value, gradient and Hessian at a pose.
 
-        The Hessian is exact but for the turning of the line between two parts that touch.
+        The Hessian is exact but for the turning of the line between two parts that touch, and for
+        what is negative in that of an angle.
         """
         objective, frame, dtype = self.objective, goal.frame, q.dtype
         matrix, offset = (jnp.asarray(a, dtype) for a in objective.hand.expansion)
@@ -123,6 +138,12 @@ class SmoothObjective:
             jnp.swapaxes(levers[:fingers], 1, 2).reshape(-1, levers.shape[1]),
         ]
         bends = [(frame.weights[:, None] * bend).reshape(-1), stiff]
+        held = None
+        if not self.polar.is_off:
+            thumb = self.thumb
+            held = polar((errors + frame.vectors)[thumb], frame.vectors[thumb], self.polar)
+            cost = cost + held.cost
+            force = force + incidence[thumb].T @ held.pull
         if self.collides:
             crowd = crowding(self.pairs, points[marks:], self.clearance)
             cost = cost + crowd.cost
@@ -131,6 +152,9 @@ class SmoothObjective:
             bends.append(crowd.bend)
         every = jnp.concatenate(rows)
         hessian = (every * jnp.concatenate(bends)[:, None]).T @ every
+        if held is not None:
+            turning = relative[thumb]
+            hessian = hessian + jnp.einsum("kcj,kcd,kdi->ji", turning, held.bend, turning)
         hessian = hessian + self.kinematics.curvature(motion, force)
         gradient = jnp.einsum("fc,fjc->j", force, levers)
         spread = matrix[np.array(self.kinematics.order)]

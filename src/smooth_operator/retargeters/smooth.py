@@ -1,9 +1,10 @@
 """``smooth``: accurate, smooth and clear of itself at once, for a live loop.
 
 Eq. (1) with four ideas more, each of which a weight of 0 leaves out: fingertips move as the human's
-do while their places are corrected little by little, and most while the hand moves; errors are
-priced by the angle rather than the distance; parts of the hand stay out of each other; landmarks
-are followed without leaps. docs/method.md has the equations, and what each of them is worth.
+do while their places are corrected little by little, and most while the hand moves; the thumb's
+vectors are held by angle and length and not by distance alone; parts of the hand stay out of each
+other; landmarks are followed without leaps. docs/method.md has the equations, and what each of them
+is worth.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.objective.clearance import ClearanceConfig
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.polar import PolarConfig
 from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
 from smooth_operator.retargeters.method import MethodOutput
 from smooth_operator.solvers.damped import damped_newton
@@ -55,13 +57,14 @@ class SmoothConfig:
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
         clearance: of the hand's parts from each other.
+        polar: of the thumb's vectors by angle and length.
         landmarks: how human landmarks are followed.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
         sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
             the first after a gap.
         settle_rounds: how often such a frame is solved, each time from the last answer.
         settle_sigma: initial standard deviation of the sampler then [rad].
-        polish: Newton steps of a frame.
+        polish: Newton steps of a frame, at most.
         rate_hz: rate that is assumed where stamps stand still.
         gap: after a longer gap in the stamps [s] the basin is looked for anew.
     """
@@ -75,6 +78,7 @@ class SmoothConfig:
     motion_weight: float = 250.0
     motion_speed: float = 0.4
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
+    polar: PolarConfig = field(default_factory=PolarConfig)
     landmarks: PursuitConfig = field(default_factory=lambda: PursuitConfig(lag=0.15, leap=0.08))
     joint_speed: float = 26.0
     sampling: SamplingConfig = field(
@@ -83,7 +87,7 @@ class SmoothConfig:
     settle_rounds: int = 10
     settle_sigma: float = 0.4
     polish: NewtonConfig = field(
-        default_factory=lambda: NewtonConfig(iterations=3, damping=(0.0, 1.0, 30.0, 1000.0))
+        default_factory=lambda: NewtonConfig(iterations=6, damping=(0.0, 1.0, 30.0, 1000.0))
     )
     rate_hz: float = 100.0
     gap: float = 0.25
@@ -157,7 +161,7 @@ class Smooth:
     def objective(self) -> SmoothObjective:
         """What is minimised."""
         eq_1 = Objective(self.hand, self.config.objective)
-        return SmoothObjective(eq_1, self.config.clearance)
+        return SmoothObjective(eq_1, self.config.clearance, self.config.polar)
 
     @property
     def needs(self) -> tuple[int, ...]:

@@ -7,6 +7,7 @@ only values are taken of the steps of several dampings that are tried side by si
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,10 @@ from jaxtyping import Array, Float
 
 from smooth_operator.solvers.newton import NewtonConfig
 
+STILL: Final = 3e-4
+"""A step in which no variable moves further is the last: of the next, which converges
+quadratically, nobody would see anything [rad]."""
+
 
 def damped_newton(
     derivatives: Callable[[Array], tuple[Array, Array, Array]],
@@ -22,6 +27,7 @@ def damped_newton(
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"],
     config: NewtonConfig,
+    still: float = STILL,
 ) -> Float[Array, " m"]:
     """Descend from a start within bounds; the cost never rises.
 
@@ -30,7 +36,8 @@ def damped_newton(
         values: (c, m) candidates to their (c,) costs.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
-        config: settings; no iterations give the start back.
+        config: settings; its iterations are the most that are made, none give the start back.
+        still: see :data:`STILL`.
 
     Returns:
         (m,) the best point found.
@@ -39,7 +46,8 @@ def damped_newton(
     identity = jnp.eye(len(limits), dtype=start.dtype)
     damping = jnp.asarray(config.damping, start.dtype)[:, None, None]
 
-    def step(_: Array, q: Array) -> Array:
+    def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        count, q, _ = carry
         cost, gradient, hessian = derivatives(q)
         held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
         free = jnp.where(held[:, None] | held[None, :], identity, hessian)
@@ -51,7 +59,14 @@ def damped_newton(
         # an indefinite Hessian has no factor: its candidate is not a number, and loses
         costs = jnp.where(jnp.isfinite(moves).all(-1), values(candidates), jnp.inf)
         winner = jnp.argmin(costs)
-        return jnp.where(costs[winner] < cost, candidates[winner], q)
+        after = jnp.where(costs[winner] < cost, candidates[winner], q)
+        return count + 1, after, jnp.abs(after - q).max() > still
 
-    found: Array = jax.lax.fori_loop(0, config.iterations, step, start)
-    return found
+    def goes_on(carry: tuple[Array, Array, Array]) -> Array:
+        count, _, moved = carry
+        return (count < config.iterations) & moved
+
+    found: tuple[Array, Array, Array] = jax.lax.while_loop(
+        goes_on, step, (jnp.int32(0), start, jnp.bool_(True))
+    )
+    return found[1]

@@ -1,0 +1,91 @@
+"""Prices on where a vector points and how long it is, each by itself.
+
+A distance cannot tell them apart, and where parts that touch keep a short vector from its target,
+the nearest point to that is one that points anywhere. By angle and length, it goes on to point as
+the human's does, a little longer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.human.pursuit import is_off
+
+TRANSITION: Final = 0.02
+"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
+_SHORT: Final = 0.002
+"""Length by which a vector is rounded, for one of length 0 points nowhere [m]."""
+_LEAST: Final = 0.25
+"""Share of the curvature that is kept where a vector points away; its own would be negative."""
+
+
+@dataclass(frozen=True)
+class PolarConfig:
+    """How the robot's thumb-to-tip vectors are held by angle and length.
+
+    Attributes:
+        direction: price of one minus the cosine between a vector and the human's; 0 leaves it out.
+        length: weight of the difference in length of short vectors, in the units of a keyvector's
+            weight: the price is weight x d^2 / (2 x 20 mm); 0 leaves it out.
+        near: length at which that weight is halved; it falls with the fourth power [m].
+    """
+
+    direction: float = 0.3
+    length: float = 200.0
+    near: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("direction", "length"):
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not value >= 0:
+                raise ConfigError(f"polar.{name} must not be negative, not {value}")
+        if isinstance(self.near, int | float) and not self.near > 0:
+            raise ConfigError(f"polar.near must be a positive length [m], not {self.near}")
+
+    @property
+    def is_off(self) -> bool:
+        """Whether both prices are left out."""
+        return is_off(self.direction) and is_off(self.length)
+
+
+class Polar(NamedTuple):
+    """What the prices come to.
+
+    Attributes:
+        cost: their sum.
+        pull: (P, 3) derivative with each vector.
+        bend: (P, 3, 3) second derivative with each vector, with what is negative in it left out.
+    """
+
+    cost: Float[Array, ""]
+    pull: Float[Array, "P 3"]
+    bend: Float[Array, "P 3 3"]
+
+
+def polar(vectors: Float[Array, "P 3"], targets: Float[Array, "P 3"], config: PolarConfig) -> Polar:
+    """The prices of some vectors.
+
+    Args:
+        vectors: (P, 3) the robot's [m].
+        targets: (P, 3) what they should be [m].
+        config: weights.
+    """
+    wanted = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
+    size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
+    goal, unit = targets / wanted[:, None], vectors / size[:, None]
+    cosine = (goal * unit).sum(-1)
+    pull = -(config.direction / size)[:, None] * (goal - cosine[:, None] * unit)
+    along = unit[:, :, None] * unit[:, None, :]
+    turn = config.direction * jnp.maximum(cosine, _LEAST) / size**2
+    stiff = config.length / TRANSITION / (1 + (wanted / config.near) ** 4)
+    longer = size - wanted
+    return Polar(
+        (config.direction * (1 - cosine) + 0.5 * stiff * longer * longer).sum(),
+        pull + (stiff * longer)[:, None] * unit,
+        turn[:, None, None] * (jnp.eye(3, dtype=unit.dtype) - along) + stiff[:, None, None] * along,
+    )
