@@ -64,7 +64,7 @@ Step = Callable[[Any, HandFrame], tuple[Any, np.ndarray, float]]
 
 def main(settings: Settings) -> None:
     report = Report("gpu", vars(settings))
-    ours = Retargeter(settings.hand, preset="paper")
+    ours = Retargeter(settings.hand, method="sbr", preset="paper")
     if not isinstance(ours.config, SbrConfig):
         raise ConfigError(f"preset 'paper' must be an SbrConfig, not {type(ours.config).__name__}")
     sampling = replace(ours.config.sampling, samples=settings.samples, cycles=settings.cycles)

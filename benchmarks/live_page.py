@@ -3,8 +3,9 @@
     python benchmarks/live_page.py --seconds 60 --visits 50
 
 Needs playwright and a Chromium on the path. The loop answers the built-in operator at 100 Hz with
-`sbr` realtime, three times: without a page, with one that nobody looks at, and with a browser that
-draws in software, on the same cores. Then the page is opened and closed many times.
+one method (`--method`, sbr if left out), three times: without a page, with one that nobody looks
+at, and with a browser that draws in software, on the same cores. Then the page is opened and closed
+many times.
 """
 
 from __future__ import annotations
@@ -66,8 +67,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--visits", type=int, default=50)
+    parser.add_argument("--method", default="sbr")
     options = parser.parse_args()
-    asked = request()
+    asked = request(method=options.method)
     hand, method = settle(asked, "right")
     retargeter, _ = build_retargeter(hand, method, 0)
     config = LoopConfig(rate=100.0)
@@ -96,6 +98,7 @@ def main() -> None:
         found = loop.statistics.summary()
         kept = {key: found[key] for key in ("rate_hz", "deadlines_missed_share")}
         words = "a browser" if browse else "nobody looking" if page else "no page"
+        kept["method"] = f"{asked.method} {asked.preset}"
         print(json.dumps({"page": words, **kept, **found["added_latency_ms"]}), flush=True)
         session.close()
 

@@ -28,6 +28,7 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.hands.spec_writer import write_hand_spec
 from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.presets import method_config
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.types import JointCommand, Result, Status
@@ -362,7 +363,10 @@ def test_the_command_prints_one_object(capfd: pytest.CaptureFixture[str]) -> Non
     found = json.loads(capfd.readouterr().out)
     assert (found["hand"], found["side"], found["ok"]) == ("inspire_hand", "right", True)
     checks = {check["name"]: check for check in found["checks"]}
-    assert set(checks) == {*BASICS, "round trip: sbr"}
+    assert set(checks) == {*BASICS, "round trip: sbr", f"round trip: {DEFAULT_METHOD}"}
+    usual = checks[f"round trip: {DEFAULT_METHOD}"]
+    assert usual["verdict"] == "ok"
+    assert (usual["figures"]["ok"], usual["figures"]["limit_violations"]) == (1.0, 0)
     trip = checks["round trip: sbr"]["figures"]
     assert trip["median_mm"] <= 3
     assert (trip["ok"], trip["limit_violations"], trip["frozen"]) == (1.0, 0, 0.0)

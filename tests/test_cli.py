@@ -65,7 +65,17 @@ def save(path: Path, hand: HandRecording) -> Path:
 
 def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "demo"
-    options = ("--no-view", "--preset", "tiny", "--landmark-loss", 0.05, "--duration", 0.5)
+    options = (
+        "--no-view",
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--landmark-loss",
+        0.05,
+        "--duration",
+        0.5,
+    )
     status, out, err = run("demo", "--output", folder, *options)
     assert status == 0, err
     assert "retargeting" in err
@@ -109,7 +119,18 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
 
 def test_retarget_is_the_library_and_repeats_itself(run: Run, glove: Path, tmp_path: Path) -> None:
     once, again = tmp_path / "once.npz", tmp_path / "deep" / "er" / "again.npz"
-    arguments = ("retarget", glove, "--preset", "tiny", "--frames", "5:20", "--seed", 4)
+    arguments = (
+        "retarget",
+        glove,
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--frames",
+        "5:20",
+        "--seed",
+        4,
+    )
     status, out, err = run(*arguments, "--output", once, "--json")
     assert status == 0, err
     metrics = json.loads(out)  # one object and nothing else
@@ -141,7 +162,16 @@ def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(
     left = save(tmp_path / "left.npz", recording("left", 8))
     out = tmp_path / "out.npz"
     status, _, err = run(
-        "retarget", left, "--preset", "tiny", "--output", out, "--scale", "calibrate"
+        "retarget",
+        left,
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--output",
+        out,
+        "--scale",
+        "calibrate",
     )
     assert status == 0, err
     config = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
@@ -153,7 +183,17 @@ def test_an_array_without_a_side_is_taken_for_a_right_hand_and_a_note_says_so(
     run: Run, tmp_path: Path
 ) -> None:
     np.save(tmp_path / "plain.npy", recording(frames=5).landmarks)
-    arguments = ("--rate", 100, "--preset", "tiny", "--output", tmp_path / "out.npz", "--quiet")
+    arguments = (
+        "--rate",
+        100,
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--output",
+        tmp_path / "out.npz",
+        "--quiet",
+    )
     status, out, err = run("retarget", tmp_path / "plain.npy", *arguments, "--json")
     assert status == 0
     assert "taken for a right one" in err
@@ -175,7 +215,14 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
         "other side": (("retarget", glove, "--side", "left", *to), "--side right"),
         "hand": (("retarget", glove, "--hand", "mimic_p5", *to), "Did you mean 'mimic_p050'?"),
         "method": (("retarget", glove, "--method", "srb", *to), "Did you mean 'sbr'?"),
-        "preset": (("retarget", glove, "--preset", "papr", *to), "Did you mean 'paper'?"),
+        "preset": (
+            ("retarget", glove, "--method", "sbr", "--preset", "papr", *to),
+            "Did you mean 'paper'?",
+        ),
+        "preset of another": (
+            ("retarget", glove, "--preset", "paper", *to),
+            "'paper' is a preset of sbr",
+        ),
         "frames": (("retarget", glove, "--frames", "90:99", *to), "selects nothing"),
         "scale": (("retarget", glove, "--scale", "77", *to), "between 0.1 and 10"),
         "suffix": (("retarget", glove, "--output", folder / "out.csv"), "end in .npz"),
@@ -241,7 +288,18 @@ def test_stopping_while_writing_leaves_the_former_result(
     run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out.npz"
-    arguments = ("retarget", glove, "--preset", "tiny", "--frames", ":5", "--output", out)
+    arguments = (
+        "retarget",
+        glove,
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--frames",
+        ":5",
+        "--output",
+        out,
+    )
     assert run(*arguments)[0] == 0
     before = out.read_bytes()
 
@@ -256,7 +314,7 @@ def test_stopping_while_writing_leaves_the_former_result(
     assert out.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["glove.npz", "out.json", "out.npz"]
 
-    demo = ("demo", "--no-view", "--preset", "tiny", "--duration", 0.1)
+    demo = ("demo", "--no-view", "--method", "sbr", "--preset", "tiny", "--duration", 0.1)
     assert run(*demo, "--output", tmp_path / "demo")[0] == 130
     assert not (tmp_path / "demo").exists()
 
@@ -304,7 +362,7 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out.npz"
-    arguments = ("--preset", "tiny", "--frames", "7:19", "--output", out)
+    arguments = ("--method", "sbr", "--preset", "tiny", "--frames", "7:19", "--output", out)
     assert run("retarget", glove, *arguments)[0] == 0
     pages = []
     monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
@@ -347,7 +405,17 @@ def test_a_damaged_cache_is_emptied_and_other_warnings_pass(tmp_path: Path) -> N
 @pytest.mark.shared
 def test_a_real_recording(run: Run, shared: Path, tmp_path: Path) -> None:
     glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
-    arguments = ("--preset", "tiny", "--frames", "2600:2630", "--definition", "paper", "--json")
+    arguments = (
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--frames",
+        "2600:2630",
+        "--definition",
+        "paper",
+        "--json",
+    )
     status, out, err = run("retarget", glove, "--output", tmp_path / "out.npz", *arguments)
     assert status == 0, err
     metrics = json.loads(out)

@@ -132,6 +132,21 @@ def test_a_result_is_that_of_the_frame_by_frame_library(folder: Path, expected: 
         assert "created" not in config
 
 
+def test_with_the_default_method_too(tmp_path: Path) -> None:
+    """Of two recordings by one retargeter, neither leaves anything to the other."""
+    for seed, frames in enumerate((CHUNK + 9, 30)):
+        save(tmp_path / "in" / f"{seed}.npz", hand(frames, seed))
+    todo, entries = do(tmp_path / "in", tmp_path / "out", request(seed=3))
+    assert len(todo.jobs) == 2
+    assert {entry.state for entry in entries} == {"done"}
+    for seed in (0, 1):
+        recording = read_recording(tmp_path / "in" / f"{seed}.npz")
+        direct, _ = Retargeter(seed=3).run(recording)
+        commands = read_commands(tmp_path / "out" / f"{seed}.npz")
+        assert commands.joint_positions.tobytes() == direct.joint_positions.tobytes()
+        assert (commands.status == Status.OK).all()
+
+
 def test_the_longest_is_begun_first(folder: Path, tmp_path: Path) -> None:
     names = [job.found.name for job in survey(folder, tmp_path / "out", ASKED).jobs]
     assert names == ["b.npz", "deep/er/d.npz", "deep/c.npz", "a.npz", "e.npz"]
@@ -347,7 +362,7 @@ def test_refused_before_any_work(tmp_path: Path) -> None:
 
 
 def test_a_request_is_checked_once_and_not_per_recording() -> None:
-    assert checked(request(preset="realtime")) == replace(request(), preset="realtime")
+    assert checked(request(preset="teleop")) == request()
     with pytest.raises(UnknownNameError, match="unknown hand"):
         checked(request(hand="foot"))
     with pytest.raises(UnknownNameError, match="unknown method"):
@@ -416,7 +431,7 @@ def test_the_command_retargets_a_folder_and_says_what_failed(
     shutil.copytree(folder, recordings)
     (recordings / "deep" / "[bold]empty.npz").write_bytes(b"")
     np.save(recordings / "norate.npy", hand(8).landmarks)
-    options = (recordings, "--output", output, "--preset", "tiny", "--seed", 3)
+    options = (recordings, "--output", output, "--method", "sbr", "--preset", "tiny", "--seed", 3)
     status, out, err = run(*options, "--workers", 2)
     assert status == 1, err
     assert "7/7 recordings" in err
@@ -481,7 +496,15 @@ def test_what_the_command_refuses(run: Run, folder: Path, tmp_path: Path) -> Non
 @pytest.mark.shared
 def test_real_recordings(run: Run, shared: Path, tmp_path: Path) -> None:
     status, out, err = run(
-        *(shared / "recordings", "--output", tmp_path / "out", "--preset", "tiny"),
+        *(
+            shared / "recordings",
+            "--output",
+            tmp_path / "out",
+            "--method",
+            "sbr",
+            "--preset",
+            "tiny",
+        ),
         *("--rate", 30, "--frames", ":200", "--workers", 0, "--json"),
     )
     summary = json.loads(out)

@@ -439,7 +439,7 @@ def test_a_plan_with_the_preset_is_done_as_a_whole(
     recording: HandRecording, monkeypatch: pytest.MonkeyPatch, whole: WholeRetargeter
 ):
     monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
-    todo = plan(recording, request(preset="tiny"))
+    todo = plan(recording, request(method="sbr", preset="tiny"))
     built = build(todo)
     assert isinstance(built[0], WholeRetargeter)
     shown: list[int] = []
@@ -466,7 +466,8 @@ def test_a_folder_is_done_as_a_whole_and_kept(
     (tmp_path / "in").mkdir()
     np.save(tmp_path / "in" / "take.npy", recording.landmarks)
     words = ["retarget", str(tmp_path / "in"), "--rate", "60", "--side", "right", "--json",
-             "--preset", "tiny", "--output", str(tmp_path / "out"), "--workers", "0"]  # fmt: skip
+             "--method", "sbr", "--preset", "tiny", "--output", str(tmp_path / "out"),
+             "--workers", "0"]  # fmt: skip
     assert main(words) == 0
     made = (tmp_path / "out" / "take.npz").read_bytes()
     read = read_recording(tmp_path / "in" / "take.npy", rate=60.0, side="right")

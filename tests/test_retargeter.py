@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from trees import limited_poses, pincer, random_rotations
 
+from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
@@ -25,7 +27,9 @@ from smooth_operator.human.alignment import (
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.offline.plan import request
 from smooth_operator.retargeters import program as program_module
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.presets import PRESETS, method_config, method_names
 from smooth_operator.retargeters.retargeter import Retargeter, RetargetState
 from smooth_operator.retargeters.sbr import SbrConfig
@@ -76,6 +80,12 @@ def fresh() -> Retargeter:
 
 @pytest.fixture(scope="module")
 def realtime() -> Retargeter:
+    return Retargeter(method="sbr")
+
+
+@pytest.fixture(scope="module")
+def usual() -> Retargeter:
+    """What one gets without asking for a method."""
     return Retargeter()
 
 
@@ -216,7 +226,7 @@ BAD = {
 
 @pytest.mark.filterwarnings("ignore:overflow encountered in cast:RuntimeWarning")
 @pytest.mark.parametrize(("how", "status"), BAD.items())
-@pytest.mark.parametrize("kind", ["fresh", "realtime"])
+@pytest.mark.parametrize("kind", ["fresh", "realtime", "usual"])
 def test_a_bad_frame_never_taints_the_next(
     kind: str, request: pytest.FixtureRequest, frames: np.ndarray, how: str, status: Status
 ) -> None:
@@ -235,41 +245,41 @@ def test_a_bad_frame_never_taints_the_next(
 
 @pytest.mark.parametrize("how", ["all nan", "collinear"])
 def test_before_the_first_good_frame_the_hand_is_neutral(
-    realtime: Retargeter, frames: np.ndarray, how: str
+    usual: Retargeter, frames: np.ndarray, how: str
 ) -> None:
-    state, result = realtime.step(realtime.init(), spoiled(frames[0], how))
+    state, result = usual.step(usual.init(), spoiled(frames[0], how))
     assert result.status != Status.OK
-    hand = realtime.hand
+    hand = usual.hand
     np.testing.assert_allclose(result.command.positions, hand.expand(hand.neutral), atol=1e-6)
-    assert leaves_equal(state, realtime.init())  # the first good frame is still the first
+    assert leaves_equal(state, usual.init())  # the first good frame is still the first
 
 
 def test_landmarks_that_are_not_needed_may_be_missing(
-    realtime: Retargeter, frames: np.ndarray
+    usual: Retargeter, frames: np.ndarray
 ) -> None:
-    needed = {*realtime.method.needs, *realtime.hand.align_indices}
+    needed = {*usual.method.needs, *usual.hand.align_indices}
     partial = frames[:4].copy()
     partial[:, [i for i in range(21) if i not in needed]] = np.nan
-    results = play(realtime, partial)
+    results = play(usual, partial)
     assert [result.status for result in results] == [Status.OK] * 4
-    np.testing.assert_array_equal(positions(results), positions(play(realtime, frames[:4])))
+    np.testing.assert_array_equal(positions(results), positions(play(usual, frames[:4])))
 
 
 def test_nonsense_gives_finite_commands_within_the_limits(
-    realtime: Retargeter, frames: np.ndarray
+    usual: Retargeter, frames: np.ndarray
 ) -> None:
     rng = np.random.default_rng(0)
-    limits = realtime.hand.joint_limits
+    limits = usual.hand.joint_limits
     nonsense = [spoiled(frames[0], "huge"), *rng.normal(0, 10, (10, 21, 3)),
                 *rng.normal(0, 1e-6, (10, 21, 3)), *(frames[:5] * 1e-3), *frames[:3]]  # fmt: skip
-    for result in play(realtime, nonsense):
+    for result in play(usual, nonsense):
         assert np.isfinite(result.command.positions).all()
         assert (result.command.positions >= limits[:, 0]).all()
         assert (result.command.positions <= limits[:, 1]).all()
     assert result.status == Status.OK
 
 
-@pytest.mark.parametrize("kind", ["fresh", "realtime"])
+@pytest.mark.parametrize("kind", ["fresh", "realtime", "usual"])
 def test_commands_are_within_the_limits(
     kind: str, request: pytest.FixtureRequest, frames: np.ndarray
 ) -> None:
@@ -307,8 +317,10 @@ def test_the_other_hand_is_refused(fresh: Retargeter, frames: np.ndarray) -> Non
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(UnknownNameError, match=r"unknown method 'sbrr'. Did you mean 'sbr'\?"):
         Retargeter(method="sbrr")
-    with pytest.raises(UnknownNameError, match=r"unknown preset.*'fast'.*paper, realtime"):
-        Retargeter(preset="fast")
+    with pytest.raises(UnknownNameError, match=r"unknown preset.*'fast'.*paper, realtime\.$"):
+        Retargeter(method="sbr", preset="fast")
+    with pytest.raises(UnknownNameError, match=r"'paper' is a preset of sbr: choose that method"):
+        Retargeter(preset="paper")
     with pytest.raises(UnknownNameError, match="unknown hand"):
         Retargeter("shadow")
     with pytest.raises(ConfigError, match="side must be 'right' or 'left'"):
@@ -324,6 +336,13 @@ def test_settings_are_checked() -> None:
 
 
 # Presets
+
+
+def test_who_names_no_method_gets_the_default_one(usual: Retargeter) -> None:
+    assert DEFAULT_METHOD == "smooth"
+    assert usual.config is method_config() is method_config(DEFAULT_METHOD, "teleop")
+    assert request().method == Retarget.method == Teleop.method == DEFAULT_METHOD
+    assert (request().preset, request().config) == ("teleop", usual.config)
 
 
 def test_presets() -> None:
@@ -356,31 +375,35 @@ def test_settling_starts_where_the_operator_is(
 
 
 def test_turning_moving_and_scaling_the_human_hand_changes_nothing(
-    realtime: Retargeter, frames: np.ndarray
+    usual: Retargeter, frames: np.ndarray
 ) -> None:
     rng = np.random.default_rng(1)
-    plain = play(realtime, frames)
+    plain = play(usual, frames)
     moved = 0.9 * frames @ random_rotations(rng).T + (2.0, -1.0, 0.5)
-    other = play(realtime, moved)
+    other = play(usual, moved)
     # float32 two metres from the origin rounds by 0.1 um; the hand is to move by no more than mrad
     np.testing.assert_allclose(positions(other), positions(plain), atol=5e-3)
     np.testing.assert_allclose([r.scale for r in plain], 1 / 1.15, rtol=1e-4)
     np.testing.assert_allclose([r.scale for r in other], 1 / 1.15 / 0.9, rtol=1e-4)
 
 
-def test_the_left_hand_does_what_the_right_does(realtime: Retargeter, frames: np.ndarray) -> None:
-    left = Retargeter(side="left")
+@pytest.mark.parametrize("kind", ["realtime", "usual"])
+def test_the_left_hand_does_what_the_right_does(
+    kind: str, request: pytest.FixtureRequest, frames: np.ndarray
+) -> None:
+    right: Retargeter = request.getfixturevalue(kind)
+    left = Retargeter(side="left", config=right.config)
     mirrored = [HandFrame(frame * (-1, 1, 1), side="left") for frame in frames]
     # the base samples are fixed and the hands are mirror images: the same joint angles
     np.testing.assert_allclose(
-        positions(play(left, mirrored)), positions(play(realtime, frames)), atol=1e-3
+        positions(play(left, mirrored)), positions(play(right, frames)), atol=1e-3
     )
 
 
-def test_the_stamp_is_the_frames(realtime: Retargeter, frames: np.ndarray) -> None:
-    result = realtime(HandFrame(frames[0], stamp=12.5))
+def test_the_stamp_is_the_frames(usual: Retargeter, frames: np.ndarray) -> None:
+    result = usual(HandFrame(frames[0], stamp=12.5))
     assert result.command.stamp == 12.5
-    assert result.command.names == realtime.hand.joint_names
+    assert result.command.names == usual.hand.joint_names
     assert result.latency_ms > 0
 
 

@@ -71,13 +71,15 @@ class UnknownNameError(SmoothOperatorError, KeyError):
         kind: what was looked up, e.g. ``"hand"``.
         name: the name that came.
         available: the names that exist; a close one is suggested.
+        more: what else may help, a sentence.
     """
 
-    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: str, available: Iterable[str], more: str = "") -> None:
         known = sorted(available)
         close = get_close_matches(name, known, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
         self.message = f"unknown {kind} {name!r}.{hint} Available: {', '.join(known) or 'none'}."
+        self.message += f" {more}" if more else ""
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the repr of the message

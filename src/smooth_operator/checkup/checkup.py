@@ -8,7 +8,7 @@ from typing import Final
 
 from smooth_operator.checkup.checks import Check, Checkup
 from smooth_operator.checkup.joints import check_motion, check_neutral, check_ranges
-from smooth_operator.checkup.methods import check_method
+from smooth_operator.checkup.methods import MEASURE, check_method
 from smooth_operator.checkup.palm import check_palm, check_size
 from smooth_operator.checkup.pinches import check_pinches
 from smooth_operator.checkup.samples import Samples
@@ -17,6 +17,7 @@ from smooth_operator.checkup.tips import check_tips
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.presets import method_names
 
 _POSES: Final = 20
@@ -44,7 +45,8 @@ def check_hand(
         hand: name of a hand, path of a spec file, a description, or a loaded hand.
         side: side of a hand given by name; a spec file brings its own, and is mirrored if the other
             is asked for.
-        quick: the round trip goes through ``sbr`` only.
+        quick: the round trip goes through two methods only: the one that measures best, and the one
+            that is used where none is named.
         poses: of each round trip.
         methods: that the round trip goes through; all if left out.
         seed: of the round trip's poses.
@@ -59,7 +61,8 @@ def check_hand(
         ConfigError: poses is less than one.
     """
     loaded = hand if isinstance(hand, Hand) else load_hand(hand, side)
-    chosen = tuple(methods if methods is not None else ("sbr",) if quick else method_names())
+    few = (MEASURE, DEFAULT_METHOD)
+    chosen = tuple(methods if methods is not None else few if quick else method_names())
     checks = list(_checks(loaded, chosen, poses, seed, track))
     return Checkup(loaded.name, loaded.spec.side, tuple(checks))
 

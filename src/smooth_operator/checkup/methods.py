@@ -9,14 +9,17 @@ from smooth_operator.checkup.checks import Check, Verdict
 from smooth_operator.checkup.round_trip import RoundTrip, round_trip, without_pull
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.presets import method_config
 from smooth_operator.retargeters.retargeter import Retargeter
 
+MEASURE: Final = "sbr"
+"""The method that the description is judged by: it gets to a pose that the hand can reach."""
 GOOD_MM: Final = 3.0
-"""Median error of a reachable round trip that ``sbr`` is to keep on any hand [mm]."""
+"""Median error of a reachable round trip that :data:`MEASURE` is to keep on any hand [mm]."""
 _BAD_MM: Final = 10.0
 _FROZEN: Final = 0.02  # share of frames
-_FOLLOWS_TIPS: Final = ("sbr", "keyvector", "hybrid")
+_FOLLOWS_TIPS: Final = (MEASURE, "keyvector", "hybrid")
 """Methods whose answer to a reachable pose is that pose; the others aim at something else."""
 
 
@@ -61,9 +64,14 @@ def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
         return "failed", "look at the palm frame: frames of the hand itself are refused"
     if (trip.frozen or 0.0) > _FROZEN:
         return "failed", "the method can't move this hand: look at limits and couplings"
+    if method == DEFAULT_METHOD and trip.median > _BAD_MM:
+        return "warning", (
+            "poses of the hand itself are followed loosely: look at the model's shapes, which may "
+            "keep its parts apart (hands show), and at palm frame and tips"
+        )
     if method not in _FOLLOWS_TIPS or trip.median <= GOOD_MM:
         return "ok", ""
-    if method == "sbr" and trip.median > _BAD_MM:
+    if method == MEASURE and trip.median > _BAD_MM:
         return "failed", "poses of the hand itself can't be followed: look at palm frame and tips"
     return "warning", (
         "poses of the hand itself are followed loosely: look at the palm frame, and whether other "

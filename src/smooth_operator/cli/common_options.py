@@ -8,6 +8,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from tyro.conf import arg
 
+from smooth_operator.retargeters.default import DEFAULT_METHOD
+
 HandSide: TypeAlias = Literal["right", "left"]
 # Spelt out again: the module that owns it imports JAX, and `--help` needs none.
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
@@ -28,13 +30,14 @@ class Retargeting:
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Robot hand, by its catalogue name."""
 
-    method: Annotated[str, arg(metavar="NAME")] = "sbr"
-    """Retargeting method: sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
+    method: Annotated[str, arg(metavar="NAME")] = DEFAULT_METHOD
+    """Retargeting method: smooth, sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method: for sbr realtime (used if left out), paper or, for recordings, offline;
-    for keyvector default, vector, position or slsqp; for hybrid, dexpilot and ako default or slsqp;
-    for geort the file of a model that you trained; for any of them the preset.toml of a tuning."""
+    """Preset of the method: for smooth teleop or, for recordings, offline; for sbr realtime, paper
+    or offline; for keyvector default, vector, position or slsqp; for hybrid, dexpilot and ako
+    default or slsqp; for geort the file of a model that you trained; for any of them the
+    preset.toml of a tuning. The first one if left out."""
 
     seed: int = 0
     """Of all random numbers: the same seed and frames give the same commands."""

@@ -30,7 +30,7 @@ Examples:
     """Which hand; right, or as the spec file says, if left out."""
 
     quick: bool = False
-    """Take the round trip through sbr only, not through every method."""
+    """Take the round trip through sbr and smooth only, not through every method."""
 
     poses: int = 20
     """Poses of each round trip."""

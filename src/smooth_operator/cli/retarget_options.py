@@ -30,7 +30,7 @@ asked for can't be, 130 stopped.
 Examples:
   smooth-operator retarget glove.npz --output out.npz
   smooth-operator retarget landmarks.npy --rate 60 --side left --output out.npz
-  smooth-operator retarget glove.npz --frames :500 --preset paper --json --output out.npz
+  smooth-operator retarget glove.npz --method sbr --preset paper --json --output out.npz
   smooth-operator retarget recordings/ --workers 8 --output commands/
   smooth-operator retarget /nfs/recordings --cluster auto --output /nfs/commands
 """

@@ -10,6 +10,7 @@ from tyro.conf import arg
 
 from smooth_operator.cli.common_options import Common, Page
 from smooth_operator.components import describe_components
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.runtime.settings import LimitsConfig, SafetyConfig
 from smooth_operator.sinks.catalogue import SINKS
 from smooth_operator.sources.catalogue import SOURCES
@@ -65,8 +66,8 @@ Examples:
     side: Literal["right", "left", "both"] = "right"
     """Which hand; both drives two robots from the operator's two."""
 
-    method: Annotated[str, arg(metavar="NAME")] = "sbr"
-    """Retargeting method: sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
+    method: Annotated[str, arg(metavar="NAME")] = DEFAULT_METHOD
+    """Retargeting method: smooth, sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
     """Preset of the method; its default if left out."""

@@ -33,7 +33,7 @@ Examples:
       --vary velocity_weight=0.02:0.5:log --held-out judge.npz --output out
   smooth-operator tune sbr train.npz synthetic:7@1mm --vary w_thumb=1:4 --weight flatness=2
       --at-least cosine_similarity=0.99 --trials 200 --output out
-  smooth-operator retarget glove.npz --preset out/preset.toml --output commands.npz
+  smooth-operator retarget glove.npz --method sbr --preset out/preset.toml --output out.npz
 """
 
     method: Annotated[Positional[str], arg(metavar="METHOD")]

@@ -8,7 +8,8 @@ two points and a radius, so its distance from another is cheap, and differentiab
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -21,8 +22,14 @@ from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.membership import own_joints
 
 _POSES = 4000
+_MANY = 2000
+"""With more candidates than this, a quarter of the poses has to do."""
 _SLACK = 0.004
 """Pairs that come no nearer than this in any of the random poses are left out [m]."""
+MOST: Final = 128
+"""Pairs that are kept; each costs time in every frame, and more of it in compiling. The built-in
+hands have 22 to 111; a vendor's model with ten boxes to a link comes to ten thousand."""
+_ROUNDING = 1e-5  # of distances [m]
 _TINY = 1e-12  # [m^2]
 _PARALLEL = 1e-3  # squared sine of an angle that counts as none
 
@@ -67,7 +74,11 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     """The pairs that count as self-collision, but for those that no pose brings together.
 
     They are the pairs of :func:`smooth_operator.hands.collision.penetration_depths`: of two
-    fingers, or a finger and the palm, not joined, and not touching in the neutral pose.
+    fingers, or a finger and the palm, not joined, and not touching in the neutral pose. Of more
+    than :data:`MOST` those are kept that are the nearest of their two links in most random poses,
+    and of any two links that meet one at least, as long as there is room. A mesh is one capsule
+    about as thick as it; where that reaches into another part in the neutral pose, though the mesh
+    does not, the pair is left out.
 
     Args:
         hand: the robot hand.
@@ -75,8 +86,9 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     Returns:
         the pairs; none for a hand without shapes.
     """
-    capsules = [c for g in range(hand.model.ngeom) for c in _capsules(hand.model, g)]
     counts = colliding_shapes(hand)
+    shapes = np.flatnonzero(counts.any(axis=1))  # not those of an arm, or of a second hand
+    capsules = [_on_palm(c, hand) for g in shapes for c in _capsules(hand.model, int(g))]
     some = [
         (i, j)
         for i, one in enumerate(capsules)
@@ -85,7 +97,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     ]
     pairs = np.array(some, int).reshape(-1, 2)
     if len(pairs):
-        pairs = pairs[_nearest(hand, capsules, pairs) < _SLACK]
+        pairs = pairs[_meeting(hand, capsules, pairs)]
     used = sorted({int(c) for c in pairs.ravel()})
     kept = [capsules[c] for c in used]
     at = {c: i for i, c in enumerate(used)}
@@ -124,21 +136,70 @@ def segment_parameters(
     return s, t
 
 
-def _nearest(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarray:
-    """(P,) smallest clearance over random poses [m]."""
+def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
+    """The same, carried by the palm, if its own body is what the palm is fixed to: a forearm
+    without a wrist joint, whose shapes count, but which does not hang from the palm."""
+    model = hand.model
+    palm, body = model.body(hand.spec.palm).id, capsule.body
+    while body not in (0, palm):
+        body = int(model.body_parentid[body])
+    if body == palm:
+        return capsule
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turn, at = data.xmat.reshape(-1, 3, 3), data.xpos
+    world = capsule.ends @ turn[capsule.body].T + at[capsule.body]
+    return replace(capsule, body=palm, ends=(world - at[palm]) @ turn[palm])
+
+
+def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarray:
+    """Indices of the pairs that random poses bring together, :data:`MOST` at most, in order."""
     low, high = hand.limits.T
-    q = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+    poses = _POSES if len(pairs) <= _MANY else _POSES // 4
+    q = np.random.default_rng(0).uniform(low, high, (poses, len(low)))
+    q = np.concatenate([hand.neutral[None], q])
     tree = _tree(hand, capsules)
     points = np.asarray(tree.positions(hand.expand(q)))
     ends = points[:, [tree.names.index(name) for name in _names(capsules)]]
-    out = np.full(len(pairs), np.inf)
-    for p, (i, j) in enumerate(pairs):
-        one, other = ((ends[:, 2 * c], ends[:, 2 * c + 1]) for c in (i, j))
-        s, t = segment_parameters(one, other)
-        apart = (
-            one[0] + s[:, None] * (one[1] - one[0]) - other[0] - t[:, None] * (other[1] - other[0])
-        )
-        out[p] = np.linalg.norm(apart, axis=-1).min() - capsules[i].radius - capsules[j].radius
+    ends = ends.reshape(len(q), len(capsules), 2, 3)
+    middles = ends.mean(axis=2)
+    radii = np.array([capsule.radius for capsule in capsules])
+    parts = np.array([hand.model.body_weldid[capsule.body] for capsule in capsules], int)
+    links = np.sort(parts[pairs], axis=1)  # of each pair
+    found: list[tuple[int, int, int]] = []  # rank within its links, minus how often, which
+    for two in np.unique(links, axis=0):
+        these = np.flatnonzero((links == two).all(axis=1))
+        clear = _clearances(ends, middles, radii, pairs[these])
+        # what does not touch in the neutral pose, while its capsules do: they are not that shape's
+        clear = np.where(clear[0] < -_ROUNDING, np.inf, clear[1:])
+        meet = clear.min(axis=0) < _SLACK
+        first = clear.argmin(axis=1)[clear.min(axis=1) < _SLACK]
+        often = np.bincount(first, minlength=len(these))
+        order = [k for k in np.argsort(-often, kind="stable") if meet[k]]
+        found += [(rank, -int(often[k]), int(these[k])) for rank, k in enumerate(order)]
+    return np.array(sorted(which for *_, which in sorted(found)[:MOST]), int)
+
+
+def _clearances(
+    ends: Float[np.ndarray, "n C 2 3"],
+    middles: Float[np.ndarray, "n C 3"],
+    radii: Float[np.ndarray, " C"],
+    pairs: Int[np.ndarray, "P 2"],
+) -> Float[np.ndarray, "n P"]:
+    """What is between the capsules of each pair in each pose [m]; infinite where that is more than
+    the slack for certain, by the spheres around them."""
+    one, other = pairs.T
+    halves = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
+    reach = radii[one] + radii[other]
+    apart = np.linalg.norm(middles[:, one] - middles[:, other], axis=-1)
+    pose, pair = np.nonzero(apart - halves[one] - halves[other] - reach < _SLACK)
+    a, b = ends[pose, one[pair]], ends[pose, other[pair]]
+    s, t = segment_parameters((a[:, 0], a[:, 1]), (b[:, 0], b[:, 1]))
+    between = (
+        a[:, 0] + s[:, None] * (a[:, 1] - a[:, 0]) - b[:, 0] - t[:, None] * (b[:, 1] - b[:, 0])
+    )
+    out = np.full(apart.shape, np.inf)
+    out[pose, pair] = np.linalg.norm(between, axis=-1) - reach[pair]
     return out
 
 

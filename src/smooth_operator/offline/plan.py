@@ -15,6 +15,7 @@ from smooth_operator.human.alignment import calibrate_scale
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.offline.environment import environment
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.operated import aligned_by, operated_by
 from smooth_operator.retargeters.presets import PRESETS, method_config
@@ -61,7 +62,7 @@ class Request:
 def request(
     *,
     hand: str = "mimic_p050",
-    method: str = "sbr",
+    method: str = DEFAULT_METHOD,
     preset: str | None = None,
     seed: int = 0,
     scale: Scale | None = None,

@@ -12,7 +12,7 @@
     [made]                       # optional: how it was found, for a person
     by = "smooth-operator tune"
 
-The file stands wherever the name of a preset does: ``--preset mine.toml``.
+The file stands wherever the name of a preset does: ``--method sbr --preset mine.toml``.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.objective.key_objectives import AkoTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, TipTargets
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.descent import DescentConfig
 from smooth_operator.retargeters.geort import GeortConfig
 from smooth_operator.retargeters.joint_angle import JointAngleConfig
@@ -164,7 +165,7 @@ def default_preset(method: str) -> str:
     return next(iter(PRESETS[method]))
 
 
-def method_config(method: str = "sbr", preset: str | None = None) -> MethodConfig:
+def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
     """Configuration of a method by preset name; None gives the method's default preset.
 
     For a method with a trained model (geort), the file of one may stand for the preset; for any
@@ -184,14 +185,25 @@ def method_config(method: str = "sbr", preset: str | None = None) -> MethodConfi
         usual = presets[default]
         if isinstance(usual, GeortConfig) and Path(preset).is_file():
             return replace(usual, model=Path(preset))
-        raise UnknownNameError(f"preset of method {method!r}:", preset, presets)
+        raise UnknownNameError(f"preset of method {method!r}:", preset, presets, _elsewhere(preset))
     return presets[preset]
+
+
+def _elsewhere(preset: str) -> str:
+    """Whose preset it is, if not that of the method: who names none gets the default one."""
+    owners = [method for method, presets in PRESETS.items() if preset in presets]
+    return (
+        f"{preset!r} is a preset of {', '.join(owners)}: choose that method too." if owners else ""
+    )
 
 
 def _from_file(method: str, path: Path) -> MethodConfig:
     file = read_preset_file(path)
     if file.method != method:
-        raise ConfigError(f"{path} is a preset of method {file.method!r}, not of {method!r}")
+        raise ConfigError(
+            f"{path} is a preset of method {file.method!r}, not of {method!r}: choose that method "
+            "too"
+        )
     if file.base.endswith(SUFFIX):
         raise ConfigError(f"{path}: its base must be the name of a preset, not {file.base!r}")
     return with_settings(method_config(method, file.base), file.settings)

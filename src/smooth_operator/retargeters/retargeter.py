@@ -16,6 +16,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
 from smooth_operator.retargeters.presets import method_config
 from smooth_operator.retargeters.program import RetargetState as RetargetState
@@ -68,7 +69,7 @@ class Retargeter:
         hand: str | Path | HandSpec | Hand = "mimic_p050",
         *,
         side: str | None = None,
-        method: str = "sbr",
+        method: str = DEFAULT_METHOD,
         preset: str | None = None,
         config: MethodConfig | None = None,
         seed: int = 0,

@@ -25,6 +25,12 @@ from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
 from smooth_operator.retargeters.program import Program, frame_program
 
 _KEPT: Final = 16
+_SHAPES: Final = (
+    "body_parentid", "body_pos", "body_quat", "geom_bodyid", "geom_type", "geom_size", "geom_pos",
+    "geom_quat", "geom_aabb", "geom_margin", "geom_contype", "geom_conaffinity", "mesh_vert",
+    "exclude_signature",
+)  # fmt: skip
+"""Arrays of a model that say which of its parts can meet, and where."""
 _known: OrderedDict[tuple[str, MethodConfig], SharedProgram] = OrderedDict()
 _lock = threading.Lock()
 
@@ -92,6 +98,8 @@ def fingerprint(hand: Hand) -> str:
         *(j.rotation for j in tree.joints),
         *(j.translation for j in tree.joints),
         *(point.position for point in tree.keypoints.values()),
+        # two hands that move alike may be of other shapes, and keep clear of themselves otherwise
+        *(getattr(hand.model, name) for name in _SHAPES),
     ]
     digest.update(repr(parts).encode())
     for array in arrays:

@@ -8,6 +8,7 @@ from typing import Any, Final
 import viser
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.types import Side
 from smooth_operator.ui.callbacks import asked
 from smooth_operator.ui.live import words
@@ -110,8 +111,9 @@ class LivePanel:
 
     def _build_method(self, gui: viser.GuiApi, download: Callable[[], None]) -> None:
         do = self._link.do
-        self._method = gui.add_dropdown("Method", ("sbr",))
-        self._preset = gui.add_dropdown("Preset", ("realtime",))
+        # until the loop says what it runs
+        self._method = gui.add_dropdown("Method", (DEFAULT_METHOD,))
+        self._preset = gui.add_dropdown("Preset", ("default",))
         save = gui.add_button(
             "Save configuration", color="gray", icon=viser.Icon.DOWNLOAD, hint="as JSON"
         )
