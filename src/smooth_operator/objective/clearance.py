@@ -24,8 +24,8 @@ class ClearanceConfig:
         margin: distance from which a pair counts [m]. Negative lets soft parts sink in.
     """
 
-    weight: float = 6000.0
-    margin: float = -0.0016
+    weight: float = 5000.0
+    margin: float = -0.0011
 
     def __post_init__(self) -> None:
         if isinstance(self.weight, float) and self.weight < 0:

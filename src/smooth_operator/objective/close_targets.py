@@ -32,14 +32,14 @@ class CloseTargets:
             g becomes (g^4 + apart^4)^(1/4); 0 leaves them the human's [m].
     """
 
-    w_wrist: float = 0.3
-    w_thumb: float = 10.0
+    w_wrist: float = 0.9
+    w_thumb: float = 22.0
     w_between: float = 1.0
-    focus: float = 1.25
+    focus: float = 0.4
     focus_between: float = 1.6
     at: float = 0.06
     floor: float = 0.01
-    apart: float = 0.003
+    apart: float = 0.0035
 
     def __post_init__(self) -> None:
         if (

@@ -35,9 +35,9 @@ class PolarConfig:
         near: length at which that weight is halved; it falls with the fourth power [m].
     """
 
-    direction: float = 0.3
-    length: float = 200.0
-    near: float = 0.01
+    direction: float = 1.3
+    length: float = 600.0
+    near: float = 0.015
 
     def __post_init__(self) -> None:
         for name in ("direction", "length"):

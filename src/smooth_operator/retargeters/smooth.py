@@ -72,14 +72,14 @@ class SmoothConfig:
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
         default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(), pose_weight=0.02, velocity_weight=0.16
+            targets=CloseTargets(), pose_weight=0.028, velocity_weight=0.28
         )
     )
-    motion_weight: float = 250.0
-    motion_speed: float = 0.4
+    motion_weight: float = 1200.0
+    motion_speed: float = 0.1
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
     polar: PolarConfig = field(default_factory=PolarConfig)
-    landmarks: PursuitConfig = field(default_factory=lambda: PursuitConfig(lag=0.15, leap=0.08))
+    landmarks: PursuitConfig = field(default_factory=lambda: PursuitConfig(lag=0.175, leap=0.1))
     joint_speed: float = 26.0
     sampling: SamplingConfig = field(
         default_factory=lambda: SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi")
