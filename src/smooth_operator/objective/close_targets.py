@@ -32,7 +32,7 @@ class CloseTargets:
             g becomes (g^4 + apart^4)^(1/4); 0 leaves them the human's [m].
     """
 
-    w_wrist: float = 0.9
+    w_wrist: float = 1.0
     w_thumb: float = 22.0
     w_between: float = 1.0
     focus: float = 0.4

@@ -87,7 +87,9 @@ class SmoothConfig:
     settle_rounds: int = 10
     settle_sigma: float = 0.4
     polish: NewtonConfig = field(
-        default_factory=lambda: NewtonConfig(iterations=6, damping=(0.0, 1.0, 30.0, 1000.0))
+        default_factory=lambda: NewtonConfig(
+            iterations=6, damping=(0.0, 1.0, 30.0, 1000.0, 30000.0)
+        )
     )
     rate_hz: float = 100.0
     gap: float = 0.25
