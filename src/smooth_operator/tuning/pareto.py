@@ -209,6 +209,11 @@ def _draw(ax: Axes, panel: TradeOff, colors: Mapping[str, str]) -> None:
             ax.scatter(
                 [x], [y], marker=marker, s=size, color=color, linewidths=0, zorder=3, label=label
             )
+    if not ax.collections:
+        ax.set_title(panel.title, loc="left", fontsize=9)
+        ax.text(0.5, 0.5, f"no {panel.x.label} here", ha="center", transform=ax.transAxes)
+        ax.set_axis_off()
+        return
     for axis, scale in ((panel.x, ax.set_xscale), (panel.y, ax.set_yscale)):
         if axis.log:
             scale("log")
