@@ -358,6 +358,29 @@ def test_nobody_reading_is_no_error() -> None:
     assert done.stderr == b""
 
 
+LEFT = """
+import atexit, sys, threading, time
+from smooth_operator.cli import app
+atexit.register(lambda: print("tidied up"))
+def done() -> int:
+    threading.Thread(target=time.sleep, args=(600,), daemon=True).start()  # does not answer
+    threading.Thread(target=lambda: (time.sleep(0.3), print("written"))).start()
+    print("done")
+    return 130
+app.main = done
+sys.exit(app.program())
+"""
+
+
+def test_a_thread_that_does_not_answer_spoils_no_ending() -> None:
+    """What is to be written is, though the interpreter is not torn down around such a thread."""
+    ended = subprocess.run(
+        [sys.executable, "-c", LEFT], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (130, "")
+    assert ended.stdout.split("\n") == ["done", "written", "tidied up", ""]
+
+
 def test_view_finds_the_frames_and_refuses_another_recording(
     run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

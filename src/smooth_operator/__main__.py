@@ -2,7 +2,7 @@
 
 import sys
 
-from smooth_operator.cli import main
+from smooth_operator.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

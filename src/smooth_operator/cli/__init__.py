@@ -4,3 +4,4 @@ What is heavy (JAX, MuJoCo, matplotlib, viser) is imported inside the command th
 """
 
 from smooth_operator.cli.app import main as main
+from smooth_operator.cli.app import program as program

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import atexit
 import contextlib
 import io
 import os
@@ -40,6 +41,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     _never_fail_on_a_character()
     with _no_interrupt_lost():
         return _run(arguments)
+
+
+def program() -> int:
+    """The process of a command: :func:`main`, and an end that no thread can spoil.
+
+    A daemon thread that is still within compiled code (a driver that does not answer, a library)
+    asks for the interpreter while that ends, and is unwound through frames that do not expect it:
+    the process aborts, though its work is done. So where one is left, nothing is torn down.
+    """
+    status = main()
+    left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
+    if not any(thread.daemon for thread in left):
+        return status
+    for thread in left:
+        if not thread.daemon:
+            thread.join()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    os._exit(status)
 
 
 def _run(arguments: list[str]) -> int:
