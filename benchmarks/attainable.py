@@ -43,6 +43,7 @@ import numpy as np
 import tyro
 from attained import BINS, Sampled, Sums, draw, sample, spread, sums_of
 from attaining import TOLERANCE, Attained, Frames, attain
+from judge import FILES, GLOVE
 from posing import Aim
 from report import RESULTS, BenchmarkError, Report
 
@@ -54,11 +55,8 @@ from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.parallel import run_tasks
 
-GLOVE = "manus_right_subject-000_run-010.npz"
-FILES = (
-    f"{GLOVE}@0:500", f"{GLOVE}@2600:3100", "human_alex_21x3.npy@30hz",
-    "wilor_test_long_21x3.npz@30hz",
-)  # fmt: skip
+NAMES = tuple(name for name in FILES if name != GLOVE)
+"""Of the judge's recordings all but the whole glove, whose windows are among them."""
 OPERATOR = "synthetic:11"
 CHUNK = 14
 """Frames of a task: they try each other's answers, and a core is never long at one task."""
@@ -155,7 +153,7 @@ def main(settings: Settings) -> None:
 def sources_of(settings: Settings) -> list[Source]:
     words = list(settings.recordings)
     if settings.data is not None:
-        words += [str(settings.data / name) for name in FILES]
+        words += [str(settings.data / name) for name in NAMES]
     if settings.data is not None or not words:
         words.append(OPERATOR)
     sources = load_sources([parse_request(word) for word in words])

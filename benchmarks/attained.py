@@ -22,6 +22,7 @@ from smooth_operator.metrics import accuracy, summary
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.metrics.trace import keyvectors
+from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.offline import Plan, execute
 from smooth_operator.types import Side
 
@@ -60,8 +61,7 @@ class Sampled:
 
     @property
     def thumb(self) -> slice:
-        count = len(self.hand.fingers)
-        return slice(count, 2 * count - 1)
+        return KeyvectorLayout(self.hand.fingers).thumb
 
     @property
     def pinching(self) -> Bool[np.ndarray, " T"]:

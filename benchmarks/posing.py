@@ -16,7 +16,7 @@ import nlopt
 import numpy as np
 from jaxtyping import Array, Float
 
-from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
@@ -24,6 +24,7 @@ from smooth_operator.metrics.accuracy import PINCH_DISTANCE, cosines
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.solvers.slsqp import LINE_SEARCH_FAILED
 
 Aim: TypeAlias = Literal["thumb", "all"]
 """Which mean cosine is brought as high as it goes: of the thumb's keyvectors, or of all."""
@@ -39,8 +40,6 @@ BLOCK = 256
 STEPS = 200
 MARGIN = 2e-5
 """How far inside the limits the search aims, so that its end is within them [m]."""
-_STOPS = (RuntimeError, nlopt.RoundoffLimited, getattr(nlopt, "runtime_error", RuntimeError))
-"""What NLopt raises where float32 allows no step; which it is depends on its version."""
 EVALUATIONS = 60
 FTOL = 1e-6
 
@@ -200,10 +199,7 @@ class Search:
         """How deep each pair is in each other [m], its direction, the shares that are nearest."""
         first, second = self.pairs.pairs.T
         one, other = ((ends[2 * c], ends[2 * c + 1]) for c in (first, second))
-        s, t = segment_parameters(one, other)
-        apart = (
-            one[0] + s[:, None] * (one[1] - one[0]) - other[0] - t[:, None] * (other[1] - other[0])
-        )
+        apart, s, t = segments_apart(one, other)
         distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
         reach = jnp.asarray(self.pairs.reach, ends.dtype)
         return reach - distance, -apart / distance[:, None], (s, t)
@@ -311,7 +307,7 @@ class Search:
         wide = 1e3 * over[len(self.pairs.pairs) :].max(initial=0.0)
         try:
             end = solver.optimize(np.append(start, wide))[:count]
-        except _STOPS:
+        except LINE_SEARCH_FAILED:
             end = best
         return np.asarray(np.clip(end if np.isfinite(end).all() else best, self.low, self.high))
 

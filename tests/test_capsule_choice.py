@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capsule_depths import depths, ends_of
 
-from smooth_operator.hands.capsules import MOST, CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.capsules import MOST, CapsulePairs, capsule_pairs
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
@@ -47,14 +48,9 @@ def poses_of(hand: Hand, count: int) -> np.ndarray:
     return np.random.default_rng(7).uniform(*hand.limits.T, (count, len(hand.limits)))
 
 
-def depths(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
+def deepest(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
     """(T,) depth of the deepest pair [m]."""
-    points = np.asarray(pairs.tree.positions(hand.expand(q)))
-    ends = points[:, [pairs.tree.names.index(name) for name in pairs.names]]
-    one, other = ((ends[:, 2 * c], ends[:, 2 * c + 1]) for c in pairs.pairs.T)
-    s, t = (share[..., None] for share in segment_parameters(one, other))
-    apart = one[0] + s * (one[1] - one[0]) - other[0] - t * (other[1] - other[0])
-    return np.asarray((pairs.reach - np.linalg.norm(apart, axis=-1)).max(axis=-1))
+    return np.asarray(depths(pairs, ends_of(pairs, hand, q)).max(axis=-1))
 
 
 def links(pairs: CapsulePairs, hand: Hand) -> set[frozenset[int]]:
@@ -71,7 +67,7 @@ def test_no_pair_is_left_out_that_meets_while_there_is_room(whole: Hand) -> None
     assert true is not None
     deep = true > 0.004
     assert deep.mean() > 0.1
-    assert (depths(pairs, whole, q)[deep] > 0).mean() > 0.99
+    assert (deepest(pairs, whole, q)[deep] > 0).mean() > 0.99
 
 
 def test_of_too_many_pairs_those_are_kept_that_meet_most(whole: Hand, in_pieces: Hand) -> None:
@@ -85,7 +81,7 @@ def test_of_too_many_pairs_those_are_kept_that_meet_most(whole: Hand, in_pieces:
     true = penetration_depths(in_pieces, in_pieces.expand(q))
     assert true is not None
     deep = true > 0.004
-    assert (depths(pairs, in_pieces, q)[deep] > 0).mean() > 0.9
+    assert (deepest(pairs, in_pieces, q)[deep] > 0).mean() > 0.9
 
 
 def test_hands_that_move_alike_but_are_of_other_shapes_share_no_program(
@@ -129,7 +125,7 @@ def test_a_forearm_without_a_wrist_counts_though_it_does_not_hang_from_the_palm(
         hand = load_hand_spec(replace(whole.spec, model=path))
         pairs = capsule_pairs(hand)
         q = poses_of(hand, 200)
-        found[name] = depths(pairs, hand, q)
+        found[name] = deepest(pairs, hand, q)
         assert len(pairs.pairs) > len(capsule_pairs(whole).pairs)
     np.testing.assert_allclose(found["forearm"], found["palm"], atol=1e-9)
 
@@ -153,5 +149,5 @@ def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole: Hand, tmp_
     deep = penetration_depths(hand, neutral)
     assert deep is not None
     assert deep.max() == 0.0  # of pairs that count, the shapes themselves touch nowhere
-    assert depths(pairs, hand, hand.neutral[None]).max() < 1e-4
+    assert deepest(pairs, hand, hand.neutral[None]).max() < 1e-4
     assert len(links(capsule_pairs(whole), whole) - links(pairs, hand)) >= 1  # that was left out

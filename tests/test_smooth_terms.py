@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from capsule_depths import depths, ends_of
 from trees import float64, limited_poses
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.capsules import capsule_pairs, segment_parameters
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
@@ -28,20 +29,6 @@ from smooth_operator.solvers.newton import NewtonConfig
 
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
 NOT_HELD = PolarConfig(direction=0.0, length=0.0)
-
-
-def ends_of(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
-    """(..., 2 C, 3) ends of the capsules at poses of the actuated joints."""
-    points = np.asarray(pairs.tree.positions(hand.expand(q)))
-    return points[..., [pairs.tree.names.index(name) for name in pairs.names], :]
-
-
-def depths(pairs: CapsulePairs, ends: np.ndarray) -> np.ndarray:
-    """(..., P) depth of each pair [m]."""
-    one, other = ((ends[..., 2 * c, :], ends[..., 2 * c + 1, :]) for c in pairs.pairs.T)
-    s, t = (share[..., None] for share in segment_parameters(one, other))
-    apart = one[0] + s * (one[1] - one[0]) - other[0] - t * (other[1] - other[0])
-    return pairs.reach - np.linalg.norm(apart, axis=-1)
 
 
 # Capsules

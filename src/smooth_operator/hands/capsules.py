@@ -136,6 +136,27 @@ def segment_parameters(
     return s, t
 
 
+def segments_apart(
+    first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
+) -> tuple[AnyKind, AnyKind, AnyKind]:
+    """What lies between two line segments where they are nearest to each other.
+
+    Args:
+        first, second: (..., 3) ends of a segment; NumPy or JAX.
+
+    Returns:
+        (..., 3) from the second to the first, and the (...) shares of :func:`segment_parameters`.
+    """
+    s, t = segment_parameters(first, second)
+    apart = (
+        first[0]
+        + s[..., None] * (first[1] - first[0])
+        - second[0]
+        - t[..., None] * (second[1] - second[0])
+    )
+    return apart, s, t
+
+
 def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
     """The same, carried by the palm, if its own body is what the palm is fixed to: a forearm
     without a wrist joint, whose shapes count, but which does not hang from the palm."""
@@ -194,10 +215,7 @@ def _clearances(
     apart = np.linalg.norm(middles[:, one] - middles[:, other], axis=-1)
     pose, pair = np.nonzero(apart - halves[one] - halves[other] - reach < _SLACK)
     a, b = ends[pose, one[pair]], ends[pose, other[pair]]
-    s, t = segment_parameters((a[:, 0], a[:, 1]), (b[:, 0], b[:, 1]))
-    between = (
-        a[:, 0] + s[:, None] * (a[:, 1] - a[:, 0]) - b[:, 0] - t[:, None] * (b[:, 1] - b[:, 0])
-    )
+    between, _, _ = segments_apart((a[:, 0], a[:, 1]), (b[:, 0], b[:, 1]))
     out = np.full(apart.shape, np.inf)
     out[pose, pair] = np.linalg.norm(between, axis=-1) - reach[pair]
     return out

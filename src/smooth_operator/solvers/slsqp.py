@@ -25,7 +25,7 @@ Stop: TypeAlias = Literal["tolerance", "optimality", "evaluations", "time", "rou
 """Why SLSQP stopped."""
 
 
-_FAILED: Final = (
+LINE_SEARCH_FAILED: Final = (
     nlopt.RoundoffLimited,
     RuntimeError,
     getattr(nlopt, "runtime_error", RuntimeError),
@@ -137,7 +137,7 @@ def slsqp_minimise(
         solver.optimize(best.copy())
     except nlopt.ForcedStop:
         pass  # it was said why
-    except _FAILED:
+    except LINE_SEARCH_FAILED:
         stopped_by = "rounding"
     else:
         code = solver.last_optimize_result()
