@@ -26,6 +26,7 @@ from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.sources import SyntheticOperator
 from smooth_operator.types import HandRecording, Side, Status
 
+TINY = ("--method", "sbr", "--preset", "tiny")
 TOP_KEYS = {metric.name.split(".")[0] for metric in METRICS}
 
 Run = Callable[..., tuple[int, str, str]]
@@ -65,17 +66,7 @@ def save(path: Path, hand: HandRecording) -> Path:
 
 def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "demo"
-    options = (
-        "--no-view",
-        "--method",
-        "sbr",
-        "--preset",
-        "tiny",
-        "--landmark-loss",
-        0.05,
-        "--duration",
-        0.5,
-    )
+    options = ("--no-view", *TINY, "--landmark-loss", 0.05, "--duration", 0.5)
     status, out, err = run("demo", "--output", folder, *options)
     assert status == 0, err
     assert "retargeting" in err
@@ -119,18 +110,7 @@ def test_demo_writes_a_consistent_folder(run: Run, tmp_path: Path) -> None:
 
 def test_retarget_is_the_library_and_repeats_itself(run: Run, glove: Path, tmp_path: Path) -> None:
     once, again = tmp_path / "once.npz", tmp_path / "deep" / "er" / "again.npz"
-    arguments = (
-        "retarget",
-        glove,
-        "--method",
-        "sbr",
-        "--preset",
-        "tiny",
-        "--frames",
-        "5:20",
-        "--seed",
-        4,
-    )
+    arguments = ("retarget", glove, *TINY, "--frames", "5:20", "--seed", 4)
     status, out, err = run(*arguments, "--output", once, "--json")
     assert status == 0, err
     metrics = json.loads(out)  # one object and nothing else
@@ -161,18 +141,7 @@ def test_retarget_follows_the_recordings_side_and_the_scale_asked_for(
 ) -> None:
     left = save(tmp_path / "left.npz", recording("left", 8))
     out = tmp_path / "out.npz"
-    status, _, err = run(
-        "retarget",
-        left,
-        "--method",
-        "sbr",
-        "--preset",
-        "tiny",
-        "--output",
-        out,
-        "--scale",
-        "calibrate",
-    )
+    status, _, err = run("retarget", left, *TINY, "--output", out, "--scale", "calibrate")
     assert status == 0, err
     config = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
     assert config["side"] == "left"
@@ -183,17 +152,7 @@ def test_an_array_without_a_side_is_taken_for_a_right_hand_and_a_note_says_so(
     run: Run, tmp_path: Path
 ) -> None:
     np.save(tmp_path / "plain.npy", recording(frames=5).landmarks)
-    arguments = (
-        "--rate",
-        100,
-        "--method",
-        "sbr",
-        "--preset",
-        "tiny",
-        "--output",
-        tmp_path / "out.npz",
-        "--quiet",
-    )
+    arguments = ("--rate", 100, *TINY, "--output", tmp_path / "out.npz", "--quiet")
     status, out, err = run("retarget", tmp_path / "plain.npy", *arguments, "--json")
     assert status == 0
     assert "taken for a right one" in err
@@ -288,18 +247,7 @@ def test_stopping_while_writing_leaves_the_former_result(
     run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out.npz"
-    arguments = (
-        "retarget",
-        glove,
-        "--method",
-        "sbr",
-        "--preset",
-        "tiny",
-        "--frames",
-        ":5",
-        "--output",
-        out,
-    )
+    arguments = ("retarget", glove, *TINY, "--frames", ":5", "--output", out)
     assert run(*arguments)[0] == 0
     before = out.read_bytes()
 
@@ -314,7 +262,7 @@ def test_stopping_while_writing_leaves_the_former_result(
     assert out.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["glove.npz", "out.json", "out.npz"]
 
-    demo = ("demo", "--no-view", "--method", "sbr", "--preset", "tiny", "--duration", 0.1)
+    demo = ("demo", "--no-view", *TINY, "--duration", 0.1)
     assert run(*demo, "--output", tmp_path / "demo")[0] == 130
     assert not (tmp_path / "demo").exists()
 
@@ -385,7 +333,7 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     run: Run, glove: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out.npz"
-    arguments = ("--method", "sbr", "--preset", "tiny", "--frames", "7:19", "--output", out)
+    arguments = (*TINY, "--frames", "7:19", "--output", out)
     assert run("retarget", glove, *arguments)[0] == 0
     pages = []
     monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
@@ -428,17 +376,7 @@ def test_a_damaged_cache_is_emptied_and_other_warnings_pass(tmp_path: Path) -> N
 @pytest.mark.shared
 def test_a_real_recording(run: Run, shared: Path, tmp_path: Path) -> None:
     glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
-    arguments = (
-        "--method",
-        "sbr",
-        "--preset",
-        "tiny",
-        "--frames",
-        "2600:2630",
-        "--definition",
-        "paper",
-        "--json",
-    )
+    arguments = (*TINY, "--frames", "2600:2630", "--definition", "paper", "--json")
     status, out, err = run("retarget", glove, "--output", tmp_path / "out.npz", *arguments)
     assert status == 0, err
     metrics = json.loads(out)

@@ -38,6 +38,7 @@ from smooth_operator.types import HandRecording, Side, Status
 # A small SBR, quick to compile. Of the smallest (32 samples) a scan gives other bits.
 TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
 ASKED = Request("mimic_p050", "sbr", "tiny", TINY, seed=3)
+TINY_SBR = ("--method", "sbr", "--preset", "tiny")
 FRAMES = {"a": 30, "b": 2 * CHUNK + 7, "deep/c": CHUNK, "deep/er/d": 90, "e": 1}
 
 Run = Callable[..., tuple[int, str, str]]
@@ -431,7 +432,7 @@ def test_the_command_retargets_a_folder_and_says_what_failed(
     shutil.copytree(folder, recordings)
     (recordings / "deep" / "[bold]empty.npz").write_bytes(b"")
     np.save(recordings / "norate.npy", hand(8).landmarks)
-    options = (recordings, "--output", output, "--method", "sbr", "--preset", "tiny", "--seed", 3)
+    options = (recordings, "--output", output, *TINY_SBR, "--seed", 3)
     status, out, err = run(*options, "--workers", 2)
     assert status == 1, err
     assert "7/7 recordings" in err
@@ -496,15 +497,7 @@ def test_what_the_command_refuses(run: Run, folder: Path, tmp_path: Path) -> Non
 @pytest.mark.shared
 def test_real_recordings(run: Run, shared: Path, tmp_path: Path) -> None:
     status, out, err = run(
-        *(
-            shared / "recordings",
-            "--output",
-            tmp_path / "out",
-            "--method",
-            "sbr",
-            "--preset",
-            "tiny",
-        ),
+        *(shared / "recordings", "--output", tmp_path / "out", *TINY_SBR),
         *("--rate", 30, "--frames", ":200", "--workers", 0, "--json"),
     )
     summary = json.loads(out)
