@@ -72,14 +72,16 @@ WITHOUT: dict[str, Values] = {
     "velocity term": {"objective.velocity_weight": 0.0},
     "lag": {"landmarks.lag": 0.0},
     "leap": {"landmarks.leap": 1e9},
+    "its growth with noise": {"landmarks.noise": 0.0},
     "price of angles": {"polar.direction": 0.0},
     "price of pinches' lengths": {"polar.length": 0.0},
+    "its kink (squared instead)": {"polar.length": 1000.0, "polar.knee": 0.02},
     "targets apart": {f"{TARGETS}.apart": 0.0},
     "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
 }  # fmt: skip
 """Part -> settings with which it is out of the whole."""
 
-ALWAYS_IN = ("pose term (γ = 0.0005)",)
+ALWAYS_IN = ("pose term (γ = 0.0005)", "its kink (squared instead)")
 """Parts that stay where nothing else is left."""
 
 ALONE: dict[str, tuple[str, ...]] = {
@@ -91,6 +93,7 @@ ALONE: dict[str, tuple[str, ...]] = {
     "velocity term": ("velocity term",),
     "lag": ("lag",),
     "leap": ("leap",),
+    "leap, growing with noise": ("leap", "its growth with noise"),
     "price of angles": ("price of angles",),
     "price of pinches' lengths": ("price of pinches' lengths",),
     "prices of angles and lengths": ("price of angles", "price of pinches' lengths"),
@@ -123,11 +126,12 @@ FRONTS = (
         "Smooth against correlated",
         "lag, leap",
         {  # a leap_speed would make leaps of 0.05 m longer at 30 Hz
-            f"lag {lag:g}, leap {'∞' if leap > 1e3 else f'{leap:g}'}": {
+            f"lag {1e3 * lag:g} ms, leap {'∞' if leap > 1e3 else f'{leap:g}'}": {
                 "landmarks.lag": lag, "landmarks.leap": leap, "landmarks.leap_speed": 0.0,
+                "landmarks.noise": 0.0,
             }
-            for lag, leap in ((0.0, 1e9), (0.05, 0.2), (0.15, 0.2), (0.15, 0.09), (0.15, 0.05),
-                              (0.3, 0.09), (0.3, 0.05), (0.6, 0.09))
+            for lag, leap in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
+                              (1.75e-3, 0.05), (4e-3, 0.1), (4e-3, 0.05), (8e-3, 0.1))
         },
         FLATNESS,
         VELOCITY,
@@ -151,9 +155,12 @@ FRONTS = (
         "Pointing as the human against closing",
         "prices of angle and length",
         {
-            f"direction {d:g}, length {w:g}": {"polar.direction": d, "polar.length": w}
-            for d, w in ((0.0, 0.0), (0.1, 150.0), (0.4, 600.0), (0.4, 50.0), (1.0, 50.0),
-                         (2.0, 0.0))
+            f"direction {d:g}, length {w:g}{', squared' if knee > 0.01 else ''}": {
+                "polar.direction": d, "polar.length": w, "polar.knee": knee,
+            }
+            for d, w, knee in ((0.0, 0.0, 1.2e-3), (0.5, 115.0, 1.2e-3), (1.0, 115.0, 1.2e-3),
+                               (1.5, 200.0, 1.2e-3), (1.5, 50.0, 1.2e-3), (2.0, 0.0, 1.2e-3),
+                               (1.5, 3000.0, 0.02), (1.5, 6000.0, 0.02))
         },
         PINCH,
         THUMB,
@@ -163,7 +170,8 @@ FRONTS = (
 LIKE_ANY_VALUE = frozenset({
     "motion_weight", "clearance.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
     "objective.velocity_weight", "objective.pose_weight", "landmarks.lag",
-    "landmarks.leap_speed", "polar.direction", "polar.length", f"{TARGETS}.apart",
+    "landmarks.leap_speed", "landmarks.noise", "polar.direction", "polar.length",
+    f"{TARGETS}.apart",
 })  # fmt: skip
 """Settings whose 0 needs no program of its own, see ``variants.py``."""
 

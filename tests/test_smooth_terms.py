@@ -17,7 +17,7 @@ from smooth_operator.hands.capsules import capsule_pairs, segment_parameters
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.pursuit import PursuitConfig, pursue
+from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
 from smooth_operator.objective.clearance import ClearanceConfig, crowding
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
@@ -126,7 +126,7 @@ def problem(hand: Hand, seed: int) -> tuple[SmoothObjective, SmoothGoal]:
         ),
         jnp.asarray(rng.uniform(0, 40, len(hand.fingers))),
     )
-    clearance, held = ClearanceConfig(weight=20.0, margin=0.002), PolarConfig(1.5, 30.0, 0.04)
+    clearance, held = ClearanceConfig(weight=20.0, margin=0.002), PolarConfig(1.5, 3.0, 0.002, 0.04)
     return SmoothObjective(objective, clearance, held), goal
 
 
@@ -253,10 +253,15 @@ def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
             cosine = np.cos(1.2) / np.sqrt(1 + 0.25**2 / size**2)
             found = polar_cost(only_direction, size * turned, target)
             assert found == pytest.approx(2.0 * (1 - cosine))
-        only_length = PolarConfig(direction=0.0, length=100.0, near=0.008)
-        size = np.hypot(0.012, 0.002)
-        found = polar_cost(only_length, 1.5 * turned, target)  # wherever it points
-        assert found == pytest.approx(0.5 * 100 / 0.02 * (size - 0.008) ** 2 / 2, rel=1e-4)
+        only_length = PolarConfig(direction=0.0, length=100.0, knee=0.001, near=0.008)
+
+        def priced(off: float) -> float:  # by the metre, but for what is within the knee
+            return 100 / 2 * (np.hypot(off, 0.001) - 0.001)
+
+        for stretch in (1.5, 4.0):
+            size = np.hypot(stretch * 0.008, 0.002)
+            found = polar_cost(only_length, stretch * turned, target)  # wherever it points
+            assert found == pytest.approx(priced(size - 0.008), rel=1e-4)
         far = 10 * target  # of long vectors the length counts for nothing
         assert polar_cost(only_length, 1.1 * far, far) < 1e-3 * polar_cost(
             only_length, 1.1 * target + [0.0, 0.0072, 0.0], target
@@ -264,7 +269,7 @@ def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
 
 
 def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
-    rng, config = np.random.default_rng(0), PolarConfig(0.7, 50.0, 0.02)
+    rng, config = np.random.default_rng(0), PolarConfig(0.7, 5.0, 0.003, 0.02)
     vectors, targets = rng.normal(0, 0.02, (2, 12, 3))
     with float64():
         given, wanted = jnp.asarray(vectors), jnp.asarray(targets)
@@ -279,7 +284,9 @@ def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
         assert np.abs(near - exact).max() < 0.2 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize("bad", [{"direction": -1.0}, {"length": -2.0}, {"near": 0.0}])
+@pytest.mark.parametrize(
+    "bad", [{"direction": -1.0}, {"length": -2.0}, {"knee": 0.0}, {"near": 0.0}]
+)
 def test_prices_of_angle_and_length_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):
         PolarConfig(**bad)
@@ -296,12 +303,16 @@ def test_target_settings_are_checked(bad: dict[str, float]) -> None:
 # Followed points
 
 
+def followed_by(path: np.ndarray, config: PursuitConfig, dt: float = 0.01) -> list[Followed]:
+    followed, out = Followed.nothing(path.shape[1]), []
+    for t, points in enumerate(path):
+        followed, _ = pursue(followed, jnp.asarray(points), dt, config, anew=t == 0)
+        out.append(followed)
+    return out
+
+
 def follow(path: np.ndarray, config: PursuitConfig, dt: float = 0.01) -> np.ndarray:
-    points, out = jnp.asarray(path[0]), []
-    for point in path:
-        points = pursue(points, jnp.asarray(point), dt, config)
-        out.append(np.asarray(points))
-    return np.stack(out)
+    return np.stack([np.asarray(one.points) for one in followed_by(path, config, dt)])
 
 
 def test_an_idle_tracker_passes_points() -> None:
@@ -311,7 +322,7 @@ def test_an_idle_tracker_passes_points() -> None:
 
 def test_steady_motion_is_late_by_the_lag() -> None:
     path = 1e-3 * np.arange(60.0)[:, None, None] * np.ones(3) / np.sqrt(3)  # 1 mm a frame
-    late = np.linalg.norm((path - follow(path, PursuitConfig(lag=0.4)))[-1, 0])
+    late = np.linalg.norm((path - follow(path, PursuitConfig(lag=0.004)))[-1, 0])
     assert late == pytest.approx(0.4e-3, rel=1e-3)
     late = np.linalg.norm((path - follow(path, PursuitConfig(leap=0.1)))[-1, 0])
     assert late < 0.02e-3
@@ -337,7 +348,58 @@ def test_what_a_hand_can_do_in_that_time_is_no_leap() -> None:
     assert follow(path, config, dt=0.2)[1, 0, 0] == pytest.approx(0.08, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["lag", "leap", "leap_speed"])
+def noise_of(path: np.ndarray, time: float = 0.2) -> np.ndarray:
+    config = PursuitConfig(leap=0.05, noise=100.0, noise_time=time)
+    return np.array([float(one.noise) for one in followed_by(path, config)])
+
+
+def test_noise_is_what_most_points_do_and_steady_motion_does_not() -> None:
+    rng = np.random.default_rng(3)
+    steady = 3e-3 * np.arange(300.0)[:, None, None] * np.ones((6, 3))
+    shaken = steady + rng.normal(0, 1e-3, steady.shape)
+    # a second difference of white noise of 1 mm an axis has sqrt(6) mm an axis
+    assert noise_of(shaken)[-100:].mean() == pytest.approx(1e-3 * np.sqrt(6 * 2.37), rel=0.1)
+    assert noise_of(steady)[-1] < 1e-5  # it forgets what it was started with, too
+    flicking = steady.copy()
+    flicking[::3, :2] += 0.02  # two fingers of six
+    assert noise_of(flicking)[-1] < 1e-5
+    leaping = shaken.copy()
+    leaping[150:] += 0.05  # the tracker loses the hand, once
+    assert noise_of(leaping)[160] < 2 * noise_of(shaken)[160]
+
+
+def test_the_leap_grows_with_the_noise() -> None:
+    rng = np.random.default_rng(4)
+    path = np.zeros((200, 6, 3))
+    path[150:] = (0.05, 0.0, 0.0)
+    quiet = path + rng.normal(0, 1e-5, path.shape)
+    noisy = path + rng.normal(0, 1e-3, path.shape)
+    config = PursuitConfig(leap=0.02, noise=50.0, noise_time=0.2)
+
+    def gone(path: np.ndarray) -> float:
+        return float(follow(path, config)[150, :, 0].mean())
+
+    assert gone(quiet) < 0.0205
+    assert gone(noisy) > 0.035
+    quieter = PursuitConfig(leap=0.02, noise_time=0.2)  # without it they are followed alike
+    assert follow(quiet, quieter)[150, :, 0].mean() == pytest.approx(
+        follow(noisy, quieter)[150, :, 0].mean(), rel=0.1
+    )
+
+
+def test_after_a_gap_points_are_taken_as_they_are_and_the_noise_stays() -> None:
+    rng = np.random.default_rng(5)
+    config = PursuitConfig(lag=0.003, leap=0.02, noise=50.0)
+    before = followed_by(rng.normal(0, 1e-3, (50, 6, 3)), config)[-1]
+    elsewhere = jnp.full((6, 3), 0.3)
+    after, step = pursue(before, elsewhere, 0.01, config, anew=True)
+    np.testing.assert_array_equal(after.points, elsewhere)
+    assert not np.asarray(step).any()
+    assert not np.asarray(after.step).any()
+    assert float(after.root) == float(before.root)
+
+
+@pytest.mark.parametrize("name", ["lag", "leap", "leap_speed", "noise", "noise_time"])
 def test_tracker_settings_are_checked(name: str) -> None:
     with pytest.raises(ConfigError, match=name):
         PursuitConfig(**{name: -1.0})

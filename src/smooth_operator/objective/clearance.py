@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,9 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import CapsulePairs, segment_parameters
-from smooth_operator.objective.polar import TRANSITION
+
+TRANSITION: Final = 0.02
+"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,8 @@ class ClearanceConfig:
         margin: distance from which a pair counts [m]. Negative lets soft parts sink in.
     """
 
-    weight: float = 5000.0
-    margin: float = -0.0011
+    weight: float = 7000.0
+    margin: float = -0.00125
 
     def __post_init__(self) -> None:
         if isinstance(self.weight, float) and self.weight < 0:

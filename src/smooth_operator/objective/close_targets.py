@@ -33,9 +33,9 @@ class CloseTargets:
     """
 
     w_wrist: float = 1.0
-    w_thumb: float = 22.0
+    w_thumb: float = 20.0
     w_between: float = 1.0
-    focus: float = 0.4
+    focus: float = 0.5
     focus_between: float = 1.6
     at: float = 0.06
     floor: float = 0.01

@@ -16,8 +16,6 @@ from jaxtyping import Array, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.pursuit import is_off
 
-TRANSITION: Final = 0.02
-"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
 _SHORT: Final = 0.002
 """Length by which a vector is rounded, for one of length 0 points nowhere [m]."""
 _LEAST: Final = 0.25
@@ -28,24 +26,31 @@ _LEAST: Final = 0.25
 class PolarConfig:
     """How the robot's thumb-to-tip vectors are held by angle and length.
 
+    Both prices are linear in what is wrong. So where parts that touch allow no more than a sum of
+    the two, it is given up where it buys most, and not shared out over all pinches alike.
+
     Attributes:
         direction: price of one minus the cosine between a vector and the human's; 0 leaves it out.
-        length: weight of the difference in length of short vectors, in the units of a keyvector's
-            weight: the price is weight x d^2 / (2 x 20 mm); 0 leaves it out.
-        near: length at which that weight is halved; it falls with the fourth power [m].
+        length: price of a metre by which the length of a short vector is off; 0 leaves it out.
+        knee: difference in length below which that price is quadratic [m].
+        near: length of the human's at which that price is halved; it falls with the fourth power
+            [m].
     """
 
-    direction: float = 1.3
-    length: float = 600.0
-    near: float = 0.015
+    direction: float = 1.5
+    length: float = 115.0
+    knee: float = 0.0012
+    near: float = 0.0145
 
     def __post_init__(self) -> None:
         for name in ("direction", "length"):
             value = getattr(self, name)
             if isinstance(value, int | float) and not value >= 0:
                 raise ConfigError(f"polar.{name} must not be negative, not {value}")
-        if isinstance(self.near, int | float) and not self.near > 0:
-            raise ConfigError(f"polar.near must be a positive length [m], not {self.near}")
+        for name in ("knee", "near"):
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not value > 0:
+                raise ConfigError(f"polar.{name} must be a positive length [m], not {value}")
 
     @property
     def is_off(self) -> bool:
@@ -82,10 +87,13 @@ def polar(vectors: Float[Array, "P 3"], targets: Float[Array, "P 3"], config: Po
     pull = -(config.direction / size)[:, None] * (goal - cosine[:, None] * unit)
     along = unit[:, :, None] * unit[:, None, :]
     turn = config.direction * jnp.maximum(cosine, _LEAST) / size**2
-    stiff = config.length / TRANSITION / (1 + (wanted / config.near) ** 4)
+    price = config.length / (1 + (wanted / config.near) ** 4)
     longer = size - wanted
+    rounded = jnp.sqrt(longer * longer + config.knee**2)
+    # of the bend, what a parabola has that touches the price on both sides: never too little
+    stiff = price / rounded
     return Polar(
-        (config.direction * (1 - cosine) + 0.5 * stiff * longer * longer).sum(),
+        (config.direction * (1 - cosine) + price * (rounded - config.knee)).sum(),
         pull + (stiff * longer)[:, None] * unit,
         turn[:, None, None] * (jnp.eye(3, dtype=unit.dtype) - along) + stiff[:, None, None] * along,
     )

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.pursuit import PursuitConfig, is_off, pursue
+from smooth_operator.human.pursuit import Followed, PursuitConfig, is_off, pursue
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.objective.clearance import ClearanceConfig
 from smooth_operator.objective.close_targets import CloseTargets
@@ -72,14 +72,16 @@ class SmoothConfig:
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
         default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(), pose_weight=0.028, velocity_weight=0.28
+            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
         )
     )
-    motion_weight: float = 1200.0
+    motion_weight: float = 1300.0
     motion_speed: float = 0.1
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
     polar: PolarConfig = field(default_factory=PolarConfig)
-    landmarks: PursuitConfig = field(default_factory=lambda: PursuitConfig(lag=0.175, leap=0.1))
+    landmarks: PursuitConfig = field(
+        default_factory=lambda: PursuitConfig(lag=0.00175, leap=0.065, noise=115.0)
+    )
     joint_speed: float = 26.0
     sampling: SamplingConfig = field(
         default_factory=lambda: SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi")
@@ -117,7 +119,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
-        points: (L, 3) the needed human landmarks, as followed [m].
+        followed: the needed human landmarks.
         ticks: time of the last frame, in microseconds modulo 2^32.
         period: usual time between frames [s].
         seed: two words, constant.
@@ -126,7 +128,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
-    points: Float[Array, "L 3"]
+    followed: Followed
     ticks: UInt32[Array, ""]
     period: Float[Array, ""]
     seed: UInt32[Array, "2"]
@@ -176,7 +178,7 @@ class Smooth:
         return SmoothState(
             neutral,
             neutral,
-            jnp.zeros((len(self.needs), 3), jnp.float32),
+            Followed.nothing(len(self.needs)),
             jnp.uint32(0),
             jnp.float32(1 / self.config.rate_hz),
             jnp.asarray(seed_words(seed)),
@@ -193,9 +195,8 @@ class Smooth:
         config, now = self.config, jnp.asarray(ticks, jnp.uint32)
         clock = self._clock(state, now)
         measured = aligned[jnp.asarray(self.needs)]
-        before = jnp.where(clock.anew, measured, state.points)
-        points = pursue(before, measured, clock.dt, config.landmarks)
-        goal = self._goal(state, points, points - before, clock)
+        followed, steps = pursue(state.followed, measured, clock.dt, config.landmarks, clock.anew)
+        goal = self._goal(state, followed.points, steps, clock)
         solved = self._solve(state, goal, clock)
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
@@ -203,7 +204,7 @@ class Smooth:
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
         count = state.frames + jnp.uint32(1)
-        after = SmoothState(q, solved, points, now, clock.period, state.seed, count)
+        after = SmoothState(q, solved, followed, now, clock.period, state.seed, count)
         return after, MethodOutput(q, self.objective.tracking(q, goal))
 
     def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:
