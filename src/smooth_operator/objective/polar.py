@@ -26,8 +26,8 @@ _LEAST: Final = 0.25
 class PolarConfig:
     """How the robot's thumb-to-tip vectors are held by angle and length.
 
-    Both prices are linear in what is wrong. So where parts that touch allow no more than a sum of
-    the two, it is given up where it buys most, and not shared out over all pinches alike.
+    The length's price is linear, so the force that closes a pinch has a bound, and with it how deep
+    parts are pressed into each other.
 
     Attributes:
         direction: price of one minus the cosine between a vector and the human's; 0 leaves it out.
