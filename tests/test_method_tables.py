@@ -60,7 +60,7 @@ def made(programs: Any, tiny: Any, tmp_path_factory: pytest.TempPathFactory) -> 
     folder = tmp_path_factory.mktemp("method")
     settings = program.Settings(
         ("without", "alone", "fronts"), recordings=(MOMENT,), preset="tiny", workers=0,
-        rows=("velocity term", "clearance", "lag 0.6"), hand=HAND, others=("joint_angle",),
+        rows=("velocity term", "clearance", "lag 8 ms"), hand=HAND, others=("joint_angle",),
         cache=folder / "cache", output=folder / "method.json",
     )  # fmt: skip
     program.main(settings)
@@ -77,13 +77,13 @@ def test_tables_and_picture(programs: Any, made: Any):
     names = [line.split(" | ")[0].removeprefix("| ") for line in lines]
     assert [name for name in names if not name.startswith("|")] == [
         "**all of it**", "without clearance", "without velocity term",
-        "**none of it**", "only clearance", "only velocity term", "lag 0.6, leap 0.09",
+        "**none of it**", "only clearance", "only velocity term", "lag 8 ms, leap 0.1",
     ]  # fmt: skip
     figures = json.loads(made.output.read_text())["figures"]
     whole = {k.split("/")[-1]: v for k, v in figures.items() if "/all of it/" in k}
-    late = {k.split("/")[-1]: v for k, v in figures.items() if "/lag 0.6, leap 0.09/" in k}
+    late = {k.split("/")[-1]: v for k, v in figures.items() if "/lag 8 ms, leap 0.1/" in k}
     assert whole["cosine_similarity"] > 0.8
-    assert late["velocity_correlation"] < whole["velocity_correlation"]
+    assert late["cosine_similarity_all"] < whole["cosine_similarity_all"]
     picture = made.output.with_name("method-fronts.png")
     assert picture.read_bytes().startswith(b"\x89PNG")
 
