@@ -19,7 +19,9 @@ from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.offline import WholeRetargeter, build, execute, plan, request
 from smooth_operator.offline import whole as whole_module
-from smooth_operator.offline.segments import even_stamps, segments, windows, without_leaps
+from smooth_operator.offline.segments import (
+    windows,
+)
 from smooth_operator.offline.whole import check_method
 from smooth_operator.recording import read_commands, read_recording
 from smooth_operator.retargeters.operated import aligned_by
@@ -215,53 +217,6 @@ def test_a_recording_of_one_or_two_frames():
         q = smooth_trajectory(following(goal), goal, np.arange(count) * 0.1, WIDE, config).q
         assert q.shape == goal.shape
         assert np.isfinite(q).all()
-
-
-# -- gaps and windows ----------------------------------------------------------------------------
-
-
-def test_stamps_on_an_even_grid():
-    stamps = np.array([5.0, 5.011, 5.019, 5.05, 5.0601, 5.07])
-    np.testing.assert_allclose(
-        even_stamps(stamps), np.array([0, 1, 2, 5, 6, 7]) * np.median(np.diff(stamps))
-    )
-    assert even_stamps(np.array([3.0])).tolist() == [0.0]
-
-
-def test_segments_end_at_long_gaps():
-    stamps = np.arange(30) * 0.1
-    seen = np.ones(30, bool)
-    seen[[0, 1, 10, 11, 20, 21, 22, 23, 29]] = False
-    assert segments(seen, stamps, 0.3) == [slice(2, 20), slice(24, 29)]
-    assert segments(seen, stamps, 0.0) == [slice(2, 10), slice(12, 20), slice(24, 29)]
-    assert segments(np.zeros(30, bool), stamps, 0.3) == []
-    stamps = stamps + np.where(np.arange(30) >= 15, 5.0, 0.0)  # frames that never came
-    assert segments(seen, stamps, 0.3) == [slice(2, 15), slice(15, 20), slice(24, 29)]
-
-
-def test_leaps_are_spread_and_nothing_is_late():
-    t = np.arange(40.0)[:, None, None]
-    seen = np.ones(40, bool)
-    steady = np.concatenate([0.001 * t, 0.0 * t, 0.002 * t], axis=-1)
-    found = without_leaps(steady, seen, 0.03)
-    np.testing.assert_allclose(found[10:30], steady[10:30], atol=1e-6)  # late by as much as early
-    leap = np.where(t < 20, 0.0, 0.05) * np.ones(3)
-    spread = without_leaps(leap, seen, 0.03)
-    assert np.abs(np.diff(spread[:, 0, 0])).max() < 0.5 * 0.05
-    np.testing.assert_allclose(spread + spread[::-1], 0.05, atol=1e-12)  # alike before and after
-    assert np.array_equal(without_leaps(leap, seen, 0.0), leap)
-    seen[18:22] = False
-    leap[18:22] = 7.0
-    assert (without_leaps(leap, seen, 0.03)[18:22] == 7.0).all()
-    assert np.abs(without_leaps(leap, seen, 0.03)[seen]).max() < 0.051
-
-
-@pytest.mark.parametrize("count", [1, 5, 99, 100, 101, 130, 131, 500])
-def test_windows_cover_a_stretch_once(count: int):
-    parts = windows(count, 100, 30)
-    assert [p for first, keep, _ in parts for p in range(first, keep)] == list(range(count))
-    assert all(keep <= end <= count for _, keep, end in parts)
-    assert all(end == min(keep + 30, count) for _, keep, end in parts)
 
 
 # -- recordings ----------------------------------------------------------------------------------

@@ -45,6 +45,23 @@ def segments(
     return [slice(int(at[i]), int(at[j]) + 1) for i, j in zip(starts, ends, strict=True)]
 
 
+def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T"]) -> float:
+    """What a tracker usually adds to a point, as a second difference [m].
+
+    Of each frame the median of the points, over time the mean of roots: as
+    :func:`smooth_operator.human.pursuit.pursue` has it, but of all frames at once.
+
+    Args:
+        points: (T, N, 3) [m].
+        seen: (T,) frames that count; of those, three in a row tell something.
+    """
+    told = seen[2:] & seen[1:-1] & seen[:-2]
+    if not told.any():
+        return 0.0
+    bend = np.linalg.norm(points[2:] - 2 * points[1:-1] + points[:-2], axis=-1)[told]
+    return float(np.sqrt(np.median(bend, axis=1)).mean() ** 2)
+
+
 def without_leaps(
     points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T"], leap: float
 ) -> Float[np.ndarray, "T N 3"]:

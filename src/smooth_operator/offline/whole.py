@@ -25,7 +25,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.offline.frame_goals import Goal, fingertips, frame_goals, stacked
 from smooth_operator.offline.scan import Scan
-from smooth_operator.offline.segments import even_stamps, segments, windows, without_leaps
+from smooth_operator.offline.segments import (
+    even_stamps,
+    segments,
+    tracker_noise,
+    windows,
+    without_leaps,
+)
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.program import compiled, see
 from smooth_operator.retargeters.retargeter import Retargeter
@@ -168,8 +174,11 @@ class WholeRetargeter:
             for part in chunks
         ]
         points = np.concatenate(aligned)[:count]
+        needs = list(self.causal.shared.method.needs)
         for stretch in stretches:
-            points[stretch] = without_leaps(points[stretch], seen[stretch], self.config.leap)
+            noise = tracker_noise(points[stretch][:, needs], seen[stretch])
+            leap = self.config.leap + self.config.noise * noise
+            points[stretch] = without_leaps(points[stretch], seen[stretch], leap)
         memory, parts = self._begin(), []
         for part in chunks:
             memory, goal = self._follow(memory, _filled(points[part]), _filled(seen[part]))

@@ -122,7 +122,8 @@ of noise).
 SMOOTH_OFFLINE: Final = WholeConfig(
     SMOOTH_TELEOP,
     replace(_FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
-    leap=0.05,
+    leap=0.02,
+    noise=50.0,
 )
 """For recordings: the objective of ``smooth`` for all frames at once, without its filters.
 

@@ -23,16 +23,20 @@ class WholeConfig:
         bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
         leap: step of a landmark in one frame of which half is followed, the rest before and after
             it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
+        noise: by how many times the tracker's noise that step is longer.
     """
 
     causal: MethodConfig
     future: TrajectoryConfig
     bridge: float = 0.25
     leap: float = 0.0
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.leap < float("inf"):
             raise ConfigError(f"leap must be a step of 0 m or more, not {self.leap}")
+        if not 0 <= self.noise < float("inf"):
+            raise ConfigError(f"noise must be a factor of 0 or more, not {self.noise}")
         if not 0 <= self.bridge < float("inf"):
             raise ConfigError(f"bridge must be a time of 0 s or more, not {self.bridge}")
 

@@ -1,0 +1,77 @@
+"""Stretches of a recording, its stamps on a grid, its noise and its leaps."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
+from smooth_operator.offline.segments import (
+    even_stamps,
+    segments,
+    tracker_noise,
+    windows,
+    without_leaps,
+)
+
+
+def test_stamps_on_an_even_grid():
+    stamps = np.array([5.0, 5.011, 5.019, 5.05, 5.0601, 5.07])
+    np.testing.assert_allclose(
+        even_stamps(stamps), np.array([0, 1, 2, 5, 6, 7]) * np.median(np.diff(stamps))
+    )
+    assert even_stamps(np.array([3.0])).tolist() == [0.0]
+
+
+def test_segments_end_at_long_gaps():
+    stamps = np.arange(30) * 0.1
+    seen = np.ones(30, bool)
+    seen[[0, 1, 10, 11, 20, 21, 22, 23, 29]] = False
+    assert segments(seen, stamps, 0.3) == [slice(2, 20), slice(24, 29)]
+    assert segments(seen, stamps, 0.0) == [slice(2, 10), slice(12, 20), slice(24, 29)]
+    assert segments(np.zeros(30, bool), stamps, 0.3) == []
+    stamps = stamps + np.where(np.arange(30) >= 15, 5.0, 0.0)  # frames that never came
+    assert segments(seen, stamps, 0.3) == [slice(2, 15), slice(15, 20), slice(24, 29)]
+
+
+def test_noise_of_a_tracker_is_that_of_live_use():
+    rng = np.random.default_rng(6)
+    points = 0.002 * np.arange(600.0)[:, None, None] + rng.normal(0, 1e-3, (600, 6, 3))
+    seen = np.ones(600, bool)
+    config = PursuitConfig(leap=0.05, noise=100.0, noise_time=1.0)
+    followed, live = Followed.nothing(6), []
+    for t, frame in enumerate(points):
+        followed, _ = pursue(followed, jnp.asarray(frame), 0.01, config, anew=t == 0)
+        live.append(float(followed.noise))
+    whole = tracker_noise(points, seen)
+    assert whole == pytest.approx(np.mean(live[300:]), rel=0.05)
+    points[100:103] += 0.3  # what wasn't seen tells nothing
+    seen[100:103] = False
+    assert tracker_noise(points, seen) == pytest.approx(whole, rel=0.02)
+    assert tracker_noise(points, seen & (np.arange(600) % 3 > 0)) == 0.0
+
+
+def test_leaps_are_spread_and_nothing_is_late():
+    t = np.arange(40.0)[:, None, None]
+    seen = np.ones(40, bool)
+    steady = np.concatenate([0.001 * t, 0.0 * t, 0.002 * t], axis=-1)
+    found = without_leaps(steady, seen, 0.03)
+    np.testing.assert_allclose(found[10:30], steady[10:30], atol=1e-6)  # late by as much as early
+    leap = np.where(t < 20, 0.0, 0.05) * np.ones(3)
+    spread = without_leaps(leap, seen, 0.03)
+    assert np.abs(np.diff(spread[:, 0, 0])).max() < 0.5 * 0.05
+    np.testing.assert_allclose(spread + spread[::-1], 0.05, atol=1e-12)  # alike before and after
+    assert np.array_equal(without_leaps(leap, seen, 0.0), leap)
+    seen[18:22] = False
+    leap[18:22] = 7.0
+    assert (without_leaps(leap, seen, 0.03)[18:22] == 7.0).all()
+    assert np.abs(without_leaps(leap, seen, 0.03)[seen]).max() < 0.051
+
+
+@pytest.mark.parametrize("count", [1, 5, 99, 100, 101, 130, 131, 500])
+def test_windows_cover_a_stretch_once(count: int):
+    parts = windows(count, 100, 30)
+    assert [p for first, keep, _ in parts for p in range(first, keep)] == list(range(count))
+    assert all(keep <= end <= count for _, keep, end in parts)
+    assert all(end == min(keep + 30, count) for _, keep, end in parts)
