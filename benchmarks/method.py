@@ -61,6 +61,8 @@ METHOD = "smooth"
 # -- what is measured: a part more is a line more -------------------------------------------------
 
 TARGETS = "objective.targets"
+SQUARED = 0.02
+"""``polar.knee`` [m] beyond any pinch that is off in length: the price is a parabola there."""
 WITHOUT: dict[str, Values] = {
     "motion term": {"motion_weight": 0.0},
     "its fall with speed (s → ∞)": {"motion_speed": 1e6},
@@ -75,7 +77,7 @@ WITHOUT: dict[str, Values] = {
     "its growth with noise": {"landmarks.noise": 0.0},
     "price of angles": {"polar.direction": 0.0},
     "price of pinches' lengths": {"polar.length": 0.0},
-    "its kink (squared instead)": {"polar.length": 1000.0, "polar.knee": 0.02},
+    "its kink (squared instead)": {"polar.length": 1000.0, "polar.knee": SQUARED},
     "targets apart": {f"{TARGETS}.apart": 0.0},
     "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
 }  # fmt: skip
@@ -155,12 +157,15 @@ FRONTS = (
         "Pointing as the human against closing",
         "prices of angle and length",
         {
-            f"direction {d:g}, length {w:g}{', squared' if knee > 0.01 else ''}": {
-                "polar.direction": d, "polar.length": w, "polar.knee": knee,
+            f"direction {d:g}, length {w:g}": {"polar.direction": d, "polar.length": w}
+            for d, w in ((0.0, 0.0), (0.5, 115.0), (1.0, 115.0), (1.5, 200.0), (1.5, 50.0),
+                         (2.0, 0.0))
+        }
+        | {
+            f"direction 1.5, length {w:g}, squared": {
+                "polar.direction": 1.5, "polar.length": w, "polar.knee": SQUARED,
             }
-            for d, w, knee in ((0.0, 0.0, 1.2e-3), (0.5, 115.0, 1.2e-3), (1.0, 115.0, 1.2e-3),
-                               (1.5, 200.0, 1.2e-3), (1.5, 50.0, 1.2e-3), (2.0, 0.0, 1.2e-3),
-                               (1.5, 3000.0, 0.02), (1.5, 6000.0, 0.02))
+            for w in (3000.0, 6000.0)
         },
         PINCH,
         THUMB,

@@ -19,9 +19,7 @@ from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.offline import WholeRetargeter, build, execute, plan, request
 from smooth_operator.offline import whole as whole_module
-from smooth_operator.offline.segments import (
-    windows,
-)
+from smooth_operator.offline.segments import windows
 from smooth_operator.offline.whole import check_method
 from smooth_operator.recording import read_commands, read_recording
 from smooth_operator.retargeters.operated import aligned_by

@@ -114,16 +114,12 @@ def pursue(
     share = jnp.where(anew, 0.0, dt / (dt + config.noise_time))
     root = before.root + share * (bend - before.root)
     after = Followed(measured, measured, step, root)
-    if not is_off(config.lag) or has_leap(config):
+    leaps = not (is_off(config.leap) and is_off(config.noise))
+    if leaps or not is_off(config.lag):
         way = measured - start
         late = jnp.full((len(measured), 1), config.lag / dt, way.dtype)
-        if has_leap(config):
+        if leaps:
             leap = jnp.maximum(config.leap + config.noise * before.noise, config.leap_speed * dt)
             late = late + jnp.sqrt((way * way).sum(-1, keepdims=True) + 1e-18) / leap
         after = after._replace(points=start + way / (1 + late))
     return after, after.points - start
-
-
-def has_leap(config: PursuitConfig) -> bool:
-    """Whether long steps are followed in part."""
-    return not (is_off(config.leap) and is_off(config.noise))
