@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,14 +13,38 @@ from typing import Any
 
 import pytest
 
-# One compile cache for the whole run, workers and command lines included: many tests build the same
-# retargeter. Set before JAX is imported, which reads it then; a folder of its own, gone at the end.
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    _cache = tempfile.mkdtemp(prefix="smooth-operator-tests-")
-    atexit.register(shutil.rmtree, _cache, ignore_errors=True)
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = _cache
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+# What a run of the tests sees of the machine is its own, from collection on: home, configuration,
+# caches, signals. Set when this file is imported, which is before any test module is, and before
+# JAX reads its variables. Worker processes and command lines inherit it.
+_MARK = "SMOOTH_OPERATOR_TEST_HOME"
+_HOMES = ("HOME", "USERPROFILE", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME",
+          "APPDATA", "LOCALAPPDATA")  # fmt: skip
+_KEPT = (_MARK,)
+"""Variables of this program that a run passes on to its own workers."""
+
+
+def _set_up_environment() -> None:
+    if _MARK in os.environ:
+        return
+    home = tempfile.mkdtemp(prefix="smooth-operator-tests-")
+    atexit.register(shutil.rmtree, home, ignore_errors=True)
+    for name in [n for n in os.environ if n.startswith("SMOOTH_OPERATOR_") and n not in _KEPT]:
+        del os.environ[name]
+    os.environ.pop("MENAGERIE_ROOT", None)
+    for name in _HOMES:
+        if name in os.environ or name == "HOME":
+            os.environ[name] = home
+    os.environ[_MARK] = home
+    # One compile cache for the whole run: many tests build the same retargeter.
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(home, "jax")
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+
+
+_set_up_environment()
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` starts it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

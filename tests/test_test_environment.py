@@ -1,0 +1,57 @@
+"""The tests' own environment: nothing of the machine's user reaches a run, from collection on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from smooth_operator.hands.catalogue import hand_names
+
+TESTS = Path(__file__).parent
+PROBE = """
+import os, signal, sys
+sys.path.insert(0, sys.argv[1])
+import conftest
+from smooth_operator.hands.catalogue import hand_names
+print(sorted(hand_names()))
+print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+"""
+
+
+def probe(folder: Path, ignore_interrupt: bool) -> list[str]:
+    """What a run that is started by a user with hands of their own sees at its collection."""
+    hands = folder / "smooth-operator" / "hands"
+    hands.mkdir(parents=True)
+    (hands / "mine.right.toml").write_text("")
+    outside = {k: v for k, v in os.environ.items() if not k.startswith("SMOOTH_OPERATOR_")}
+    homes = dict.fromkeys(("HOME", "USERPROFILE", "XDG_CONFIG_HOME", "APPDATA"), str(folder))
+    switch = {"SMOOTH_OPERATOR_HANDS": str(hands)}
+    before = signal.getsignal(signal.SIGINT)
+    if ignore_interrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a child inherits it, as under nohup
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", PROBE, str(TESTS)],
+            env=outside | homes | switch,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    return done.stdout.splitlines()
+
+
+def test_the_users_hands_are_not_among_the_tests_hands(tmp_path: Path) -> None:
+    assert probe(tmp_path, ignore_interrupt=False)[0] == str(sorted(hand_names()))
+    assert "mine" not in hand_names()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT that is inherited as ignored")
+def test_ctrl_c_is_heard_where_the_run_was_started_with_it_ignored(tmp_path: Path) -> None:
+    assert probe(tmp_path, ignore_interrupt=True)[1] == "True"
