@@ -74,6 +74,7 @@ def assemble_trace(
         reach=sample_reach(hand, reach_samples, seed) if reach_samples else None,
         penetration=penetration_depths(hand, q),
         robot_landmarks=landmarks,
+        palm_landmarks=hand.align_indices,
     )
 
 

@@ -84,7 +84,8 @@ def _definitional(trace: Trace, definition: Definition) -> dict[str, Value]:
     else:
         tips = trace.human_tips
         if trace.robot_landmarks is not None:
-            fitted = published.fit_to_robot(trace.human, trace.robot_landmarks)
+            using = published.fit_landmarks(trace.fingers, trace.palm_landmarks)
+            fitted = published.fit_to_robot(trace.human, trace.robot_landmarks, using)
             tips = fitted[:, [TIPS[FINGERS.index(name)] for name in trace.fingers]]
             human, fit = keyvectors(tips, fitted[:, WRIST]), "robot pose"
         figures = (

@@ -1,8 +1,10 @@
 """The definitions behind the paper's own figures, where they differ from the sound ones.
 
-- The human hand is fitted anew each frame (rotation, translation, scale) to the robot's *own
-  pose* with every landmark that both have; the retargeters are driven
-  through three. The fit absorbs part of the error that is to be measured.
+- Each frame, the human hand is fitted (rotation, translation, scale) to the robot's *own pose* with
+  the wrist, the palm landmarks, and the last joint and the tip of each finger: 14 landmarks on the
+  paper's hand, whose palm landmarks are the bases of thumb, index and pinky. The retargeters align
+  the two hands with the palm landmarks only. The fit absorbs part of the error that is to be
+  measured.
 - The headline cosine similarity and scale ratio are medians over frames and thumb vectors, which
   hide the frames that went wrong.
 - Motion preservation keeps still frames and adds 1e-8 m^2 to the product of the step lengths, so
@@ -13,12 +15,14 @@ Flatness, workspace utilisation and latency are the same in both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.geometry import umeyama
+from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics import summary
 
 _EPSILON: Final = 1e-8  # [m] or [m^2], as published
@@ -61,23 +65,42 @@ def motion_preservation(
     return summary.mean(_cosines(np.diff(human_tips, axis=0), np.diff(robot_tips, axis=0)))
 
 
+def fit_landmarks(fingers: Sequence[str], palm: Sequence[int]) -> tuple[int, ...]:
+    """Indices of the landmarks that the published fit uses.
+
+    Wrist, palm landmarks, last joint and tip of each finger, in the order of the schema.
+
+    Args:
+        fingers: human finger names that the robot answers to.
+        palm: indices of the landmarks that align the two palms.
+    """
+    tips = [TIPS[FINGERS.index(name)] for name in fingers]
+    return tuple(sorted({WRIST, *palm, *tips, *(tip - 1 for tip in tips)}))
+
+
 def fit_to_robot(
-    human: Float[np.ndarray, "T N 3"], robot: Float[np.ndarray, "T N 3"]
+    human: Float[np.ndarray, "T N 3"],
+    robot: Float[np.ndarray, "T N 3"],
+    using: Sequence[int] | None = None,
 ) -> Float[np.ndarray, "T N 3"]:
     """Human landmarks after the least-squares similarity onto the robot's, frame by frame.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters between two point
-    patterns" (1991), Eqs. (40)-(43), over the landmarks that both have.
+    patterns" (1991), Eqs. (40)-(43), over those of the chosen landmarks that both have.
 
     Args:
         human: (T, N, 3) human landmarks in any frame [m], NaN where unknown.
         robot: (T, N, 3) robot landmarks [m], NaN where there is none.
+        using: indices of the landmarks that the fit may use, of :func:`fit_landmarks`; None for
+            all.
 
     Returns:
         (T, N, 3) all human landmarks in the robot's frame [m]; NaN in frames with fewer than three
         common landmarks or with collinear ones.
     """
     known = np.isfinite(human).all(axis=-1) & np.isfinite(robot).all(axis=-1)
+    if using is not None:
+        known &= np.isin(np.arange(known.shape[1]), using)
     source, target = (np.where(known[..., None], points, 0.0) for points in (human, robot))
     fit = umeyama(source, target, weights=known.astype(np.float64))
     return np.where((fit.condition > 1e-9)[:, None, None], fit.apply(human), np.nan)

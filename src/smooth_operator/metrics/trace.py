@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import RecordingError, UnknownNameError
-from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.landmarks import BASES, FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 
 
@@ -32,6 +32,8 @@ class Trace:
             None.
         robot_landmarks: (T, 21, 3) robot points that answer to the human landmarks [m], NaN where
             the robot has none; used by the published definition only; or None.
+        palm_landmarks: indices of the landmarks that align the two palms; used by the published
+            definition only.
 
     Raises:
         RecordingError: if an array has the wrong shape or the stamps don't increase.
@@ -50,6 +52,7 @@ class Trace:
     reach: Float[np.ndarray, "S F 3"] | None = None
     penetration: Float[np.ndarray, " T"] | None = None
     robot_landmarks: Float[np.ndarray, "T 21 3"] | None = None
+    palm_landmarks: tuple[int, ...] = (BASES[0], BASES[1], BASES[4])
 
     def __post_init__(self) -> None:
         fingers = tuple(self.fingers)
