@@ -459,6 +459,38 @@ def test_a_killed_writer_loses_nothing_acknowledged(
         assert whole.fetchone() == ("ok",)
 
 
+# Where it is kept, and for whom.
+
+
+@pytest.mark.parametrize("name", ["a?b", "a?mode=ro", "a#b", "100%25", "50%", "a b&c=d"])
+def test_the_database_is_in_the_folder_whatever_its_name(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / name
+    folder.mkdir()
+    with open_study(folder, small_plan(2)) as made:
+        made.append("P01", Noted("here"))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    with sqlite3.connect(folder / "study.db") as database:
+        assert database.execute("SELECT count(*) FROM events").fetchone() == (1,)
+    with open_study(folder) as again:
+        assert again.progress("P01").notes[0][1] == "here"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
+def test_the_database_is_for_its_owner_alone(tmp_path: Path) -> None:
+    before = os.umask(0o000)
+    try:
+        with open_study(tmp_path, small_plan(2)) as made:
+            made.append("P01", Noted("private"))
+            files = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
+        assert set(files) >= {"study.db", "study.db-wal"}
+        assert set(files.values()) == {0o600}
+        (tmp_path / "study.db").chmod(0o660)  # given to a group on purpose
+        open_study(tmp_path).close()
+        assert (tmp_path / "study.db").stat().st_mode & 0o777 == 0o660
+    finally:
+        os.umask(before)
+
+
 # Targets that are none.
 
 

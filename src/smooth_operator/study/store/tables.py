@@ -6,6 +6,7 @@ unless its participant was erased first, which leaves a line that says so.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from smooth_operator.errors import MissingExtraError, StudyError
 
 if TYPE_CHECKING:
-    from sqlalchemy import Engine, MetaData
+    from sqlalchemy import URL, Engine, MetaData
 
 FILE: Final = "study.db"
 """Name of the SQLite file in the folder of a study."""
@@ -68,9 +69,17 @@ def open_engine(target: str | Path) -> Engine:
         from sqlalchemy.exc import ArgumentError, NoSuchModuleError, SQLAlchemyError
     except ImportError as error:
         raise MissingExtraError("storing a study", "study") from error
-    url, shown = _url(target)
     try:
-        if url.startswith("sqlite"):
+        url, shown = _url(target)
+    except StudyError:
+        raise
+    except (ArgumentError, ValueError) as error:  # it may hold a password: not in the message
+        raise StudyError(
+            "the address of the database can't be read; expected postgresql://USER@HOST/NAME"
+        ) from error
+    try:
+        if url.get_backend_name() == "sqlite":
+            _make_private(url.database)
             engine = create_engine(url, connect_args={"timeout": BUSY_S})
             _prepare_sqlite(engine)
         else:
@@ -85,7 +94,7 @@ def open_engine(target: str | Path) -> Engine:
             f"{shown} is no database that can be used; expected a folder, a file ending in .db, "
             "or postgresql://USER@HOST/NAME"
         ) from error
-    except SQLAlchemyError as error:
+    except (SQLAlchemyError, OSError) as error:
         raise StudyError(f"can't open the store {shown}: {reason(error)}") from error
     return engine
 
@@ -157,8 +166,10 @@ def tables() -> MetaData:
     return made
 
 
-def _url(target: str | Path) -> tuple[str, str]:
-    """(URL for SQLAlchemy, how messages call it: never with a password)."""
+def _url(target: str | Path) -> tuple[URL, str]:
+    """(URL for SQLAlchemy, what messages call it: never with a password)."""
+    from sqlalchemy import URL, make_url
+
     text = str(target)
     if "://" not in text:
         path = Path(target)
@@ -166,11 +177,24 @@ def _url(target: str | Path) -> tuple[str, str]:
             path = path / FILE
         if not path.parent.is_dir():
             raise StudyError(f"can't open the store {path}: there is no folder {path.parent}")
-        return f"sqlite:///{path.absolute()}", str(path)
+        # Not as text: "?", "#" and "%" mean something in a URL, and may stand in a path.
+        return URL.create("sqlite", database=str(path.absolute())), str(path)
     scheme, _, rest = text.partition("://")
     if scheme in ("postgresql", "postgres"):
         scheme = "postgresql+psycopg"
-    return f"{scheme}://{rest}", f"{scheme.partition('+')[0]}://{rest.rpartition('@')[2]}"
+    shown = f"{scheme.partition('+')[0]}://{rest.rpartition('@')[2]}"
+    return make_url(f"{scheme}://{rest}"), shown
+
+
+def _make_private(database: str | None) -> None:
+    """Makes the file of SQLite, for its owner alone; leaves one that is there as it is.
+
+    It holds what people did and how they felt. SQLite gives its log beside it the same rights.
+    """
+    if database is None or database in ("", ":memory:") or database.startswith("file:"):
+        return
+    with contextlib.suppress(FileExistsError):
+        os.close(os.open(database, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
 
 
 def _prepare_sqlite(engine: Engine) -> None:
