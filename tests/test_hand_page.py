@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from urllib.parse import urlparse
 
@@ -92,3 +93,42 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         assert listening(address.hostname, address.port)
     assert not listening(address.hostname, address.port)
     eventually(lambda: not {t for t in threading.enumerate() if not t.daemon} - before)
+
+
+@pytest.mark.browser
+def test_a_description_is_shown_and_never_run(chromium: Any) -> None:
+    hand = load_hand("allegro_hand")
+    attacks = (
+        '<iframe srcdoc="<script>parent.__pwned=1</script>"></iframe>',
+        '<img src="http://elsewhere.example/x.png">',
+        "{globalThis.__pwned = 2}",
+    )
+    hand = replace(hand, spec=replace(hand.spec, source=" ".join(attacks)))
+    with HandPage(hand, "export const a = (globalThis.__pwned = 3)", port=0) as served:
+        assert served._server is not None
+        served._server.scene.configure_environment_map(None)
+        page, problems = new_page(chromium, WIDTH, HEIGHT)
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(served.url)
+        for text in (*attacks, "export const a = (globalThis.__pwned = 3)"):
+            page.get_by_text(text).wait_for()
+        assert page.evaluate("window.__pwned") is None
+        assert page.locator("iframe").count() == 0
+        assert not [url for url in asked if "elsewhere" in url]
+        # the policy holds as well, and viser needs nothing that it forbids
+        assert not problems
+        refused = "fetch('http://elsewhere.example/').then(() => 'sent', (e) => 'refused')"
+        assert page.evaluate(refused) == "refused"
+        assert any("Content Security Policy" in problem for problem in problems)
+        page.close()
+
+
+@pytest.mark.browser
+def test_another_page_can_not_frame_it(chromium: Any) -> None:
+    with HandPage(load_hand("allegro_hand"), port=0) as served:
+        page, _ = new_page(chromium, WIDTH, HEIGHT)
+        page.goto("about:blank")
+        page.set_content(f'<iframe src="{served.url}"></iframe>')
+        eventually(lambda: len(page.frames) == 2 and page.frames[1].url.startswith("chrome-error"))
+        page.close()

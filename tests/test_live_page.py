@@ -436,6 +436,29 @@ def test_here_other_pages_of_the_same_browser_are_kept_out() -> None:
         close_server(server)
 
 
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_no_page_can_frame_it(host: str) -> None:
+    server = open_server(host, 0)
+    try:
+        port = server.get_port()
+        cookie = {}
+        if host == "0.0.0.0":
+            token = page_url(host, server).partition("?token=")[2]
+            welcome = fetch(port, f"/?token={token}")[1]
+            cookie = {"Cookie": welcome["set-cookie"].split(";")[0]}
+            answers = [welcome, fetch(port)[1]]
+        else:
+            answers = [fetch(port, Host="elsewhere.example")[1]]
+        status, page = fetch(port, **cookie)
+        assert status == 200
+        for headers in (*answers, page, fetch(port, "/no-such", **cookie)[1]):
+            assert headers["x-frame-options"] == "DENY"
+            assert "frame-ancestors 'none'" in headers["content-security-policy"]
+        assert "default-src 'self'" in page["content-security-policy"]
+    finally:
+        close_server(server)
+
+
 # -- the page ---------------------------------------------------------------------------------
 
 

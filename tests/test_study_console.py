@@ -666,6 +666,10 @@ def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
         assert status == http.HTTPStatus.OK
         assert b"experimenter.js" in body
         assert "default-src 'none'" in headers["content-security-policy"]
+        answers = [fetch(port, path)[1] for path in ("/", "/operator", "/no-such")]
+        for headers in (*answers, fetch(port, "/", Host="elsewhere.example")[1]):
+            assert headers["x-frame-options"] == "DENY"
+            assert "frame-ancestors 'none'" in headers["content-security-policy"]
         assert fetch(port, "/no-such")[0] == http.HTTPStatus.NOT_FOUND
         assert fetch(port, "/", Host=f"elsewhere.example:{port}")[0] == 403
         assert fetch(port, "/link", **upgrade(Origin="https://elsewhere.example"))[0] == 403

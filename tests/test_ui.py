@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import html
+import re
 import socket
+import string
 import threading
 import time
 from collections.abc import Iterator
@@ -21,6 +24,7 @@ from smooth_operator.ui import Playback, PlaybackServer, serve, viser_server
 from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.human import _turn_z, lit_tips
 from smooth_operator.ui.layout import FOV, plan, view_axes
+from smooth_operator.ui.markup import plain
 from smooth_operator.ui.meshes import body_meshes, finger_of_body, geom_mesh
 from smooth_operator.ui.palette import FINGER_COLORS, HIGHLIGHT, linear
 from smooth_operator.ui.readout import WINDOW, GapPlot, metrics_table, status_line
@@ -347,6 +351,25 @@ def test_the_metrics_table_flattens_and_cannot_be_broken_by_its_content() -> Non
     assert all(row.count("|") == 3 for row in rows)
     assert "<b>" not in table
     assert "{" not in table
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<iframe srcdoc="<script>parent.__pwned=1</script>">',
+        "{globalThis.__pwned = 1}",
+        "export const pwned = (globalThis.__pwned = 1)",
+        "import x from 'data:text/javascript,1'",
+        "![picture](http://elsewhere.example/x.png) | `code` \\ &lt; #",
+        "from https://elsewhere.example, größer – 手",
+    ],
+)
+def test_text_from_elsewhere_is_never_markup(text: str) -> None:
+    shown = plain(text)
+    assert html.unescape(shown) == text
+    assert not set(re.sub(r"&#\d+;", "", shown)) & set(string.punctuation)
+    assert not shown.startswith(("import", "export"))
+    assert "\n" not in plain("export\nconst")
 
 
 def test_the_plot_is_a_short_window_that_ends_now() -> None:

@@ -433,6 +433,18 @@ def test_the_page_is_whole_and_its_certificate_can_be_trusted(host: Host, tmp_pa
         fetch(f"{host.address}/../pyproject.toml", context)
 
 
+def test_no_page_can_frame_it(host: Host) -> None:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    for path in ("/", "/no-such", "/certificate.crt"):
+        try:
+            _, headers = fetch(f"{host.address}{path}", context)
+        except urllib.error.HTTPError as refused:
+            headers = refused.headers
+        assert headers["X-Frame-Options"] == "DENY", path
+        assert "frame-ancestors 'none'" in headers["Content-Security-Policy"], path
+
+
 def test_every_address_that_is_shown_leads_to_the_page(cache: Path) -> None:
     source = WebXr("0.0.0.0", 0, CODE)
     source.start(Mailbox())

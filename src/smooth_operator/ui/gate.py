@@ -18,6 +18,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from viser.infra import _infra
 
+from smooth_operator.web.files import shielded
 from smooth_operator.web.origin import (
     cookie,
     is_loopback,
@@ -27,6 +28,13 @@ from smooth_operator.web.origin import (
 )
 
 _COOKIE: Final = "smooth-operator-page"
+_POLICY: Final = (
+    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+    "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""viser's page is one file with its script in it, and makes WebAssembly and workers from that. It
+loads nothing from elsewhere, and no page frames it."""
 _PATCHING = threading.Lock()
 
 
@@ -120,7 +128,7 @@ def _asking(gate: Gate, serve: Callable[..., Any]) -> Callable[..., Any]:
         gate.guarding = True
         return serve(
             *args,
-            process_request=lambda c, r: gate(c, r) or process_request(c, r),
+            process_request=shielded(lambda c, r: gate(c, r) or process_request(c, r), _POLICY),
             **options,
         )
 

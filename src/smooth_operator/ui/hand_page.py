@@ -15,6 +15,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.ui.hand_view import HandView, JointRow, joint_rows
+from smooth_operator.ui.markup import plain
 from smooth_operator.ui.palette import PALM, finger_colors, linear
 from smooth_operator.ui.viser_server import close_server, open_page, open_server, page_url
 
@@ -29,7 +30,7 @@ class HandPage:
 
     Args:
         hand: the robot hand.
-        notes: Markdown to put first in the panel.
+        notes: a line of text to put first in the panel.
         host: address to listen on; another than this machine's own wants the token in the URL.
         port: first port to try; 0 for any free one.
     """
@@ -190,7 +191,7 @@ class HandPage:
             *([self._notes] if self._notes else []),
         ]
         gui.set_panel_label(hand.name)
-        gui.add_markdown("\n\n".join(facts))
+        gui.add_markdown("\n\n".join(map(plain, facts)))
         with gui.add_folder("Show"):
             self._toggle(gui, "shape", True, list(self._nodes.values()))
             self._toggle(gui, "landmarks", True, [self._balls, self._lines])
@@ -265,7 +266,7 @@ def serve_hand(
 
     Args:
         hand: the robot hand.
-        notes: Markdown to put first in the panel.
+        notes: a line of text to put first in the panel.
         host: address to listen on; this machine only by default.
         port: first port to try; the one that was free is printed.
         open_browser: open the page, where there is a desktop to open it on.

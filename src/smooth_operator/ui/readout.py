@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.types import Status
+from smooth_operator.ui.markup import plain
 from smooth_operator.ui.palette import css, finger_colors
 from smooth_operator.ui.playback import PINCH_DISTANCE, Playback
 
@@ -96,6 +97,4 @@ def _cell(value: object) -> str:
         return ", ".join(_cell(item) for item in np.atleast_1d(np.asarray(value)).tolist())
     if isinstance(value, (float, np.floating)):
         return f"{value:.4g}"
-    text = "–" if value is None else str(value)
-    # the table's own syntax, and what Markdown or MDX would take for markup
-    return "".join(f"&#{ord(c)};" if c in "|<>{}*_`[]\\" else c for c in text.replace("\n", " "))
+    return "–" if value is None else plain(str(value))

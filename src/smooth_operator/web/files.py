@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import http
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
-    from websockets.http11 import Response
+    from websockets.http11 import Request, Response
 
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8",
@@ -21,7 +21,10 @@ _HEADERS: Final = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
 }
+_BARE: Final = "default-src 'none'; frame-ancestors 'none'"
+"""Policy of an answer that is no page: it loads nothing, and no page frames it."""
 
 
 def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
@@ -66,3 +69,27 @@ def answer_with(
     )
     response.headers.update({**_HEADERS, "Content-Security-Policy": policy, **(more or {})})
     return response
+
+
+def shielded(
+    answer: Callable[[ServerConnection, Request], Response | None], policy: str = _BARE
+) -> Callable[[ServerConnection, Request], Response | None]:
+    """A server's answers with the headers that keep other pages from framing them.
+
+    In a frame, a page of another origin could lay its own picture over ours and have the operator
+    click our buttons.
+
+    Args:
+        answer: to a request; None where a WebSocket opens.
+        policy: Content-Security-Policy of answers that have none.
+    """
+
+    def shield(connection: ServerConnection, request: Request) -> Response | None:
+        response = answer(connection, request)
+        if response is not None:
+            for name, value in {**_HEADERS, "Content-Security-Policy": policy}.items():
+                if name not in response.headers:
+                    response.headers[name] = value
+        return response
+
+    return shield

@@ -15,7 +15,7 @@ from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.sources.webxr.certificate import Certificate
 from smooth_operator.sources.webxr.link import Link
 from smooth_operator.sources.webxr.packet import MAX_BYTES
-from smooth_operator.web.files import answer_with, page_files
+from smooth_operator.web.files import answer_with, page_files, shielded
 from smooth_operator.web.listening import listen as web_listen
 from smooth_operator.web.origin import same_origin
 
@@ -95,7 +95,7 @@ async def serve(
         talk,
         sock=listening,
         ssl=context,
-        process_request=answer,
+        process_request=shielded(answer),
         server_header=None,
         compression=None,  # it would cost more time than the bytes that it saves
         max_size=MAX_BYTES + 64,

@@ -26,7 +26,7 @@ from smooth_operator.errors import MissingExtraError, SmoothOperatorError
 from smooth_operator.study.console.commands import Role, command_of
 from smooth_operator.study.console.desk import Desk, StoreFailedError
 from smooth_operator.study.console.gate import HOME, LINK, Gate, qr_code
-from smooth_operator.web.files import answer_with, page_files
+from smooth_operator.web.files import answer_with, page_files, shielded
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -111,7 +111,7 @@ class Console:
             async with serve(
                 self._talk,
                 sock=listening,
-                process_request=self._answering(site),
+                process_request=shielded(self._answering(site)),
                 server_header=None,
                 compression="deflate",
                 max_size=_LARGEST,
