@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -35,9 +36,6 @@ _MORE: Final = ("#7a68c7", "#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790"
 
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
 """Shapes, so that nothing is told by colour alone."""
-
-FINGER_COLORS: Final = ("#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2")
-"""Of the live page's palette, thumb first."""
 
 _DPI: Final = 150
 _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
@@ -83,6 +81,16 @@ def styled() -> Iterator[None]:
     }
     with mpl.rc_context(settings):
         yield
+
+
+def series(name: str, said: str = "") -> str:
+    """The ``gid`` of what a plot draws of one series; a page dims the others while it is hovered.
+
+    Args:
+        name: of the series, as the page's tables have it in ``data-series``.
+        said: what the pointer shows.
+    """
+    return f"series|{name.replace('|', ' ')}|{said}"
 
 
 def name_points(
@@ -170,10 +178,17 @@ def write_figure(figure: Figure, stem: Path) -> str:
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"""<g id=(["'])(series\|.*?)\1>""", _series_group, text)
     alone = text.replace("<svg ", '<svg style="background:#fff" ', 1)
     with atomic_write(stem.with_name(stem.name + ".svg")) as file:
         file.write(b'<?xml version="1.0" encoding="utf-8"?>\n' + alone.encode())
     return _for_page(text, re.sub(r"\W", "-", stem.name))
+
+
+def _series_group(found: re.Match[str]) -> str:
+    _, name, said = html.unescape(found.group(2)).split("|", 2)
+    title = f"<title>{html.escape(said)}</title>" if said else ""
+    return f'<g class="series" data-series="{html.escape(name)}">{title}'
 
 
 def _for_page(text: str, prefix: str) -> str:

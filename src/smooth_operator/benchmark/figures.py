@@ -9,16 +9,16 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.benchmark.drawing import (
-    FINGER_COLORS,
     GRID,
     INK,
     MARKERS,
     name_points,
     plain_logs,
+    series,
 )
 from smooth_operator.benchmark.panels import Panel, robot_bones, view_basis
 from smooth_operator.benchmark.results import Row, row_method, value_of
-from smooth_operator.landmarks import BONES, FINGERS
+from smooth_operator.landmarks import BONES
 from smooth_operator.metrics import METRICS
 
 if TYPE_CHECKING:
@@ -56,10 +56,15 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
             ax.scatter(
                 rough, error, color=colors[method], marker=MARKERS[at % len(MARKERS)], s=42,
                 alpha=0.85 if len(own) == 1 else 0.5, linewidths=0,
+                gid=series(method, f"{method} on {recordings[at]}: {rough:.3g} m/s², {error:.2g}"),
             )  # fmt: skip
         x, y = (float(np.exp(np.mean(np.log([p[k] for p in own])))) for k in (0, 1))
         if len(own) > 1:
-            ax.scatter(x, y, color=colors[method], marker="o", s=150, linewidths=0)
+            said = f"{method}, mean of {len(own)} recordings: {x:.3g} m/s², {y:.2g}"
+            ax.scatter(
+                x, y, color=colors[method], marker="o", s=150, linewidths=0,
+                gid=series(method, said),
+            )  # fmt: skip
         means[method] = x, y
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -79,23 +84,27 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
 
 
 def latency_figure(
-    samples: Mapping[str, Float[np.ndarray, " N"]], colors: Mapping[str, str]
+    samples: Mapping[str, Sequence[Float[np.ndarray, " N"]]], colors: Mapping[str, str]
 ) -> Figure | None:
     """Latency of each method as a cloud of its frames with p50, p95 and p99; logarithmic.
 
+    The percentiles are means of those of each recording, as tables have them.
+
     Args:
-        samples: method -> its samples over all recordings [ms].
+        samples: method -> its samples on each recording [ms].
         colors: method -> colour.
     """
-    known = {method: values[values > 0] for method, values in samples.items()}
-    known = {method: values for method, values in known.items() if len(values)}
+    known = {m: [kept for v in taken if len(kept := v[v > 0])] for m, taken in samples.items()}
+    known = {method: taken for method, taken in known.items() if taken}
     if not known:
         return None
     height = 1.1 + 0.5 * len(known)
     figure = _figure((8.6, height))
     ax = figure.add_axes((0.17, 0.62 / height, 0.8, 1 - 0.95 / height))
     spread = np.random.default_rng(0)  # where dots lie within a strip says nothing
-    for row, (method, values) in enumerate(known.items()):
+    for row, (method, taken) in enumerate(known.items()):
+        values = np.concatenate(taken)
+        at50, at95, at99 = np.mean([np.percentile(v, (50, 95, 99)) for v in taken], axis=0)
         shown = values if len(values) <= 700 else spread.choice(values, 700, replace=False)
         height_of = row + spread.uniform(-0.26, 0.26, len(shown))
         # One path of dots: thousands of markers would make a heavy file.
@@ -103,12 +112,10 @@ def latency_figure(
             shown, height_of, linestyle="", marker="o", markersize=2.2, markeredgewidth=0,
             color=colors[method], alpha=0.45, rasterized=True,
         )  # fmt: skip
-        for share, style in ((50, "-"), (95, "--"), (99, ":")):
-            at = float(np.percentile(values, share))
+        for at, style in ((at50, "-"), (at95, "--"), (at99, ":")):
             ax.plot([at, at], [row - 0.36, row + 0.36], color=INK, linestyle=style, linewidth=1.3)
         ax.annotate(
-            f"{np.percentile(values, 50):.3g}", (float(np.percentile(values, 50)), row - 0.38),
-            ha="center", va="bottom", fontsize=8,
+            f"{at50:.3g}", (float(at50), row - 0.38), ha="center", va="bottom", fontsize=8,
         )  # fmt: skip
     ax.set_xscale("log")
     plain_logs(ax, both=False)
@@ -136,7 +143,7 @@ def fingertip_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
             for run in panel.runs:
                 ax.plot(
                     time, 1e3 * run.robot[cut, tip, k], color=colors[run.method], linewidth=1.0,
-                    label=run.method,
+                    label=run.method, gid=series(run.method, run.method),
                 )  # fmt: skip
             if i == 0:
                 ax.set_title(axis)
@@ -164,8 +171,9 @@ def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
                 ax.axhline(limit, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
         for run in panel.runs:
             ax.plot(
-                time, run.joints[cut, j], color=colors[run.method], linewidth=1.0, label=run.method
-            )
+                time, run.joints[cut, j], color=colors[run.method], linewidth=1.0,
+                label=run.method, gid=series(run.method, run.method),
+            )  # fmt: skip
         ax.set_title(names[j], fontsize=8)
         if j % columns == 0:
             ax.set_ylabel("[rad]")
@@ -176,7 +184,7 @@ def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
     return figure
 
 
-def still_figure(panel: Panel) -> Figure:
+def still_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
     """The human (grey) and the robot of every method at three moments, palm in sight."""
     basis, bones = view_basis(panel.hand), robot_bones(panel.hand)
     cut = panel.window(8.0)
@@ -192,7 +200,7 @@ def still_figure(panel: Panel) -> Figure:
         for k, moment in enumerate(moments):
             ax = axes[i, k]
             _skeleton(ax, run.human[moment] @ basis.T, BONES, None)
-            _skeleton(ax, run.robot[moment] @ basis.T, bones, FINGER_COLORS)
+            _skeleton(ax, run.robot[moment] @ basis.T, bones, colors[run.method])
             ax.set_xlim(middle[0] - reach, middle[0] + reach)
             ax.set_ylim(middle[1] - reach, middle[1] + reach)
             ax.set_aspect("equal")
@@ -212,14 +220,13 @@ def _skeleton(
     ax: Axes,
     points: Float[np.ndarray, "21 3"],
     bones: Sequence[tuple[int, int]],
-    colors: Sequence[str] | None,
+    color: str | None,
 ) -> None:
     for parent, child in bones:
         pair = points[[parent, child]]
         if np.isfinite(pair).all():
-            finger = (child - 1) // 4 if child else 0
-            style = {"color": INK, "alpha": 0.3, "linewidth": 4.0} if colors is None else {
-                "color": colors[finger % len(FINGERS)], "linewidth": 1.8}  # fmt: skip
+            style = {"color": INK, "alpha": 0.3, "linewidth": 4.0} if color is None else {
+                "color": color, "linewidth": 1.8}  # fmt: skip
             ax.plot(pair[:, 0], pair[:, 1], solid_capstyle="round", **style)  # type: ignore[arg-type]
 
 

@@ -20,12 +20,22 @@ HEADLINES: Final[tuple[Metric, ...]] = tuple(
 )  # fmt: skip
 """The six columns of the paper's table."""
 
+COLUMNS: Final[tuple[Metric, ...]] = (
+    *HEADLINES[:4],
+    _BY_NAME["pinch_error_mm"],
+    _BY_NAME["self_collision.share"],
+    *HEADLINES[4:],
+)
+"""The columns of a benchmark's tables: the paper's, and the two that decide grasping."""
+
 SHORT: Final = {
     "cosine_similarity": "cosine",
     "cosine_similarity_all": "cosine, all",
     "scale_ratio": "scale",
     "motion_preservation": "motion",
     "flatness": "flatness",
+    "pinch_error_mm": "pinch gap",
+    "self_collision.share": "collision",
     "workspace_utilisation": "workspace",
     "latency_ms.p50": "p50",
 }

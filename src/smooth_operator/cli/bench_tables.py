@@ -12,7 +12,7 @@ from rich.text import Text
 
 from smooth_operator.benchmark.comparison import Comparison
 from smooth_operator.benchmark.ranking import (
-    HEADLINES,
+    COLUMNS,
     SHORT,
     Line,
     best,
@@ -24,44 +24,57 @@ from smooth_operator.benchmark.ranking import (
     shown_value,
 )
 from smooth_operator.benchmark.results import Row
+from smooth_operator.benchmark.uses import verdict as verdict_of
 from smooth_operator.metrics import Metric
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
 _WIDTH_OF_A_FILE: Final = 140
+_WIDTH_OF_ALL: Final = 104
+"""Of a table with every column [characters]."""
+_LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
+"""What a narrower terminal does without; the report has it."""
 _GOALS: Final = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
 _STYLES: Final = {"better": "green", "worse": "red", "same": ""}
 _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
 
 
 def print_results(rows: Sequence[Row]) -> None:
-    """The six headline metrics of each method, per recording and overall."""
+    """The main metrics of each method, per recording and overall, and which method for what."""
     console = _console()
+    shown = _columns(console)
     panels = by_panel(rows)
     if len(panels) <= _MOST_PANELS:
         for (recording, hand, side), own in panels.items():
             if all(row["status"] != "ok" for row in own):
                 continue  # said below, once
-            console.print(_table(f"{recording} on {hand} {side}", lines_of(own)))
+            console.print(_table(f"{recording} on {hand} {side}", lines_of(own), shown))
     for hand, own in by_hand(rows).items():
         count = len({row["recording"] for row in own if row["status"] == "ok"})
+        lines = overall(own)
         if count > 1:
-            console.print(_table(f"{hand}, mean over {count} recordings", overall(own)))
+            console.print(_table(f"{hand}, mean over {count} recordings", lines, shown))
+        said = verdict_of(lines)
+        if said:
+            console.print(Text(f"{hand}: {said}"))
     if any(row["status"] == "ok" for row in rows):
-        console.print("* best", style="dim")
+        hidden = len(COLUMNS) - len(shown)
+        more = f"; {hidden} columns more in the report, or in a wider terminal" if hidden else ""
+        console.print(f"* best{more}", style="dim")
     for where, methods, reason in failures(rows):
         console.print(Text(f"failed: {where}, {methods}: {reason}"), soft_wrap=True)
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """Differences of the headline metrics, cell by cell."""
+    """Differences of the main metrics, cell by cell."""
     console = _console()
-    table = _empty(f"this minus {comparison.name}", "cell")
+    shown = _columns(console)
+    table = _empty(f"this minus {comparison.name}", "cell", shown)
     for cell in comparison.cells:
         recording, hand, side, method, preset = cell.key
         known = {change.metric.name: change for change in cell.changes}
         values = []
-        for metric in HEADLINES:
+        for metric in shown:
             change = known.get(metric.name)
             if change is None:
                 values.append(Text("–"))
@@ -91,34 +104,40 @@ def print_comparison(comparison: Comparison) -> None:
             console.print(Text(f"{title}: {named}{more}"), soft_wrap=True)
 
 
-def _table(title: str, lines: Sequence[Line]) -> Table:
-    table = _empty(title, "method")
-    tops = [best(lines, metric) for metric in HEADLINES]
+def _table(title: str, lines: Sequence[Line], shown: Sequence[Metric]) -> Table:
+    table = _empty(title, "method", shown)
+    tops = [best(lines, metric) for metric in shown]
     for i, line in enumerate(lines):
         name = (
             line.method if line.count in (0, line.of) else f"{line.method} ({line.count}/{line.of})"
         )
         if line.failed is not None:
-            table.add_row(Text(name), *(Text("failed" if k == 0 else "", "red") for k in range(6)))
+            table.add_row(
+                Text(name), *(Text("failed" if k == 0 else "", "red") for k in range(len(shown)))
+            )
             continue
         cells = []
-        for metric, top in zip(HEADLINES, tops, strict=True):
+        for metric, top in zip(shown, tops, strict=True):
             value = shown_value(metric, line.values[metric.name])
             cells.append(Text(f"{value}*", "bold green") if i in top else Text(f"{value} "))
         table.add_row(Text(name), *cells)
     return table
 
 
-def _empty(title: str, first: str) -> Table:
+def _empty(title: str, first: str, shown: Sequence[Metric]) -> Table:
     table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column(first, no_wrap=first == "method", overflow="fold")
-    for metric in HEADLINES:
+    for metric in shown:
         table.add_column(_header(metric), justify="right", no_wrap=True)
     return table
 
 
 def _header(metric: Metric) -> str:
     return f"{SHORT[metric.name]}\n{' '.join(filter(None, (metric.unit, _GOALS[metric.goal])))}"
+
+
+def _columns(console: Console) -> list[Metric]:
+    return [m for m in COLUMNS if console.width >= _WIDTH_OF_ALL or m.name not in _LEFT_OUT]
 
 
 def _console() -> Console:

@@ -44,7 +44,7 @@ def table(
     """A table that scrolls by itself where it is too wide; the first column names its rows.
 
     Args:
-        headers: of the columns.
+        headers: of the columns, either bare HTML or whole ``<th>`` elements.
         rows: cells, either bare HTML or whole ``<td>`` elements.
         class_: of the table.
         foot: rows below the others, as HTML.
@@ -54,7 +54,10 @@ def table(
         written = [c if c.startswith("<t") else f"<td>{c}</td>" for c in cells]
         return f"<tr>{''.join(written)}</tr>"
 
-    head = "".join(element("th", header, scope="col") for header in headers)
+    head = "".join(
+        header if header.startswith("<th") else element("th", header, scope="col")
+        for header in headers
+    )
     body = "".join(row(cells) for cells in rows)
     below = f"<tbody class='below'>{foot}</tbody>" if foot else ""
     inside = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>{below}"
@@ -62,10 +65,11 @@ def table(
 
 
 def name_cell(text: object, color: str = "", note: str = "") -> Html:
-    """The cell that names a row, with the colour of its method."""
+    """The cell that names a row; with a colour, the row of a series that the plots draw in it."""
     dot = f"<i class='dot' style='background:{escape(color)}'></i>" if color else ""
     small = f" <small>{escape(note)}</small>" if note else ""
-    return element("th", Html(f"{dot}{escape(text)}{small}"), scope="row")
+    series = {"data_series": str(text)} if color else {}
+    return element("th", Html(f"{dot}{escape(text)}{small}"), scope="row", **series)
 
 
 def data(content: object) -> Html:

@@ -1,11 +1,10 @@
-// Plays the landmarks embedded in the page: human in grey, robot by finger, one pane a method.
+// Plays the landmarks embedded in the page: human in grey, robot in its method's colour.
 (() => {
   "use strict";
   addEventListener("beforeprint", () => {
     for (const folded of document.querySelectorAll("details")) folded.open = true;
   });
 
-  const FINGERS = ["#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2"];
   const ABSENT = -32768;
 
   const unpack = (text) => {
@@ -43,7 +42,7 @@
       for (const [parent, child] of bones) {
         const from = place(parent), to = place(child);
         if (!from || !to) continue;
-        context.strokeStyle = context.fillStyle = style.color(Math.floor((child - 1) / 4));
+        context.strokeStyle = context.fillStyle = style.color;
         context.beginPath();
         context.moveTo(...from);
         context.lineTo(...to);
@@ -69,10 +68,10 @@
         const ink = getComputedStyle(canvas).color;
         context.globalAlpha = 0.28;
         skeleton(context, humans[clip.panes[i].human], frame, clip.humanBones, size,
-          { width: size / 42, color: () => ink });
+          { width: size / 42, color: ink });
         context.globalAlpha = 1;
         skeleton(context, robots[i], frame, clip.robotBones, size,
-          { width: size / 95, dot: size / 95, color: (f) => FINGERS[f] });
+          { width: size / 95, dot: size / 95, color: clip.panes[i].color });
       });
       slider.value = frame;
       clock.textContent = clip.times[frame].toFixed(2) + " s";

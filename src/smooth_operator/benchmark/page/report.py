@@ -7,9 +7,10 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from smooth_operator.benchmark import figures
+from smooth_operator.benchmark import figures, uses
 from smooth_operator.benchmark.cells import file_name
 from smooth_operator.benchmark.clips import make_clip
 from smooth_operator.benchmark.comparison import Comparison
@@ -27,13 +28,11 @@ from smooth_operator.benchmark.page.html import (
 from smooth_operator.benchmark.page.player import player
 from smooth_operator.benchmark.panels import Panel, make_panels
 from smooth_operator.benchmark.ranking import (
-    HEADLINES,
-    best,
+    Line,
     by_hand,
     by_panel,
     lines_of,
     overall,
-    shown_value,
 )
 from smooth_operator.benchmark.results import Row, row_method
 from smooth_operator.benchmark.settings import Settings
@@ -43,16 +42,6 @@ from smooth_operator.recording import atomic_write, output_error
 
 BUSY = 0.25
 """Share of the cores in others' hands from which a latency is warned of."""
-
-_WINNERS = (
-    "most accurate: cosine similarity",
-    "truest to size: scale ratio",
-    "truest motion: preservation",
-    "smoothest: flatness",
-    "widest: workspace used",
-    "fastest: median latency",
-)
-"""What the best at each headline is called."""
 
 _PAPER_HAND = "mimic_p050"
 
@@ -128,7 +117,8 @@ class _Page:
         )  # fmt: skip
         here = files("smooth_operator.benchmark.page")
         style = (here / "report.css").read_text(encoding="utf-8")
-        script = (here / "player.js").read_text(encoding="utf-8")
+        scripts = ("player.js", "interact.js")
+        script = "".join((here / name).read_text(encoding="utf-8") for name in scripts)
         return (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -160,7 +150,7 @@ class _Page:
             lines = overall(rows)
             title = f"{hand}: mean over {count} recordings" if count > 1 else hand
             parts.append(element("h3", escape(title)))
-            parts.append(self._winners(rows))
+            parts.append(self._verdict(lines, count))
             parts.append(tables.headline_table(lines, self._colors, paper=hand == _PAPER_HAND))
             if count > 1:
                 parts.append(
@@ -185,21 +175,18 @@ class _Page:
                 )
         return join(parts)
 
-    def _winners(self, rows: Sequence[Row]) -> Html:
-        lines = overall(rows)
-        cards = []
-        for title, metric in zip(_WINNERS, HEADLINES, strict=True):
-            top = best(lines, metric)
-            if not top:
-                continue
-            names = ", ".join(lines[i].method for i in sorted(top))
-            value = shown_value(metric, lines[min(top)].values[metric.name])
-            said, unit = f"{title} {value}", f" {metric.unit}" if metric.unit else ""
-            cards.append(
-                element("div", Html(f"<b>{escape(names)}</b><span>{escape(said + unit)}</span>"),
-                        class_="card")
-            )  # fmt: skip
-        return element("div", join(cards), class_="cards") if cards else Html("")
+    def _verdict(self, lines: Sequence[Line], count: int) -> Html:
+        """Which method for what, in one sentence; how that is decided is folded away."""
+        said = uses.verdict(lines)
+        if not said:
+            return Html("")
+        mind = (
+            f" {_count(count, 'recording')}: on others the order may be another."
+            if count < uses.FEW
+            else ""
+        )
+        inside = [paragraph(said), details("How this is decided", paragraph(uses.RULES + mind))]
+        return element("div", join(inside), class_="verdict")
 
     def _latency(self) -> Html:
         timed = [one for one in self._finished if one.latency is not None]
@@ -228,20 +215,20 @@ class _Page:
                 paragraph(f"Meanwhile {', '.join(said)}{warned}.", "warning" if busy else "soft")
             )
         for hand in self._hands:
-            samples: dict[str, list[np.ndarray]] = {}
+            samples: dict[str, list[Float[np.ndarray, " N"]]] = {}
             for one, row in zip(self._finished, self._rows, strict=True):
                 if one.latency is not None and row["hand"] == hand:
                     samples.setdefault(row_method(row), []).append(one.latency.samples_ms)
-            pooled = {method: np.concatenate(times) for method, times in samples.items()}
             with styled():
-                drawn = figures.latency_figure(pooled, self._colors)
+                drawn = figures.latency_figure(samples, self._colors)
             if drawn is not None:
                 parts.append(
                     self._drawn(
                         drawn,
                         f"latency-{hand}",
-                        f"Each dot is a frame on {hand}, all recordings together; "
-                        "the number is the median.",
+                        f"Each dot is a frame on {hand}, all recordings together; the lines are "
+                        "means of the recordings' percentiles, as in the table; the number is the "
+                        "median.",
                     )
                 )
         return join(parts)
@@ -261,7 +248,7 @@ class _Page:
                 inside += self._panel(panel, rows)
             title = f"{recording} on {hand} {side}"
             content = join(inside)
-            if len(groups) <= 3:
+            if len(groups) == 1:
                 parts.append(Html(f"<h3>{escape(title)}</h3>{content}"))
             else:
                 parts.append(details(title, content, opened=i == 0, class_="recording"))
@@ -273,7 +260,7 @@ class _Page:
         parts = [player(make_clip(panel, self._colors, hands))]
         with styled():
             stills, tips = (
-                figures.still_figure(panel),
+                figures.still_figure(panel, self._colors),
                 figures.fingertip_figure(panel, self._colors),
             )
             joints = figures.joint_figure(panel, self._colors)

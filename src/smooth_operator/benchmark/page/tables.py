@@ -19,7 +19,7 @@ from smooth_operator.benchmark.page.html import (
 from smooth_operator.benchmark.per_finger import PER_FINGER
 from smooth_operator.benchmark.published import PAPER_NOTE, PAPER_TABLE
 from smooth_operator.benchmark.ranking import (
-    HEADLINES,
+    COLUMNS,
     NUMBERS,
     SHORT,
     Line,
@@ -37,17 +37,18 @@ GOALS = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
 
 
 def header(metric: Metric) -> Html:
-    """Name, unit and direction of a metric."""
+    """The heading of a column: name, unit and direction of a metric; it sorts the table."""
     name = SHORT.get(metric.name, metric.name.replace("_", " "))
     below = " ".join(filter(None, (metric.unit, GOALS[metric.goal])))
     title = element("span", escape(name), title=metric.meaning)
-    return Html(f"{title} <small>{escape(below)}</small>")
+    inside = Html(f"{title} <small>{escape(below)}</small>")
+    return element("th", inside, scope="col", data_goal=metric.goal or "up")
 
 
 def headline_table(
     lines: Sequence[Line], colors: Mapping[str, str], *, paper: bool = False
 ) -> Html:
-    """The six columns of the paper's table, the best marked.
+    """The paper's columns, pinch gap and self-collision; the best marked.
 
     Args:
         lines: one a method.
@@ -63,15 +64,15 @@ def headline_table(
                     [
                         name_cell(f"{name}, paper"),
                         *(
-                            element("td", escape(shown_value(metric, values[metric.name])))
-                            for metric in HEADLINES
+                            element("td", escape(shown_value(metric, values.get(metric.name))))
+                            for metric in COLUMNS
                         ),
                     ]
                 ),
             )
             for name, values in PAPER_TABLE.items()
         )
-    body = _table(lines, HEADLINES, colors, foot)
+    body = _table(lines, COLUMNS, colors, foot)
     return join([body, paragraph(PAPER_NOTE, "soft")]) if paper else body
 
 
@@ -80,7 +81,15 @@ def full_table(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
     lines = lines_of(rows)
     headers = [
         escape("metric"),
-        *(Html(f"{_dot(colors[line.method])}{escape(line.method)}") for line in lines),
+        *(
+            element(
+                "th",
+                Html(f"{_dot(colors[line.method])}{escape(line.method)}"),
+                scope="col",
+                data_series=line.method,
+            )
+            for line in lines
+        ),
     ]
     body = []
     for metric in NUMBERS:
@@ -126,7 +135,7 @@ def finger_tables(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
             for i, line in enumerate(lines)
         ]
         unit = " ".join(filter(None, (metric.unit, GOALS[metric.goal])))
-        title = escape(f"{metric.name.replace('_', ' ')} {unit}")
+        title = escape(f"{metric.name.removesuffix('_mm').replace('_', ' ')} {unit}")
         parts.append(table([title, *(escape(f) for f in fingers)], body))
         parts.append(paragraph(f"{metric.meaning[0].upper()}{metric.meaning[1:]}.", "soft"))
     return join(parts)
@@ -158,12 +167,12 @@ def comparison_tables(comparison: Comparison) -> Html:
     body = [
         [
             _cell_name(cell),
-            *(_change(_find(cell, metric)) for metric in HEADLINES),
+            *(_change(_find(cell, metric)) for metric in COLUMNS),
         ]
         for cell in comparison.cells
     ]
     if body:
-        parts.append(table([escape("cell"), *(header(m) for m in HEADLINES)], body))
+        parts.append(table([escape("cell"), *(header(m) for m in COLUMNS)], body))
     for cell in comparison.cells:
         changed = [change for change in cell.changes if change.now != change.before]
         if changed:
@@ -228,12 +237,14 @@ def _table(
                 for metric, top in zip(metrics, tops, strict=True)
             ]
         body.append(cells)
-    return table([escape("method"), *(header(m) for m in metrics)], body, foot=foot)
+    headers = [escape("method"), *(header(m) for m in metrics)]
+    return table(headers, body, "sortable", foot)
 
 
 def _value(metric: Metric, value: float | None, top: bool) -> Html:
     text = escape(shown_value(metric, value))
-    return element("td", text, class_="best") if top else element("td", text)
+    exact = {} if value is None else {"data_value": repr(value)}
+    return element("td", text, **({"class_": "best"} if top else {}), **exact)
 
 
 def _change(change: Change | None) -> Html:
