@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from study_console import PATIENCE_S, ConsoleProcess, console_plan, ratings
+from study_console import PATIENCE_S, ConsoleProcess, console_plan, ratings, served
 
+from smooth_operator.study.console.desk import Desk
+from smooth_operator.study.console.gate import Gate
 from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.workload import SCALE_NAMES
+from smooth_operator.web.browser import leading_to
 
 pytest.importorskip("segno", reason="the extra study is not installed")
 
@@ -163,3 +166,17 @@ def check_store(folder: Path) -> None:
                       and r.event.trial == 3)  # fmt: skip
         assert third.time_s is not None
         assert third.time_s < (scored.at - third.started).total_seconds()
+
+
+@pytest.mark.browser
+def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -> None:
+    gate = Gate({"experimenter": "e" * 24, "operator": "o" * 24})
+    with (
+        open_study(tmp_path, console_plan()) as store,
+        served(Desk(store, operator="P01"), gate) as port,
+    ):
+        page = chromium.new_page()
+        page.goto(leading_to(gate.links("127.0.0.1", port)["experimenter"]).as_uri())
+        page.locator("#link", has_text="connected").wait_for()
+        assert page.url == f"http://127.0.0.1:{port}/"  # without the token
+        page.close()

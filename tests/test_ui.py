@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import html
+import os
 import re
 import socket
 import string
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import mujoco
 import numpy as np
@@ -20,7 +24,7 @@ from browser_page import changed, new_page, settled
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.types import Status
-from smooth_operator.ui import Playback, PlaybackServer, serve, viser_server
+from smooth_operator.ui import Playback, PlaybackServer, serve
 from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.human import _turn_z, lit_tips
 from smooth_operator.ui.layout import FOV, plan, view_axes
@@ -28,6 +32,7 @@ from smooth_operator.ui.markup import plain
 from smooth_operator.ui.meshes import body_meshes, finger_of_body, geom_mesh
 from smooth_operator.ui.palette import FINGER_COLORS, HIGHLIGHT, linear
 from smooth_operator.ui.readout import WINDOW, GapPlot, metrics_table, status_line
+from smooth_operator.web import browser
 
 FINGERS = ("thumb", "index", "pinky")
 TIPS = (4, 8, 20)
@@ -548,12 +553,38 @@ def test_a_single_frame_can_be_shown() -> None:
 
 
 def test_no_browser_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viser_server.sys, "platform", "linux")
+    monkeypatch.setattr(browser.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert not viser_server.has_desktop()
+    assert not browser.has_desktop()
     monkeypatch.setenv("DISPLAY", ":0")
-    assert viser_server.has_desktop()
+    assert browser.has_desktop()
+
+
+def test_a_token_is_in_no_argument_of_the_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":9")
+    monkeypatch.setattr(browser.webbrowser, "open", opened.append)
+    browser.open_page("http://127.0.0.1:8080")
+    assert opened == ["http://127.0.0.1:8080"]
+    browser.open_page("http://10.0.0.7:8080/?token=s3cret&x=1")
+    assert "s3cret" not in opened[-1]
+    file = Path(unquote(urlsplit(opened[-1]).path.removeprefix("/" if os.name == "nt" else "")))
+    assert "url=http://10.0.0.7:8080/?token=s3cret&x=1" in html.unescape(file.read_text())
+    if os.name == "posix":
+        assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(browser, "_KEPT_S", 0.05)
+    file = browser.leading_to("http://localhost/?token=x")
+    end = time.monotonic() + 20.0
+    while file.exists():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    code = "from smooth_operator.web.browser import leading_to; print(leading_to('http://h/?t=x'))"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not Path(ran.stdout.strip()).exists()  # it goes with the process, too
 
 
 @pytest.mark.shared

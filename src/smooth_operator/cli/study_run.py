@@ -24,6 +24,7 @@ from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.study_store import StudyStore
 from smooth_operator.study.store.tables import FILE
+from smooth_operator.web.browser import open_page
 from smooth_operator.web.listening import listen
 
 
@@ -58,8 +59,6 @@ def run_study(options: Run) -> None:
             _say(f"for the operator's tablet: {links['operator']}")
             _say("Ctrl-C ends; nothing is lost")
             if options.open:
-                from smooth_operator.ui.viser_server import open_page
-
                 open_page(links["experimenter"])
 
         asyncio.run(_serve(console, listening, ready))

@@ -13,6 +13,7 @@ from smooth_operator.offline import Request
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.sinks.sink import Sink
 from smooth_operator.types import Side
+from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
     from smooth_operator.ui.live.page import LivePage
@@ -53,7 +54,6 @@ def show_page(
     if page is None:
         return
     from smooth_operator.ui.live.session import LiveSession
-    from smooth_operator.ui.viser_server import open_page
 
     session = LiveSession(loop, asked, acting, workshop=workshop, blind=options.blind)
     loop.watch = session.watch

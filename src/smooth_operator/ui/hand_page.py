@@ -17,7 +17,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.ui.hand_view import HandView, JointRow, joint_rows
 from smooth_operator.ui.markup import plain
 from smooth_operator.ui.palette import PALM, finger_colors, linear
-from smooth_operator.ui.viser_server import close_server, open_page, open_server, page_url
+from smooth_operator.ui.viser_server import close_server, open_server, page_url
+from smooth_operator.web.browser import open_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
 _FRAME: Final = 0.03  # length of the palm frame's axes [m]

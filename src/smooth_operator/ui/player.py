@@ -16,7 +16,8 @@ from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.panel import SPEEDS, Panel
 from smooth_operator.ui.playback import Playback
 from smooth_operator.ui.scene import Scene
-from smooth_operator.ui.viser_server import close_server, open_page, open_server, page_url
+from smooth_operator.ui.viser_server import close_server, open_server, page_url
+from smooth_operator.web.browser import open_page
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
 _TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses

@@ -1,11 +1,8 @@
-"""Opening and closing a viser server, and a browser to look at it: what every page here does."""
+"""Opening and closing a viser server: what every page here does."""
 
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
-import webbrowser
 from collections.abc import Iterator
 from typing import Final
 from weakref import WeakKeyDictionary
@@ -66,20 +63,6 @@ def page_url(host: str, server: viser.ViserServer) -> str:
         host = next(iter(lan_addresses()), "localhost")
     base = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
     return base if token is None else f"{base}/?token={token}"
-
-
-def open_page(url: str) -> None:
-    """Opens a page in the browser, where there is a desktop to open it on."""
-    if has_desktop():
-        webbrowser.open(url)
-
-
-def has_desktop() -> bool:
-    """Whether a browser would open a window."""
-    # without a display, webbrowser starts a text browser that takes over the terminal
-    if sys.platform in ("win32", "darwin"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @contextlib.contextmanager

@@ -1,0 +1,74 @@
+"""Opening a page in the browser of whoever sits here, without its token in a list of processes."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import html
+import os
+import sys
+import tempfile
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Final
+
+_KEPT_S: Final = 60.0
+"""How long a browser may take to read the file that leads to a page [s]."""
+
+
+def open_page(url: str) -> None:
+    """Opens a page in the browser, where there is a desktop to open it on.
+
+    Any user of this machine sees with which arguments a browser is started. So an address that
+    holds a token is handed over in a file that its owner alone may read, and that leads there.
+
+    Args:
+        url: of the page.
+    """
+    if not has_desktop():
+        return
+    if "?" not in url:
+        webbrowser.open(url)
+        return
+    with contextlib.suppress(OSError):  # the terminal shows the address as well
+        webbrowser.open(leading_to(url).as_uri())
+
+
+def leading_to(url: str) -> Path:
+    """A file that leads a browser to a page; readable by its owner alone, and gone after a minute.
+
+    Args:
+        url: of the page.
+
+    Raises:
+        OSError: it can't be written.
+    """
+    handle, name = tempfile.mkstemp(prefix="smooth-operator-", suffix=".html")  # mode 0600
+    file = Path(name)
+    shown = html.escape(url)
+    with os.fdopen(handle, "w", encoding="utf-8") as out:
+        out.write(
+            '<!DOCTYPE html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+            f'<meta http-equiv="refresh" content="0; url={shown}"><title>smooth-operator</title>'
+            f'<a href="{shown}">Open the page</a>\n'
+        )
+
+    def remove() -> None:
+        atexit.unregister(remove)
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
+
+    atexit.register(remove)
+    timer = threading.Timer(_KEPT_S, remove)
+    timer.daemon = True
+    timer.start()
+    return file
+
+
+def has_desktop() -> bool:
+    """Whether a browser would open a window."""
+    # without a display, webbrowser starts a text browser that takes over the terminal
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
