@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from study_console import PATIENCE_S, ConsoleProcess, console_plan, ratings, served
@@ -178,5 +179,5 @@ def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -
         page = chromium.new_page()
         page.goto(leading_to(gate.links("127.0.0.1", port)["experimenter"]).as_uri())
         page.locator("#link", has_text="connected").wait_for()
-        assert page.url == f"http://127.0.0.1:{port}/"  # without the token
+        assert urlsplit(page.url)[2:] == ("/", "", "")  # without the token
         page.close()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 
 from smooth_operator.recording.atomic import atomic_write
+from smooth_operator.recording.csv_table import csv_text
 from smooth_operator.training.loop import TrainingState
 from smooth_operator.training.losses import LOSSES
 
@@ -22,15 +21,15 @@ def write_curves(path: Path, state: TrainingState) -> None:
         OutputError: it can't be written.
     """
     names = ("loss", *LOSSES)
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["epoch", *(f"{kind}_{n}" for kind in ("train", "validation") for n in names)])
+    columns = [f"{kind}_{n}" for kind in ("train", "validation") for n in names]
     done = int(state.epoch)
     rows = np.hstack([np.asarray(state.train), np.asarray(state.validation)])[:done]
-    for epoch, row in enumerate(rows, start=1):
-        table.writerow([epoch, *(f"{value:.9g}" for value in row)])
+    numbered = (
+        {"epoch": epoch, **{c: f"{value:.9g}" for c, value in zip(columns, row, strict=True)}}
+        for epoch, row in enumerate(rows, start=1)
+    )
     with atomic_write(path) as file:
-        file.write(text.getvalue().encode())
+        file.write(csv_text(["epoch", *columns], numbered).encode())
 
 
 def plot_curves(path: Path, state: TrainingState) -> None:

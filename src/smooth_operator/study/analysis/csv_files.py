@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.recording import atomic_write
+from smooth_operator.recording.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.operators import operator_means
 from smooth_operator.study.analysis.results import ScopeResult, plain
@@ -41,13 +40,9 @@ def write_tables(analysis: Analysis, folder: Path) -> list[str]:
         if not rows:
             path.unlink(missing_ok=True)
             continue
-        text = io.StringIO(newline="")
         columns = list(dict.fromkeys(column for row in rows for column in row))
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
         with atomic_write(path) as file:
-            file.write(text.getvalue().encode())
+            file.write(csv_text(columns, rows).encode())
         written.append(path.name)
     return written
 

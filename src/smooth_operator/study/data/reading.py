@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import StudyError
+from smooth_operator.recording.csv_table import plain_cell
 from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
 from smooth_operator.study.data.tables import (
     METRIC_COLUMNS,
@@ -110,7 +111,7 @@ def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
     delimiter = max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text), delimiter=delimiter)
     try:
-        header = [word.strip() for word in next(reader, [])]
+        header = [plain_cell(word.strip()) for word in next(reader, [])]
         rows: list[tuple[int, dict[str, str]]] = []
         for values in reader:
             if not any(value.strip() for value in values):
@@ -120,7 +121,8 @@ def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
                     f"{name} can't be used:\n  row {reader.line_num}: expected {len(header)} "
                     f"fields as in the header, came {len(values)}"
                 )
-            rows.append((reader.line_num, dict(zip(header, values, strict=True))))
+            cells = map(plain_cell, values)
+            rows.append((reader.line_num, dict(zip(header, cells, strict=True))))
     except csv.Error as error:
         raise StudyError(f"{name}, row {reader.line_num}: no readable CSV: {error}") from None
     twice = sorted({word for word in header if header.count(word) > 1})

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from typing import Final
 
+from smooth_operator.recording.csv_table import csv_text
 from smooth_operator.study.design.enrolment import spread_of_rows
 from smooth_operator.study.design.latin import balance
 from smooth_operator.study.design.plan import Plan
@@ -25,11 +24,9 @@ def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
         blind: leave out what tells which label is which condition.
     """
     columns = [name for name in COLUMNS if not (blind and name in ("condition", "row"))]
-    out = io.StringIO()
-    writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    for block in plan.schedule():
-        writer.writerow(
+    return csv_text(
+        columns,
+        (
             {
                 "operator": block.operator,
                 "session": block.session,
@@ -43,8 +40,9 @@ def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
                 "first_trial_global": block.trial_global(1),
                 "questionnaires_after": " ".join(map(str, block.questionnaires)),
             }
-        )
-    return out.getvalue()
+            for block in plan.schedule()
+        ),
+    )
 
 
 def schedule_table(plan: Plan, *, blind: bool = True) -> list[list[str]]:

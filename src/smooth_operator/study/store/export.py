@@ -7,8 +7,6 @@ either.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,6 +14,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import OutputError
 from smooth_operator.recording.atomic import atomic_write, output_error
+from smooth_operator.recording.csv_table import csv_text
 from smooth_operator.study.data.tables import (
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
@@ -202,17 +201,12 @@ def _operator(progress: Progress) -> dict[str, Any]:
 
 
 def _table(columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:
-    out = io.StringIO()
-    writer = csv.DictWriter(out, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(row[name]) for name in columns} for row in rows)
-    return out.getvalue()
+    return csv_text(columns, ({name: _short(row[name]) for name in columns} for row in rows))
 
 
-def _cell(value: Any) -> Any:
-    if isinstance(value, float):
-        return int(value) if value.is_integer() else value  # a score is 1, not 1.0
-    return "" if value is None else value
+def _short(value: Any) -> Any:
+    whole = isinstance(value, float) and value.is_integer()
+    return int(value) if whole else value  # a score is 1, not 1.0
 
 
 def _write(path: Path, text: str) -> Path:

@@ -1,0 +1,78 @@
+"""CSV that a spreadsheet shows and never runs, and that reads back as it was."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from study_cases import simulate
+
+import smooth_operator
+from smooth_operator.cli import main
+from smooth_operator.recording.csv_table import csv_text, plain_cell
+from smooth_operator.study.data import read_study
+
+FORMULAS = (
+    '=HYPERLINK("http://elsewhere.example","click")', "-1+cmd|' /C calc'!A0", "+1+1", "@SUM(A1)",
+    "＝1+1", "'=1+1",
+)  # fmt: skip
+SAFE = re.compile(r"[^=+\-@\t\r\n＝＋－＠]|[+-]?[\d.]+(e[+-]?\d+)?$|$")
+
+
+def cells(text: str) -> list[list[str]]:
+    return list(csv.reader(io.StringIO(text, newline="")))
+
+
+@given(st.lists(st.one_of(st.text(), st.sampled_from(FORMULAS)), min_size=1, max_size=3))
+def test_any_text_reads_back_and_none_is_a_formula(values: list[str]) -> None:
+    columns = [f"c{k}" for k in range(len(values))] + ["last"]
+    text = csv_text(columns, [dict(zip(columns, [*values, "end"], strict=True))])
+    header, row = cells(text)
+    assert header == columns
+    assert [plain_cell(cell) for cell in row] == [*values, "end"]
+    assert all(SAFE.match(cell) for cell in row)
+
+
+def test_numbers_stay_numbers() -> None:
+    values = {"a": -1.5, "b": 3, "c": "-2.5e-07", "d": None, "e": float("-inf")}
+    assert cells(csv_text(list(values), [values]))[1] == ["-1.5", "3", "-2.5e-07", "", "-inf"]
+
+
+def test_headers_are_cells_too() -> None:
+    assert cells(csv_text(["=1+1"], []))[0] == ["'=1+1"]
+
+
+def test_no_table_of_an_analysis_holds_a_formula(tmp_path: Path) -> None:
+    case = simulate(3, operators=range(6))
+    codes = {f"P{k:02d}": name for k, name in enumerate(FORMULAS)}
+    for rows, name in ((case.trials, "trials.csv"), (case.tlx, "tlx.csv")):
+        renamed = [row | {"operator": codes[str(row["operator"])]} for row in rows]
+        (tmp_path / name).write_text(csv_text(list(rows[0]), renamed), encoding="utf-8")
+    data = read_study([tmp_path])
+    assert set(data.trials.operator) == set(FORMULAS)
+    out = tmp_path / "out"
+    arguments = ["study", "analyze", str(tmp_path), "--output", str(out), "--no-report"]
+    assert main([*arguments, "--quiet"]) == 0
+    tables = {file.name: cells(file.read_text(encoding="utf-8")) for file in out.glob("*.csv")}
+    assert {"operators.csv", "emm.csv", "learning.csv"} <= set(tables)
+    for name, rows in tables.items():
+        assert all(SAFE.match(cell) for row in rows for cell in row), name
+    header, *rows = tables["operators.csv"]
+    assert {plain_cell(row[header.index("operator")]) for row in rows} == set(FORMULAS)
+
+
+def test_there_is_one_writer() -> None:
+    root = Path(smooth_operator.__file__).parent
+    writing = re.compile(r"csv\.(writer|DictWriter)|import (DictWriter|writer)|to_csv|savetxt")
+    found = [file.name for file in root.rglob("*.py") if writing.search(file.read_text("utf-8"))]
+    assert found == []
+
+
+@pytest.mark.parametrize("text", ["'quoted'", "it's", "", "'", "plain"])
+def test_other_apostrophes_stay(text: str) -> None:
+    assert plain_cell(text) == text
