@@ -267,6 +267,27 @@ def test_stopping_while_writing_leaves_the_former_result(
     assert not (tmp_path / "demo").exists()
 
 
+def test_metrics_are_printed_group_by_group(capsys: pytest.CaptureFixture[str]) -> None:
+    from smooth_operator.cli.console import print_metrics
+    from smooth_operator.metrics import GROUPS, METRICS
+
+    metrics: dict[str, object] = {}
+    for number, metric in enumerate(METRICS):
+        outer, _, inner = metric.name.partition(".")
+        if inner:
+            metrics.setdefault(outer, {})[inner] = float(number)  # type: ignore[index]
+        else:
+            metrics[outer] = {"index": 0.5} if metric.name.startswith("pinch_error_per") else number
+    print_metrics("a title", metrics)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
+    names = [words[0] for words in lines]
+    titles = [question.split(":")[0] for question in GROUPS.values()]
+    assert [name for name in names if name in titles] == titles
+    assert sum(name in {metric.name for metric in METRICS} for name in names) == len(METRICS)
+    assert names.index("Grasping") < names.index("self_collision.share") < names.index("Motion")
+    assert ["index", "0.5"] in lines  # a figure of each finger has a row of its own
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
 def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path: Path) -> None:
     save(tmp_path / "long.npz", SyntheticOperator().record(200.0))

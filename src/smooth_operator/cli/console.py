@@ -117,7 +117,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
         title: above it.
         metrics: of :func:`smooth_operator.metrics.evaluate`.
     """
-    from smooth_operator.metrics import METRICS
+    from smooth_operator.metrics import GROUPS, METRICS
 
     console = Console(highlight=False)
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
@@ -132,11 +132,23 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
         )
 
     def add(name: str, value: object, *rest: str) -> None:
-        table.add_row(name, _shown(value), *rest[: 3 if explained else 2])
+        shown = rest[: 3 if explained else 2]
+        if not isinstance(value, Mapping):
+            table.add_row(name, _shown(value), *shown)
+            return
+        table.add_row(name, "", *shown)
+        for part, own in value.items():  # of each finger, of each status
+            if own != 0:
+                table.add_row(f"  {part}", _shown(own))
 
     known = {metric.name.split(".")[0] for metric in METRICS}
-    for metric in METRICS:
-        add(metric.name, metric.of(metrics), metric.unit, _GOALS[metric.goal], metric.meaning)
+    for group, question in GROUPS.items():
+        table.add_row(f"[bold]{question.split(':')[0]}[/bold]")
+        for metric in METRICS:
+            if metric.group == group:
+                goal = _GOALS[metric.goal]
+                add(metric.name, metric.of(metrics), metric.unit, goal, metric.meaning)
+        table.add_section()
     for name, value in metrics.items():
         if name not in known:
             add(name, value, *_EXTRAS.get(name, ("", "", "")))
@@ -148,6 +160,4 @@ def _shown(value: object) -> str:
         return "–"
     if isinstance(value, float):
         return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return "\n".join(f"{name} {_shown(v)}" for name, v in value.items() if v != 0)
     return str(value)

@@ -9,6 +9,7 @@ alone: :mod:`~smooth_operator.metrics.accuracy`, :mod:`~smooth_operator.metrics.
 from smooth_operator.metrics.evaluation import Definition as Definition
 from smooth_operator.metrics.evaluation import evaluate as evaluate
 from smooth_operator.metrics.plots import save_plots as save_plots
+from smooth_operator.metrics.table import GROUPS as GROUPS
 from smooth_operator.metrics.table import METRICS as METRICS
 from smooth_operator.metrics.table import Metric as Metric
 from smooth_operator.metrics.trace import Trace as Trace
