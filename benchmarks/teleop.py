@@ -250,12 +250,18 @@ def judge(record: Path, summary: Mapping[str, Any], options: argparse.Namespace)
     steps, dt = np.abs(np.diff(q, axis=0)).max(axis=1), np.diff(times)
     low, high = hand.joint_limits.T
     stamps = log.commands.stamps
+    velocity = np.diff(q, axis=0) / dt[:, None]
+    change = np.abs(np.diff(velocity, axis=0)).max(axis=1)
+    apart = np.minimum(dt[1:], (dt[1:] + dt[:-1]) / 2)  # of two velocities [s]
     return {
         "the recording is whole": not log.truncated,
         "every tick is in it": bool((np.diff(log.loop.numbers) == 1).all()),
         "no command is outside the limits": bool(((q >= low - 1e-9) & (q <= high + 1e-9)).all()),
         "no step is above the velocity limit": bool(
             (steps <= limits.velocity * dt * (1 + 1e-6) + 1e-9).all()
+        ),
+        "no step is above the acceleration limit": bool(
+            (change <= limits.acceleration * apart * (1 + 1e-6) + 1e-6).all()
         ),
         "stamps never go back": bool((np.diff(stamps) > 0).all()),
         "the operator was followed": summary["frames_answered"] > 0.2 * RATE * options.seconds,

@@ -194,7 +194,4 @@ class HandPipeline:
             return self.limiter.step(
                 self.retargeter.hand.neutral, dt, self.config.safety.ease_velocity
             )
-        if mode is Mode.STOPPED:
-            return self.limiter.halt()
-        # Brake to a stand within the limits of acceleration: where it would come to rest.
         return self.limiter.rest(dt)

@@ -45,7 +45,7 @@ class Mode(enum.Enum):
     PAUSED = "paused"
     """The operator let go of the clutch: the last command is held."""
     STOPPED = "stopped"
-    """Emergency stop: the robot stands until it is released by hand."""
+    """Emergency stop: the robot brakes and stands until it is released by hand."""
 
     @property
     def moves(self) -> bool:

@@ -1,0 +1,236 @@
+"""The limits hold between any two stamps: uneven steps, coupled joints, stops, new limits."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smooth_operator import Retargeter, load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.runtime.limiter import MAX_STEP_S, Limiter
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.settings import LimitsConfig, LoopConfig
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.live import Arrival
+
+GEARED = {"schunk_svh": 1.44889, "inspire_hand": 1.334, "ability_hand": 1.05851}
+"""Hands of which a coupled joint moves faster than the one that it follows, and by how much."""
+
+
+@functools.cache
+def loaded(name: str = "mimic_p050") -> Hand:
+    return load_hand(name)
+
+
+def excess(
+    hand: Hand, limits: LimitsConfig, times: Sequence[float], q: Sequence[np.ndarray]
+) -> dict[str, float]:
+    """How far the worst pair of commands goes beyond each limit, over the limit; all joints.
+
+    Velocity changes are held against the shorter of the step and the time between the middles of
+    the step and the one before it.
+    """
+    every, dt = hand.expand(np.array(q)), np.diff(times)[:, None]
+    low, high = hand.joint_limits.T
+    velocity = np.diff(every, axis=0) / dt
+    apart = np.minimum(dt[1:], (dt[1:] + dt[:-1]) / 2)
+    return {
+        "range": float(np.maximum(low - every, every - high).max()),
+        "velocity": float(np.abs(velocity).max() / limits.velocity - 1),
+        "acceleration": float(
+            (np.abs(np.diff(velocity, axis=0)) / apart).max() / limits.acceleration - 1
+        ),
+    }
+
+
+def holds(
+    hand: Hand, limits: LimitsConfig, times: Sequence[float], q: Sequence[np.ndarray]
+) -> None:
+    over = excess(hand, limits, times, q)
+    assert max(over.values()) < 1e-6, over
+
+
+STEPS = st.one_of(
+    st.floats(1e-4, 0.02),  # what a loop does
+    st.sampled_from([0.0125, 0.0014, 0.0025]),  # a 72 Hz headset between commands of the pace
+    st.floats(0.02, 3.0),  # it was stopped and goes on
+)
+TARGETS = st.one_of(
+    st.floats(-0.5, 1.5),  # share of the range, and beyond
+    st.sampled_from([0.0, 1.0, float("nan"), float("inf")]),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    name=st.sampled_from(["mimic_p050", *GEARED]),
+    limits=st.builds(
+        LimitsConfig,
+        st.floats(1.0, 20.0),
+        st.floats(20.0, 3000.0),
+        st.sampled_from([0.0, 0.02]),
+    ),
+    moves=st.lists(
+        st.tuples(
+            STEPS,
+            TARGETS,
+            st.sampled_from(["step", "step", "step", "ease", "rest"]),
+            st.integers(1, 6),
+        ),
+        min_size=2,
+        max_size=25,
+    ),
+)
+def test_limits_hold_at_every_pair_of_stamps(
+    name: str, limits: LimitsConfig, moves: list[tuple[float, float, str, int]]
+) -> None:
+    hand = loaded(name)
+    limiter, (low, high) = Limiter(hand, limits), hand.limits.T
+    times, q = [0.0], [limiter.q]
+    for dt, share, kind, count in moves:
+        for _ in range(count):
+            times.append(times[-1] + dt)
+            dt = times[-1] - times[-2]  # as rounded
+            target = low + share * (high - low)
+            if kind == "rest":
+                q.append(limiter.rest(dt))
+            else:
+                q.append(limiter.step(target, dt, 1.0 if kind == "ease" else None))
+    holds(hand, limits, times, q)
+
+
+@pytest.mark.parametrize("steps", [(0.0125, 0.0014), (0.0025, 0.01, 0.0175), (1e-3,), (0.5, 2e-3)])
+def test_limits_hold_with_targets_at_the_ends_of_the_range(steps: tuple[float, ...]) -> None:
+    """Full speed into the end, then a short step: what an audit found at 5 times the limit."""
+    hand, rng = loaded(), np.random.default_rng(1)
+    for limits in (LimitsConfig(), LimitsConfig(velocity=5.0, acceleration=100.0)):
+        limiter, (low, high) = Limiter(hand, limits), hand.limits.T
+        times, q = [0.0], [limiter.q]
+        for k in range(600):
+            if k % 40 == 0:
+                target = np.where(rng.random(len(low)) < 0.5, low - 1, high + 1)
+            dt = rng.choice(steps) if len(steps) == 3 else steps[k % len(steps)]
+            times.append(times[-1] + dt)
+            q.append(limiter.step(target, times[-1] - times[-2]))
+        holds(hand, limits, times, q)
+        travelled = np.ptp(np.array(q), axis=0) / (high - low)
+        assert np.median(travelled) > 0.5  # and it moves
+
+
+@pytest.mark.parametrize("name", GEARED)
+def test_a_geared_joint_keeps_the_limits_and_uses_them(name: str) -> None:
+    hand, limits = loaded(name), LimitsConfig(velocity=3.0, acceleration=100.0)
+    assert np.abs(hand.expansion[0]).max() == pytest.approx(GEARED[name], abs=1e-4)
+    limiter = Limiter(hand, limits)
+    times, q = [0.0], [limiter.q]
+    for k in range(400):
+        times.append(0.01 * (k + 1))
+        q.append(limiter.step(hand.limits[:, (k // 100) % 2], 0.01))
+    over = excess(hand, limits, times, q)
+    assert max(over.values()) < 1e-6, over
+    # the fastest follower is what the limit is for: it reaches it
+    assert over["velocity"] > -1e-6
+    assert over["acceleration"] > -1e-6
+
+
+def test_stricter_limits_in_mid_motion_are_taken_on_without_leaving_the_range() -> None:
+    hand = loaded()
+    wide, strict = LimitsConfig(), LimitsConfig(velocity=2.0, acceleration=50.0, margin=0.05)
+    for count in range(1, 12):
+        first = Limiter(hand, wide)
+        times, q = [0.0], [first.q]
+        for _ in range(count):
+            times.append(times[-1] + 0.008)
+            q.append(first.step(hand.limits[:, 1], 0.008))
+        second = Limiter(hand, strict)
+        second.succeed(first)
+        for k in range(200):
+            times.append(times[-1] + (0.0125, 0.0014)[k % 2])
+            q.append(second.step(hand.limits[:, 1], times[-1] - times[-2]))
+        holds(hand, wide, times, q)  # never harder than what held before
+        late = slice(len(q) - 100, None)
+        holds(hand, strict, times[late], q[late])
+        np.testing.assert_allclose(q[-1], hand.limits[:, 1] - 0.05, atol=1e-4)
+
+
+def test_a_target_that_moves_is_followed_exactly_with_uneven_steps() -> None:
+    hand, rng = loaded(), np.random.default_rng(3)
+    middle, half = hand.limits.mean(axis=1), np.diff(hand.limits, axis=1)[:, 0] / 2
+    limiter, t = Limiter(hand, LimitsConfig()), 0.0
+    for _ in range(200):
+        limiter.step(middle, 0.01)
+    fastest = 0.0
+    for _ in range(400):
+        dt = rng.uniform(0.004, 0.0125)
+        t += dt
+        target = middle + 0.9 * half * np.sin(2 * np.pi * 0.9 * t)
+        np.testing.assert_allclose(limiter.step(target, dt), target, atol=1e-9)
+        fastest = max(fastest, np.abs(limiter.velocity).max())
+    assert fastest > 4.0  # rad/s: a fist in a fifth of a second
+
+
+def test_a_jump_is_reached_with_little_overshoot_in_uneven_steps() -> None:
+    hand, rng = loaded(), np.random.default_rng(5)
+    low, high = hand.limits.T
+    for _ in range(20):
+        limiter = Limiter(hand, LimitsConfig())
+        start, target = limiter.q, rng.uniform(low + 0.2, high - 0.2)
+        path = [limiter.step(target, rng.choice([0.0025, 0.01, 0.0175])) for _ in range(60)]
+        assert (np.sign(target - start) * (np.array(path) - target)).max() < 0.015
+        np.testing.assert_allclose(path[-1], target, atol=1e-9)
+
+
+def test_a_pause_is_not_caught_up_with_and_its_velocity_is_what_was_seen() -> None:
+    hand, limits = loaded(), LimitsConfig(velocity=5.0, acceleration=200.0)
+    limiter = Limiter(hand, limits)
+    times, q = [0.0], [limiter.q]
+    for dt in [0.01] * 8 + [2.0] + [0.0025] * 40:
+        times.append(times[-1] + dt)
+        q.append(limiter.step(hand.limits[:, 1], times[-1] - times[-2]))
+    holds(hand, limits, times, q)
+    assert np.abs(q[9] - q[8]).max() <= limits.velocity * MAX_STEP_S + 1e-9
+
+
+def test_an_emergency_stop_brakes_within_the_limits_and_then_stands() -> None:
+    """In every mode: the stop itself, at any moment and pace, and the release."""
+    hand = loaded()
+    limits = LimitsConfig(velocity=10.0, acceleration=200.0)
+    retargeter = Retargeter(hand, method="joint_angle")
+    frames = list(SyntheticOperator(seed=4, rate_hz=100).record(6.0))
+    now = 50.0
+    pipeline = HandPipeline(
+        retargeter, replace(LoopConfig(rate=100.0), limits=limits), clock=lambda: now
+    )
+    rng, ticks = np.random.default_rng(0), []
+    for k, frame in enumerate(frames):
+        now += rng.choice([0.002, 0.01, 0.016])
+        if k % 50 == 30:
+            pipeline.supervisor.stop()
+        elif k % 50 == 45:
+            pipeline.supervisor.release()
+        # leaps: another pose every few frames
+        shown = replace(frames[(k * 37) % len(frames) if k % 9 < 5 else k], stamp=frame.stamp)
+        ticks.append(pipeline.step(now, Arrival(shown, now)))
+    actuated = list(hand.actuated)
+    holds(hand, limits, [t.time for t in ticks], [t.command.positions[actuated] for t in ticks])
+    stops = [ticks[k : k + 15] for k in range(30, len(ticks) - 15, 50)]
+    assert all(t.mode is Mode.STOPPED for stop in stops for t in stop)
+    assert max(np.abs(stop[0].velocity).max() for stop in stops) > 0  # some were fast, and braked
+    assert all((t.velocity == 0).all() for stop in stops for t in stop[-3:])
+    assert distance(stops) < 10.0**2 / 200.0 + 10.0 * 0.016
+
+
+def distance(stops: list[list[Tick]]) -> float:
+    """The longest way of any joint after a stop [rad]."""
+    return max(
+        float(np.abs(t.command.positions - stop[0].command.positions).max())
+        for stop in stops
+        for t in stop
+    )
