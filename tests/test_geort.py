@@ -57,7 +57,7 @@ from smooth_operator.training import operators as operators_module
 from smooth_operator.training.losses import Batch, GeortLoss
 from smooth_operator.training.operators import FIRST_SEED, TRAINING_OPERATORS
 from smooth_operator.training.session import CHECKPOINT, MODEL
-from smooth_operator.types import HandRecording, Status
+from smooth_operator.types import HandFrame, HandRecording, Status
 
 TINY = GeortTraining(epochs=4, batch=64, reach=64, seed=3)
 CHAIN = '<joint joint1="{}" joint2="{}" polycoef="0 1 0 0 0"/>'
@@ -565,7 +565,7 @@ def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right: Retargete
     state, before = right.step(state, recording[10])
     lost = recording[20].landmarks.copy()
     lost[12] = np.nan
-    state, held = right.step(state, lost)
+    state, held = right.step(state, HandFrame(lost, recording[20].stamp))
     assert held.status == Status.INVALID_LANDMARKS
     np.testing.assert_array_equal(held.command.positions, before.command.positions)
     _, after = right.step(state, recording[20])
@@ -574,7 +574,7 @@ def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right: Retargete
     np.testing.assert_array_equal(after.command.positions, fresh.command.positions)
     no_joint_but_the_tips = recording[20].landmarks.copy()
     no_joint_but_the_tips[[2, 3, 6, 7, 10, 11, 14, 15, 18, 19]] = np.nan
-    _, same = right.step(right.init(), no_joint_but_the_tips)
+    _, same = right.step(right.init(), HandFrame(no_joint_but_the_tips, 0.0))
     np.testing.assert_array_equal(same.command.positions, fresh.command.positions)
 
 

@@ -88,7 +88,7 @@ def operator_poses(count: int, seed: int = 0) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def right() -> Retargeter:
-    return Retargeter(config=JointAngleConfig())
+    return Retargeter(config=JointAngleConfig(), rate=100.0)
 
 
 # Definitions

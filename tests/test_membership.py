@@ -78,7 +78,7 @@ def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path: Path
     answers = []
     for model in (path, bare):
         retargeter = Retargeter(load_hand_spec(replace(spec, model=model)))
-        answers.append([retargeter(frame.landmarks).command for frame in frames])
+        answers.append([retargeter(frame).command for frame in frames])
     for with_arm, without in zip(*answers, strict=True):
         assert with_arm.names == without.names
         np.testing.assert_array_equal(with_arm.positions, without.positions)
@@ -187,8 +187,7 @@ def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(
     assert len(left) == 6  # two fingers of three actuated joints
     retargeter = Retargeter(part, method=method)
     commands = [
-        retargeter(frame.landmarks).command
-        for frame in SyntheticOperator(seed=1).record(duration=0.3)
+        retargeter(frame).command for frame in SyntheticOperator(seed=1).record(duration=0.3)
     ]
     at = [commands[0].names.index(part.actuated_names[i]) for i in left]
     rest = np.stack([command.positions for command in commands])[:, at]

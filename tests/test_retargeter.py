@@ -75,18 +75,18 @@ def leaves_equal(a: RetargetState, b: RetargetState) -> bool:
 
 @pytest.fixture(scope="module")
 def fresh() -> Retargeter:
-    return Retargeter(config=FRESH)
+    return Retargeter(config=FRESH, rate=100.0)
 
 
 @pytest.fixture(scope="module")
 def realtime() -> Retargeter:
-    return Retargeter(method="sbr")
+    return Retargeter(method="sbr", rate=100.0)
 
 
 @pytest.fixture(scope="module")
 def usual() -> Retargeter:
     """What one gets without asking for a method."""
-    return Retargeter()
+    return Retargeter(rate=100.0)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_the_same_seed_and_frames_give_the_same_commands(
 
 
 def test_a_new_retargeter_gives_the_same_commands(fresh: Retargeter, frames: np.ndarray) -> None:
-    twin = Retargeter(load_hand(), config=FRESH)
+    twin = Retargeter(load_hand(), config=FRESH, rate=100.0)
     np.testing.assert_array_equal(positions(play(twin, frames)), positions(play(fresh, frames)))
 
 
@@ -133,7 +133,7 @@ def test_reset_restores_everything_and_never_recompiles(
     )
     fresh.reset(seed=5)
     fresh(np.full((21, 3), np.nan))
-    fresh(HandFrame(frames[0], stamp=1, valid=np.ones(21, bool)))
+    fresh(HandFrame(frames[0], valid=np.ones(21, bool)))
     fresh(frames[0].tolist())
     fresh(frames[0].astype(np.float32))
     fresh.reset()
@@ -212,6 +212,10 @@ def spoiled(frame: np.ndarray, how: str) -> np.ndarray | HandFrame:
     return bad
 
 
+def stamped(frame: np.ndarray | HandFrame, stamp: float) -> HandFrame:
+    return replace(frame if isinstance(frame, HandFrame) else HandFrame(frame), stamp=stamp)
+
+
 BAD = {
     "nan": Status.INVALID_LANDMARKS,
     "all nan": Status.INVALID_LANDMARKS,
@@ -232,9 +236,11 @@ def test_a_bad_frame_never_taints_the_next(
 ) -> None:
     retargeter: Retargeter = request.getfixturevalue(kind)
     at = 13  # amid the pinch
-    clean = play(retargeter, frames[5:20])
+    good = [stamped(frames[i], i / 100) for i in range(5, 20)]
+    clean = play(retargeter, good)
     bad = spoiled(frames[at], how)
-    results = play(retargeter, [*frames[5:at], bad, bad, *frames[at:20]])
+    between = [stamped(bad, (at - left) / 100) for left in (0.6, 0.3)]
+    results = play(retargeter, [*good[:8], *between, *good[8:]])
     held, rest = results[8:10], results[:8] + results[10:]
     assert [result.status for result in held] == [status, status]
     for result in held:
@@ -251,7 +257,8 @@ def test_before_the_first_good_frame_the_hand_is_neutral(
     assert result.status != Status.OK
     hand = usual.hand
     np.testing.assert_allclose(result.command.positions, hand.expand(hand.neutral), atol=1e-6)
-    assert leaves_equal(state, usual.init())  # the first good frame is still the first
+    # the first good frame is still the first: nothing but the time is remembered
+    assert leaves_equal(state._replace(stamp=None), usual.init())
 
 
 def test_landmarks_that_are_not_needed_may_be_missing(
@@ -392,7 +399,7 @@ def test_the_left_hand_does_what_the_right_does(
     kind: str, request: pytest.FixtureRequest, frames: np.ndarray
 ) -> None:
     right: Retargeter = request.getfixturevalue(kind)
-    left = Retargeter(side="left", config=right.config)
+    left = Retargeter(side="left", config=right.config, rate=100.0)
     mirrored = [HandFrame(frame * (-1, 1, 1), side="left") for frame in frames]
     # the base samples are fixed and the hands are mirror images: the same joint angles
     np.testing.assert_allclose(
@@ -419,7 +426,7 @@ EXACT = SbrConfig(
 
 def round_trip(hand: Hand, config: SbrConfig, count: int) -> np.ndarray:
     """(count, F) distances of robot tips from those of the random poses that were asked for [m]."""
-    retargeter = Retargeter(hand, config=config)
+    retargeter = Retargeter(hand, config=config, rate=100.0)
     q = limited_poses(np.random.default_rng(2), hand.limits, count)
     landmarks = np.full((count, 21, 3), np.nan)
     landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.landmark_positions(q)

@@ -133,13 +133,61 @@ def test_a_bad_frame_holds_and_leaves_no_trace(smooth: Retargeter, motion: HandR
     np.testing.assert_array_equal(resumed.command.positions, straight.command.positions)
 
 
-def test_stamps_need_not_be_there(smooth: Retargeter, hand: Hand, motion: HandRecording) -> None:
-    state, out = smooth.init(), []
-    for i in range(30):
-        state, result = smooth.step(state, motion.landmarks[i])
-        out.append(result.command.positions)
-    stamped = commands(smooth, recording(motion.landmarks[:30], rate=100.0))
-    np.testing.assert_allclose(out, stamped, atol=1e-4)
+@pytest.mark.parametrize("rate", [30.0, 100.0])
+def test_a_rate_stands_in_for_stamps(motion: HandRecording, rate: float) -> None:
+    """Video frames one by one are what the stamped recording of them is, bit for bit."""
+    landmarks = motion.landmarks[:30]
+    stamped, _ = Retargeter(method="smooth").run(recording(landmarks, rate=rate))
+    counting = Retargeter(method="smooth", rate=rate)
+    state, stepped = counting.init(), []
+    for points in landmarks:
+        state, result = counting.step(state, points)
+        stepped.append(result.command)
+    called = [counting(points).command for points in landmarks]
+    for commands in (stepped, called):
+        positions = [command.positions for command in commands]
+        np.testing.assert_array_equal(positions, stamped.joint_positions)
+        np.testing.assert_allclose([c.stamp for c in commands], stamped.stamps, atol=1e-9)
+
+
+def test_a_call_without_a_stamp_is_of_its_moment(motion: HandRecording) -> None:
+    """Frames of a 30 Hz camera, given when they come, are those that bear these times."""
+    landmarks = motion.landmarks[:30]
+    times = 5.0 + np.arange(30) / 30.0
+    clock = iter(times)
+    live = Retargeter(method="smooth", clock=lambda: next(clock))
+    called = [live(points).command for points in landmarks]
+    stamped, _ = Retargeter(method="smooth").run(HandRecording(landmarks, times, "right"))
+    np.testing.assert_array_equal([c.positions for c in called], stamped.joint_positions)
+    assert [c.stamp for c in called] == times.tolist()
+    # and it matters: as frames of 100 Hz they are another motion
+    hurried, _ = Retargeter(method="smooth").run(recording(landmarks, rate=100.0))
+    assert np.abs(hurried.joint_positions - stamped.joint_positions).max() > 0.01
+
+
+def test_a_bad_frame_takes_its_time_too(motion: HandRecording) -> None:
+    """A frame that the tracker lost, counted by the rate, is a gap of two periods in the stamps."""
+    landmarks = motion.landmarks[:12].copy()
+    landmarks[5] = np.nan
+    counting = Retargeter(method="smooth", rate=30.0)
+    counted = [counting(points).command.positions for points in landmarks]
+    stamped, _ = Retargeter(method="smooth").run(recording(landmarks, rate=30.0))
+    np.testing.assert_array_equal(counted, stamped.joint_positions)
+
+
+def test_a_step_without_time_is_refused(motion: HandRecording) -> None:
+    retargeter = Retargeter(method="smooth")
+    for frame in (motion.landmarks[0], HandFrame(motion.landmarks[0])):
+        with pytest.raises(ConfigError, match=r"no stamp, and step\(\) has no clock.*rate=30"):
+            retargeter.step(retargeter.init(), frame)
+    retargeter(motion.landmarks[0])
+    with pytest.raises(ConfigError, match=r"with and without stamps are mixed.*reset\(\)"):
+        retargeter(motion[1])
+    retargeter.reset()
+    assert retargeter(motion[1]).command.stamp == motion[1].stamp
+    for rate in (0.0, -30.0, 5000.0, np.nan):
+        with pytest.raises(ConfigError, match="rate must be 1 to 2000"):
+            Retargeter(method="smooth", rate=rate)
 
 
 def test_a_time_of_day_is_as_good_as_a_small_one(

@@ -1,7 +1,7 @@
 """Retarget tracked human hands onto robot hands, smoothly and in real time.
 
 retargeter = Retargeter("mimic_p050", side="right")
-result = retargeter(landmarks)  # (21, 3) in metres
+result = retargeter(landmarks)  # (21, 3) in metres, of this moment
 result.command.positions        # (20,) in radians
 """
 

@@ -67,7 +67,8 @@ class HandFrame:
     Attributes:
         landmarks: (21, 3) positions [m], ordered as :data:`smooth_operator.landmarks.LANDMARKS`, in
             any right-handed frame (retargeting aligns it to the robot's palm).
-        stamp: time of the measurement [s].
+        stamp: time of the measurement [s]; None where the tracker gives none, which a live source
+            and a call of the retargeter take for the time when the frame came.
         side: which hand.
         valid: (21,) False where the tracker has no trustworthy value. Default: the
             finite ones are valid.
@@ -79,7 +80,7 @@ class HandFrame:
     """
 
     landmarks: Float[np.ndarray, "21 3"]
-    stamp: float = 0.0
+    stamp: float | None = None
     side: Side = "right"
     valid: Bool[np.ndarray, "21"] | None = None
     metacarpals: Float[np.ndarray, "4 3"] | None = None
@@ -87,7 +88,7 @@ class HandFrame:
 
     def __post_init__(self) -> None:
         _set(self, "landmarks", _shaped(self.landmarks, (NUM_LANDMARKS, 3), "landmarks"))
-        _set(self, "stamp", float(self.stamp))
+        _set(self, "stamp", None if self.stamp is None else float(self.stamp))
         _set(self, "side", as_side(self.side))
         finite = np.isfinite(self.landmarks).all(axis=-1)
         valid = finite if self.valid is None else np.asarray(self.valid, bool)
@@ -98,6 +99,20 @@ class HandFrame:
             _set(self, "metacarpals", _shaped(self.metacarpals, (4, 3), "metacarpals"))
         if self.orientations is not None:
             _set(self, "orientations", _shaped(self.orientations, (21, 4), "orientations"))
+
+    @property
+    def time(self) -> float:
+        """The stamp [s], where one is needed.
+
+        Raises:
+            RecordingError: the frame has none.
+        """
+        if self.stamp is None:
+            raise RecordingError(
+                "the hand frame has no stamp; give it the time of the measurement in seconds: "
+                "HandFrame(landmarks, stamp=...)"
+            )
+        return self.stamp
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,11 @@ from smooth_operator.retargeters.descent import DescentConfig
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.retargeters.sbr import SbrConfig
-from smooth_operator.types import Status
+from smooth_operator.types import HandFrame, Status
 
 _APPROACH: Final = 20  # frames from the neutral pose to the pose
 _HOLD: Final = 15  # frames in which the human then holds still
+_PERIOD_S: Final = 0.01  # from frame to frame [s]
 _FAINT: Final = 1e-4  # a pull to the neutral pose this weak decides between equals, and no more
 _ROUNDING: Final = 1e-9  # of limits in float64 [rad]
 
@@ -97,7 +98,8 @@ def round_trip(
     for k in range(poses) if track is None else track(range(poses)):
         landmarks = human_landmarks(hand, hand.neutral + share * (wanted[k] - hand.neutral))
         state, positions = retargeter.init(), []
-        for frame in landmarks:
+        for i, points in enumerate(landmarks):
+            frame = HandFrame(points, i * _PERIOD_S, hand.spec.side)
             state, result = retargeter.step(state, frame)
             positions.append(result.command.positions)
             good += result.status == Status.OK

@@ -70,7 +70,7 @@ def _write(
         log.write_config(config)
         for i, frame in enumerate(recording):
             log.write_hand(frame)
-            command = JointCommand(commands.joint_positions[i], commands.joint_names, frame.stamp)
+            command = JointCommand(commands.joint_positions[i], commands.joint_names, frame.time)
             log.write_command(command, Status(commands.status[i]), float(commands.latency_ms[i]))
     save_plots(trace, commands.joint_names, folder / "plots")
     for name, content in (("metrics", metrics), ("config", config)):

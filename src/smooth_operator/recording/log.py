@@ -123,11 +123,11 @@ class LogWriter:
         """Append a hand frame.
 
         Raises:
-            RecordingError: its stamp is not finite or not after the last one's, or it is of the
-                other hand.
+            RecordingError: it has no stamp, or one that is not finite or not after the last one's,
+                or it is of the other hand.
             OutputError: as for the class.
         """
-        if not (math.isfinite(frame.stamp) and frame.stamp > self._hand_stamp):
+        if not (math.isfinite(frame.time) and frame.time > self._hand_stamp):
             raise RecordingError(
                 f"{self.path}: a hand frame with stamp {frame.stamp!r} s can't follow one with "
                 f"{self._hand_stamp!r} s; stamps must increase, so skip frames that repeat"
@@ -149,7 +149,7 @@ class LogWriter:
         if frame.orientations is not None:
             message["orientations"] = _quaternions(frame.orientations)
         self._append((HAND, message))
-        self._hand_stamp = frame.stamp
+        self._hand_stamp = frame.time
         self._side = frame.side
 
     def write_command(

@@ -29,10 +29,13 @@ class RetargetState(NamedTuple):
     Attributes:
         method: state of the method.
         q: (m,) last good command of the actuated joints [rad].
+        stamp: of the last frame [s], where the retargeter counts frames by a rate; else None. It
+            stays on the host.
     """
 
     method: Any
     q: Float[Array, " m"] | Float[np.ndarray, " m"]
+    stamp: float | None = None
 
 
 class Answer(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.recording.checks import stamps_from_rate
 from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
 from smooth_operator.retargeters.presets import method_config
@@ -42,6 +44,10 @@ class Retargeter:
     command (up to the solver, for methods whose solver is a library on the host), compiled at the
     first frame or by :meth:`warm_up`.
 
+    Methods go by time, so every frame has a stamp. A frame without one has that of the call, by the
+    clock, when the retargeter is called; with a ``rate`` it is one period after the frame before.
+    :meth:`step` has no clock and refuses a frame without a stamp unless there is a rate.
+
     A frame that is invalid, not finite or degenerate gives the last good command (before the first
     good frame: the neutral pose) with a status that says why, and leaves the state as it was.
 
@@ -52,6 +58,9 @@ class Retargeter:
         preset: name of its preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
         seed: of the method's random numbers.
+        rate: frames a second [Hz] of frames without stamps, such as those of a video; None for the
+            time of the call. Their stamps count from 0.
+        clock: seconds that never go back, for the time of the call.
 
     Attributes:
         method: the method for this hand.
@@ -61,7 +70,8 @@ class Retargeter:
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
         HandModelError: if the hand's model can't be used.
-        ConfigError: if the operator in the configuration was calibrated for another hand.
+        ConfigError: if the operator in the configuration was calibrated for another hand, or the
+            rate is outside 1 to 2000 Hz.
     """
 
     def __init__(
@@ -73,12 +83,18 @@ class Retargeter:
         preset: str | None = None,
         config: MethodConfig | None = None,
         seed: int = 0,
+        rate: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         self.config = method_config(method, preset) if config is None else config
         if self.config.alignment.operator is not None:
             self.config.alignment.operator.check(self.hand)
+        stamps_from_rate(0, rate, "rate")  # refuses one that can't be
         self.seed = seed
+        self.rate = rate
+        self._clock = clock
+        self._stamped: bool | None = None
         self.method: Method | HostMethod = self.config.build(self.hand)
         self.shared = shared_program(self.hand, self.config)
         self._state = self.init()
@@ -100,32 +116,36 @@ class Retargeter:
 
         Args:
             state: from :meth:`init` or the last step; not changed.
-            frame: a hand frame, or (21, 3) landmarks [m].
+            frame: a hand frame, or (21, 3) landmarks [m] where the retargeter has a rate.
 
         Returns:
             the next state and the result.
 
         Raises:
-            ConfigError: if the frame is of the other hand's side.
+            ConfigError: if the frame is of the other hand's side, or has no stamp and there is no
+                rate.
             RecordingError: if landmarks have another shape.
         """
         start = time.perf_counter()
-        if not isinstance(frame, HandFrame):
-            frame = HandFrame(np.asarray(frame), side=self.hand.spec.side)
+        frame = self._framed(frame)
+        stamp = self._stamp_of(state, frame)
         if frame.side != self.hand.spec.side:
             raise ConfigError(
                 f"a {frame.side} human hand can't drive the {self.hand.spec.side} hand "
                 f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
             )
         assert frame.valid is not None  # filled in on construction
-        ticks = (ticks_of(frame.stamp),) if self.timed else ()
-        state, answer = self.shared.run(state, self.seen(frame.landmarks), frame.valid, *ticks)
+        ticks = (ticks_of(stamp),) if self.timed else ()
+        before = state if state.stamp is None else state._replace(stamp=None)
+        state, answer = self.shared.run(before, self.seen(frame.landmarks), frame.valid, *ticks)
+        if self.rate is not None:
+            state = state._replace(stamp=stamp)
         q, status = np.asarray(answer.q, float), Status(int(answer.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
         latency_ms = (time.perf_counter() - start) * 1e3
         return state, Result(
-            JointCommand(q, self.hand.joint_names, frame.stamp),
+            JointCommand(q, self.hand.joint_names, stamp),
             status,
             latency_ms,
             float(answer.tracking_loss),
@@ -140,13 +160,48 @@ class Retargeter:
         return taken * _REFLECTION if self.shared.reflects else taken
 
     def __call__(self, frame: HandFrame | ArrayLike) -> Result:
-        """One frame, with the state kept inside; see :meth:`step`."""
+        """One frame, with the state kept inside; see :meth:`step`.
+
+        A frame without a stamp is of this moment, unless there is a rate.
+
+        Raises:
+            ConfigError, RecordingError: as :meth:`step`; or frames with and without stamps are
+                mixed, which two clocks would time.
+        """
+        frame = self._framed(frame)
+        stamped = frame.stamp is not None
+        if self._stamped not in (None, stamped):
+            raise ConfigError(
+                "frames with and without stamps are mixed, so the time between them is not known; "
+                "give all of them stamps or none, or call reset() in between"
+            )
+        if not stamped and self.rate is None:
+            frame = replace(frame, stamp=self._clock())
         self._state, result = self.step(self._state, frame)
+        self._stamped = stamped
         return result
+
+    def _framed(self, frame: HandFrame | ArrayLike) -> HandFrame:
+        if isinstance(frame, HandFrame):
+            return frame
+        return HandFrame(np.asarray(frame), side=self.hand.spec.side)
+
+    def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
+        """When a frame was measured [s]: as it says, or a period after the last one."""
+        if frame.stamp is not None:
+            return frame.stamp
+        if self.rate is None:
+            raise ConfigError(
+                "the frame has no stamp, and step() has no clock: give it the time of the "
+                "measurement, HandFrame(landmarks, stamp=seconds), or say the frame rate, "
+                "Retargeter(..., rate=30)"
+            )
+        return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
 
     def reset(self, seed: int | None = None) -> None:
         """Back to the start: latches, random numbers, last command. Never recompiles."""
         self._state = self.init(seed)
+        self._stamped = None
 
     def warm_up(self) -> float:
         """Compile, without touching the state kept inside.
@@ -155,7 +210,8 @@ class Retargeter:
             seconds it took.
         """
         start = time.perf_counter()
-        self.step(self.init(), reference_landmarks(self.hand))
+        side = self.hand.spec.side
+        self.step(self.init(), HandFrame(reference_landmarks(self.hand), 0.0, side))
         return time.perf_counter() - start
 
     def run(

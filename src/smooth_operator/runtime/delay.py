@@ -26,7 +26,7 @@ class TrackerDelay:
         if arrival.session != self._session:
             self._session = arrival.session
             self._lowest.clear()
-        difference = arrival.received - arrival.frame.stamp
+        difference = arrival.received - arrival.stamp
         while self._lowest and self._lowest[-1][1] >= difference:
             self._lowest.pop()
         self._lowest.append((arrival.received, difference))
@@ -35,4 +35,4 @@ class TrackerDelay:
 
     def above_fastest(self, arrival: Arrival) -> float:
         """[s]; of a frame that was seen."""
-        return arrival.received - arrival.frame.stamp - self._lowest[0][1]
+        return arrival.received - arrival.stamp - self._lowest[0][1]

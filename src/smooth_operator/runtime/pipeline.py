@@ -138,7 +138,7 @@ class HandPipeline:
         command = JointCommand(
             hand.expand(q),
             hand.joint_names,
-            now if arrival is None else arrival.frame.stamp,
+            now if arrival is None else arrival.stamp,
         )
         ready = self._clock()
         if result is not None:

@@ -31,7 +31,7 @@ class Supervisor:
 
     def admits(self, arrival: Arrival, now: float) -> str | None:
         """Whether a frame is newer than all before it; if not, why it is refused."""
-        stamp, session = arrival.frame.stamp, arrival.session
+        stamp, session = arrival.stamp, arrival.session
         if now - arrival.received > self.config.stale_s:
             return self._refuse("too late")
         if self._newest is not None and session == self._newest[0]:

@@ -198,7 +198,7 @@ class _HandLog:
                 mode=tick.mode.value,
                 time=tick.time,
                 received=None if arrival is None else arrival.received,
-                tracker_stamp=None if arrival is None else arrival.frame.stamp,
+                tracker_stamp=None if arrival is None else arrival.stamp,
                 session=None if arrival is None else arrival.session,
                 tracking_loss=tick.tracking_loss,
                 scale=tick.scale,

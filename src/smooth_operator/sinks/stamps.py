@@ -34,12 +34,12 @@ class StampMap:
     def __call__(self, tick: Tick) -> tuple[float, HandFrame | None]:
         """The stamp of a tick's command, and its frame with that stamp."""
         arrival = tick.arrival
-        if arrival is None or not math.isfinite(arrival.frame.stamp):
+        if arrival is None or not math.isfinite(arrival.stamp):
             return self._next(tick.time - self._late), None
         if arrival.session != self._session:
             self._session = arrival.session
-            self._shift, self._late = arrival.received - arrival.frame.stamp, 0.0
-        stamp = arrival.frame.stamp + self._shift
+            self._shift, self._late = arrival.received - arrival.stamp, 0.0
+        stamp = arrival.stamp + self._shift
         self._late = max(arrival.received - stamp, _FORGET * self._late)
         stamp = self._next(stamp)
         return stamp, replace(arrival.frame, stamp=stamp)

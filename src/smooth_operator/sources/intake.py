@@ -116,7 +116,7 @@ class _Tracker:
 
     def session_of(self, reading: Reading) -> int:
         start = (reading.stamped, reading.session)
-        stamp = reading.frame.stamp
+        stamp = reading.frame.time
         if self._start is not None and (start != self._start or stamp < self._stamp - RESTART_S):
             self._session += 1
             self._stamp = stamp

@@ -11,7 +11,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, TypeAlias
 
 from smooth_operator.errors import SmoothOperatorError
@@ -26,7 +26,7 @@ class Arrival:
     """A frame that has come in.
 
     Attributes:
-        frame: the hand; its stamp is by the tracker's clock.
+        frame: the hand; its stamp is by the tracker's clock, or ``received`` where it had none.
         received: when its last byte was here, by the loop's clock [s].
         session: which start of the tracker it belongs to; stamps of another session may begin anew.
     """
@@ -34,6 +34,15 @@ class Arrival:
     frame: HandFrame
     received: float
     session: int = 0
+
+    def __post_init__(self) -> None:
+        if self.frame.stamp is None:
+            object.__setattr__(self, "frame", replace(self.frame, stamp=self.received))
+
+    @property
+    def stamp(self) -> float:
+        """The frame's stamp [s]."""
+        return self.frame.time
 
 
 class Mailbox:

@@ -74,5 +74,5 @@ class Replay(ThreadedSource):
         period = recording.duration + (_DEFAULT_PERIOD_S if single else 1.0 / recording.rate_hz)
         for session in itertools.count() if self.loop else range(1):
             for frame in recording:
-                later = replace(frame, stamp=frame.stamp + session * period)
-                yield (later.stamp - first) / self.speed, (later, session)
+                later = replace(frame, stamp=frame.time + session * period)
+                yield (later.time - first) / self.speed, (later, session)

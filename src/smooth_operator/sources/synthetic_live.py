@@ -71,8 +71,8 @@ class SyntheticSource(ThreadedSource):
 
     def _due(self) -> Iterator[tuple[float, HandFrame]]:
         streams = [operator.frames(self.duration) for operator in self._operators()]
-        for frame in heapq.merge(*streams, key=lambda frame: frame.stamp):
-            yield frame.stamp, frame
+        for frame in heapq.merge(*streams, key=lambda frame: frame.time):
+            yield frame.time, frame
 
     def _operators(self) -> list[SyntheticOperator]:
         names = tuple(self.gestures.split("+")) if self.gestures else GESTURES
