@@ -62,6 +62,30 @@ class Retargeting:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Synthetic:
+    """Options of every command that records the built-in operator."""
+
+    duration: Annotated[float, arg(metavar="SECONDS")] = 20.0
+    """How long the operator moves [s]."""
+
+    side: HandSide = "right"
+    """Which hand."""
+
+    rate: Annotated[float, arg(metavar="HZ")] = 100.0
+    """Frames a second of the operator's tracker [Hz]."""
+
+    noise: Annotated[float, arg(metavar="MM")] = 0.0
+    """Noise of the tracker: standard deviation of each coordinate [mm]."""
+
+    frame_loss: Annotated[float, arg(metavar="SHARE")] = 0.0
+    """Share of frames that the tracker loses, in bursts."""
+
+    landmark_loss: Annotated[float, arg(metavar="SHARE")] = 0.0
+    """Share of landmarks that the tracker loses, in bursts; a retargeter then holds its
+    last good command."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Meshes:
     """Options of every command that draws a robot hand."""
 

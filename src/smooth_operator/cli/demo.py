@@ -9,11 +9,11 @@ from smooth_operator.cli.console import Progressing, print_metrics
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
+from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.metrics import Trace, save_plots
 from smooth_operator.offline import Outcome, configuration, plan
 from smooth_operator.recording import LogWriter, atomic_write, to_json, write_commands
-from smooth_operator.sources import SyntheticOperator, TrackerModel
 from smooth_operator.types import HandRecording, JointCommand, Status
 
 
@@ -26,17 +26,7 @@ def demo(options: Demo) -> None:
     progress = Progressing(options.quiet)
     check_demo_folder(options.output, options.overwrite)
     asked = requested(options, side=options.side)
-    operator = SyntheticOperator(
-        seed=options.seed,
-        side=options.side,
-        rate_hz=options.rate,
-        tracker=TrackerModel(
-            noise=options.noise * 1e-3,
-            frame_loss=options.frame_loss,
-            landmark_loss=options.landmark_loss,
-            seed=options.seed,
-        ),
-    )
+    operator = synthetic_operator(options, options.seed)
     todo = plan(operator.record(options.duration), asked)
     drawn = None if options.model is None else drawn_on(todo.hand, options.model)
     with folder_for(options.output):

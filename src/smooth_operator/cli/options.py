@@ -16,6 +16,7 @@ from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.hands_options import Hands
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
+from smooth_operator.cli.sample_options import Sample
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.train_options import Train
@@ -25,6 +26,8 @@ from smooth_operator.cli.view_options import View
 _EXAMPLES = """Examples:
   smooth-operator demo
       a built-in operator, retargeted, measured and played in the browser
+  smooth-operator sample hand.npz
+      a recording of the built-in operator, to try the others on
   smooth-operator retarget glove.npz --output out.npz
       a recording into joint commands, with a table of what was measured
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
@@ -65,6 +68,7 @@ Command: TypeAlias = (
     | Latency
     | Paper
     | Retarget
+    | Sample
     | Study
     | Teleop
     | Train
@@ -74,6 +78,7 @@ Command: TypeAlias = (
 
 _COMMANDS: Final[dict[str, type[Command]]] = {
     "demo": Demo,
+    "sample": Sample,
     "retarget": Retarget,
     "teleop": Teleop,
     "latency": Latency,

@@ -1,0 +1,25 @@
+"""The built-in operator that a command's options ask for."""
+
+from __future__ import annotations
+
+from smooth_operator.cli.common_options import Synthetic
+from smooth_operator.sources import SyntheticOperator, TrackerModel
+
+
+def synthetic_operator(options: Synthetic, seed: int) -> SyntheticOperator:
+    """The operator with the side, rate and tracker of the options.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+    return SyntheticOperator(
+        seed=seed,
+        side=options.side,
+        rate_hz=options.rate,
+        tracker=TrackerModel(
+            noise=options.noise * 1e-3,
+            frame_loss=options.frame_loss,
+            landmark_loss=options.landmark_loss,
+            seed=seed,
+        ),
+    )
