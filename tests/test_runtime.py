@@ -181,6 +181,23 @@ def test_no_frame_of_a_real_hand_is_implausible(shared: object) -> None:
     assert not [why for frame in recording[::7] if (why := implausible(frame))]
 
 
+def test_every_refusal_is_counted_by_its_reason(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage = Stage(retargeter)
+    mirrored = [replace(f, landmarks=f.landmarks * [-1.0, 1.0, 1.0]) for f in motion]
+    wrong = [f for f in mirrored if implausible(f)]
+    assert wrong
+    large = [replace(f, landmarks=f.landmarks * (10.0 + i)) for i, f in enumerate(motion[:30])]
+    ticks = stage.play([*mirrored, *large])
+    refused = stage.pipeline.supervisor.refused
+    told = [event for tick in ticks for event in tick.events if "frame refused" in event]
+    assert sum(refused.values()) == len(told)
+    assert sum(n for why, n in refused.items() if "left hand?" in why) == len(wrong)
+    # figures in a reason would make a reason of every frame
+    assert [n for why, n in refused.items() if "metres" in why] == [30]
+
+
 def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> None:
     delay, rng = TrackerDelay(), np.random.default_rng(0)
     extra = rng.exponential(0.004, 500)

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -185,6 +185,12 @@ def _report(
     health = loop.source.health()
     if health.state == "failed":
         progress.note(f"{loop.source.label}: {health.detail}", matters=True)
+    for side, reasons in summary["frames_refused"].items():
+        if reasons:
+            progress.note(f"{side}: frames refused: {_counted(reasons)}", matters=True)
+    if summary["frames_unusable"]:
+        why = _counted(summary["frames_unusable_by_reason"])
+        progress.note(f"frames of no use: {why}", matters=True)
     added = summary["added_latency_ms"]
     if added:
         progress.note(
@@ -197,6 +203,12 @@ def _report(
             f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",
             matters=True,
         )
+
+
+def _counted(reasons: Mapping[str, int]) -> str:
+    """Reasons with their counts, the most frequent first."""
+    ranked = sorted(reasons.items(), key=lambda item: -item[1])
+    return "; ".join(f"{count} x {reason}" for reason, count in ranked)
 
 
 @contextlib.contextmanager

@@ -117,7 +117,10 @@ class HandPipeline:
         self.supervisor.update(now)  # what the operator switched since the last step
         if arrival is not None:
             self._delay.see(arrival)
-            why = implausible(arrival.frame) or self.supervisor.admits(arrival, now)
+            why = implausible(arrival.frame)
+            why = (
+                self.supervisor.admits(arrival, now) if why is None else self.supervisor.refuse(why)
+            )
             if why is not None:
                 events.append(f"frame refused: {why}")
                 arrival = None

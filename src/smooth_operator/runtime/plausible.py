@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from smooth_operator.landmarks import BASES, WRIST
@@ -17,6 +19,9 @@ Over four real recordings and the built-in operator, hands bent back as far as t
 A mirrored hand has the negative of its curl: more than 0.6 as soon as it nears a fist.
 """
 
+_PALM: Final = (
+    f"a palm outside {PALM_M[0]} to {PALM_M[1]} m is no human's; landmarks must be in metres"
+)
 _INDEX, _MIDDLE, _PINKY = BASES[1], BASES[2], BASES[4]
 _FINGERS = np.array(BASES[1:])
 
@@ -24,14 +29,15 @@ _FINGERS = np.array(BASES[1:])
 def implausible(frame: HandFrame) -> str | None:
     """Why a frame can't be a human hand of its side; None if it may be one.
 
-    What is missing is not judged: the method says whether it needs it.
+    What is missing is not judged: the method says whether it needs it. The reasons are few and
+    have no figures in them, so that frames can be counted by reason.
     """
     p = frame.landmarks
     palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
     if not np.isfinite(palm):
         return None
     if not PALM_M[0] <= palm <= PALM_M[1]:
-        return f"a palm of {palm:.3g} m is no human's; landmarks must be in metres"
+        return _PALM
     curl = finger_curl(frame)
     if curl < CURL:
         other = "left" if frame.side == "right" else "right"

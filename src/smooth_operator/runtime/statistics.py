@@ -47,7 +47,7 @@ class LoopStatistics:
         self._stages: dict[str, _Times] = defaultdict(_Times)
         self._commands: dict[Side, int] = defaultdict(int)
         self._answered = 0
-        self._unusable = 0
+        self._unusable: dict[str, int] = defaultdict(int)
         self._missed = 0
         self._due = 0
         self._modes: dict[Mode, int] = defaultdict(int)
@@ -71,7 +71,8 @@ class LoopStatistics:
         self._missed += sent - due > self._period
         if tick.status is not None:
             self._answered += tick.status == Status.OK
-            self._unusable += tick.status != Status.OK
+            if tick.status != Status.OK:
+                self._unusable[tick.status.reason] += 1
             self._added.append((sent - tick.arrival.received) * 1e3 if tick.arrival else np.nan)
             for name, ms in tick.stages.items():
                 self._stages[name].append(ms)
@@ -91,7 +92,7 @@ class LoopStatistics:
     @property
     def unusable(self) -> int:
         """Frames that the method could not use."""
-        return self._unusable
+        return sum(self._unusable.copy().values())
 
     @property
     def rate_hz(self) -> float:
@@ -107,7 +108,8 @@ class LoopStatistics:
             "commands": dict(self._commands),
             "rate_hz": self.rate_hz,
             "frames_answered": self._answered,
-            "frames_unusable": self._unusable,
+            "frames_unusable": self.unusable,
+            "frames_unusable_by_reason": dict(self._unusable),
             "deadlines_missed": self._missed,
             "deadlines_missed_share": self.missed_share,
             "added_latency_ms": percentiles(self._added.newest()),

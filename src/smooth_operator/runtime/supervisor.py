@@ -33,15 +33,20 @@ class Supervisor:
         """Whether a frame is newer than all before it; if not, why it is refused."""
         stamp, session = arrival.stamp, arrival.session
         if now - arrival.received > self.config.stale_s:
-            return self._refuse("too late")
+            return self.refuse("too late")
         if self._newest is not None and session == self._newest[0]:
             behind = self._newest[1] - stamp
             if behind == 0:
-                return self._refuse("a stamp that came before")
+                return self.refuse("a stamp that came before")
             if 0 < behind <= self.config.restart_s:
-                return self._refuse("out of order")
+                return self.refuse("out of order")
         self._newest = session, stamp
         return None
+
+    def refuse(self, why: str) -> str:
+        """Count a frame that is not used, by its reason; returns the reason."""
+        self.refused[why] = self.refused.get(why, 0) + 1
+        return why
 
     @property
     def afresh(self) -> bool:
@@ -95,6 +100,16 @@ class Supervisor:
         self._stopped = False
 
     @property
+    def stopped(self) -> bool:
+        """Whether an emergency stop holds the robot; safe from any thread."""
+        return self._stopped
+
+    @property
+    def paused(self) -> bool:
+        """Whether the clutch is let go, in an emergency stop, too; safe from any thread."""
+        return self._paused
+
+    @property
     def listens(self) -> bool:
         """Whether frames move the robot at all."""
         return not (self._paused or self._stopped)
@@ -118,7 +133,3 @@ class Supervisor:
         if now - self._blend_start < self._blend_length:
             return Mode.BLENDING
         return Mode.TRACKING
-
-    def _refuse(self, why: str) -> str:
-        self.refused[why] = self.refused.get(why, 0) + 1
-        return why
