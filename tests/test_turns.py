@@ -1,56 +1,161 @@
-"""When frames are answered: at the pace, as they come, and late ones don't hold up others."""
+"""When commands leave: never more than the rate, frames as they come, the pace where none come."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from smooth_operator.runtime.turns import CATCH_UP, PLAY, Turns
+from smooth_operator.runtime.turns import EXTRA, LONGEST, SHORTEST, Turns
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.live import Mailbox
+from smooth_operator.types import HandFrame
 
 PERIOD = 0.01
+SLACK = 1e-9
+SPAN = 8.0
 
 
-def answered(arrivals: np.ndarray) -> np.ndarray:
-    """When frames are answered that arrive then; the newest wins, as in the loop."""
-    turns, times = Turns(), []
-    for i, arrival in enumerate(arrivals):
-        at = max(arrival, turns.opens(PERIOD))
-        newer = arrivals[i + 1] if i + 1 < len(arrivals) else np.inf
-        if at < newer:
-            turns.take(at, PERIOD)
-            times.append(at)
-    return np.array(times)
+@dataclass
+class Played:
+    """What left: commands, and of those that answer a frame when it had come [s]."""
+
+    commands: list[float] = field(default_factory=list)
+    answered: dict[float, float] = field(default_factory=dict)
+
+    def ages(self) -> np.ndarray:
+        """Of the frames when they were answered [s]."""
+        return np.array([at - came for at, came in self.answered.items()])
 
 
-def test_a_tracker_at_the_pace_is_answered_at_once() -> None:
+def frame() -> HandFrame:
+    return next(iter(SyntheticOperator(seed=1).record(0.05)))
+
+
+FRAME = frame()
+
+
+def played(arrivals: np.ndarray, end: float, period: float = PERIOD) -> Played:
+    """The loop's own rules over a simulated time, with the loop's own mailbox."""
+    now = 0.0
+    mailbox = Mailbox(lambda: now)
+    turns, result, coming = Turns(period), Played(), iter([*arrivals.tolist(), np.inf])
+    turns.begin(now)
+    comes = next(coming)
+    while True:
+        newest, following = mailbox.newest("right"), mailbox.following("right")
+        due = turns.keeps(following)
+        if newest is not None:
+            due = max(turns.answers(newest.received, following), turns.opens)
+        if comes <= due:  # it came first
+            now = comes
+            mailbox.post(FRAME)
+            comes = next(coming)
+            continue
+        now = max(now, due)
+        if now >= end:
+            return result
+        taken = mailbox.take("right")
+        result.commands.append(now)
+        if taken is not None:
+            result.answered[now] = taken.received
+        turns.take(now)
+
+
+def most(times: list[float], within: float) -> int:
+    """Most commands in any window of this length [s]."""
+    at = np.array(times)
+    return int((np.searchsorted(at, at + within, "right") - np.arange(len(at))).max(initial=0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(0.0, 0.06), max_size=250),
+    st.sampled_from([0.002, 0.01, 0.05]),
+    st.floats(0.001, 1.0),
+)
+def test_the_rate_is_a_bound_whatever_comes(
+    gaps: list[float], period: float, window: float
+) -> None:
+    result = played(np.cumsum(gaps), min(sum(gaps) + 0.2, 3.0), period)
+    between = np.diff(result.commands)
+    assert most(result.commands, window) <= window / period + EXTRA + SLACK
+    assert np.all(between >= SHORTEST * period - SLACK)
+    assert np.all(between <= LONGEST * period + SLACK)
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
+@pytest.mark.parametrize("tracker", [30.0, 60.0, 72.0, 100.0, 120.0, 240.0, 1000.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.15])
+def test_the_rate_holds_and_frames_stay_fresh(rate: float, tracker: float, jitter: float) -> None:
+    rng = np.random.default_rng(0)
+    even = np.arange(0.003, SPAN, 1 / tracker)
+    arrivals = np.sort(even + jitter / tracker * rng.uniform(size=len(even)))
+    result = played(arrivals, SPAN, 1 / rate)
+    # the rate, be the tracker faster or slower
+    assert len(result.commands) / SPAN == pytest.approx(rate, rel=0.02)
+    assert most(result.commands, 1.0) <= rate + EXTRA
+    # as many frames as there are turns for
+    assert len(result.answered) / SPAN >= 0.98 * min(rate, tracker)
+    # An even pace would let frames wait for half of the tracker's period, on the average.
+    assert result.ages().mean() < 0.22 / tracker
+    if tracker <= rate:
+        assert np.percentile(result.ages(), 95) < 0.1 / tracker
+
+
+def test_in_silence_commands_keep_the_rate() -> None:
+    commands = played(np.array([]), 5.0).commands
+    assert len(commands) == pytest.approx(5.0 / PERIOD, abs=1)
+    np.testing.assert_allclose(np.diff(commands), PERIOD, rtol=1e-9)
+
+
+def test_a_tracker_at_the_pace_is_answered_as_it_comes() -> None:
     rng = np.random.default_rng(0)
     arrivals = np.arange(500) * PERIOD + rng.uniform(0, 0.15 * PERIOD, 500)
-    np.testing.assert_array_equal(answered(arrivals), arrivals)
+    result = played(arrivals, 5.0)
+    assert result.ages().max() < SLACK
+    assert len(result.commands) == len(arrivals)
 
 
 def test_frames_that_were_held_up_do_not_hold_up_the_next() -> None:
     arrivals = np.arange(200) * PERIOD
     arrivals[100] += 0.7 * PERIOD  # its successor comes 0.3 periods behind it
-    np.testing.assert_array_equal(answered(arrivals), arrivals)
+    assert played(arrivals, 2.0).ages().max() < SLACK
 
 
-@pytest.mark.parametrize("rate", [130.0, 200.0, 240.0, 1000.0])
-def test_faster_trackers_are_thinned_out(rate: float) -> None:
-    times = answered(np.arange(0, 5, 1 / rate))
-    gaps = np.diff(times)
-    assert gaps.min() >= PLAY * PERIOD - 1e-9
-    assert len(times) <= 5 / (PLAY * PERIOD) + 1
+def test_half_the_frames_of_a_tracker_twice_as_fast_are_answered_as_they_come() -> None:
+    result = played(np.arange(0.0, 5.0, PERIOD / 2), 5.0)
+    assert np.all(result.ages()[5:] < SLACK)
+    assert np.isclose(np.diff(result.commands), PERIOD).mean() > 0.98
 
 
-def test_a_burst_is_thinned_out() -> None:
-    rng = np.random.default_rng(0)
-    times = answered(np.sort(rng.uniform(0, 5, 2500)))
-    gaps = np.diff(times)
-    assert gaps.min() >= CATCH_UP * PERIOD - 1e-9
-    assert len(times) <= 5 / (PLAY * PERIOD) + 1
-    # as many as there is time for
-    assert len(times) >= 0.95 * 5 / PERIOD
+def test_a_command_that_keeps_the_pace_waits_for_a_frame_that_is_due() -> None:
+    # of a headset at 72 Hz and commands at 100: none leaves just before a frame, whose turn it took
+    result = played(np.arange(0.0, 5.0, 1 / 72), 5.0)
+    frames, others = [], []
+    for before, at in zip(result.commands, result.commands[1:], strict=False):
+        (frames if at in result.answered else others).append(at - before)
+    assert min(frames[5:]) > 0.5 * PERIOD
+    assert result.ages()[5:].max() < SLACK
 
 
-def test_the_first_is_answered_at_once() -> None:
-    assert Turns().opens(PERIOD) == -np.inf
+def test_an_emergency_stop_waits_for_nothing_and_delays_what_follows_only_so_far() -> None:
+    turns = Turns(PERIOD)
+    turns.begin(0.0)
+    for _ in range(200):  # stopped and released again and again within a moment
+        turns.take(0.5)
+    assert turns.opens <= 0.5 + LONGEST * PERIOD
+    assert turns.keeps(None) <= 0.5 + LONGEST * PERIOD + SLACK
+
+
+def test_the_mailbox_knows_when_the_next_frame_is_expected() -> None:
+    now = 0.0
+    mailbox = Mailbox(lambda: now)
+    assert mailbox.following("right") is None
+    for now in (1.0, 1.01, 1.02, 1.03, 1.5, 1.51):  # a gap once is no new pace
+        mailbox.post(replace(FRAME, stamp=now))
+    assert mailbox.following("right") == pytest.approx(1.52)
+    assert mailbox.following("left") is None

@@ -87,7 +87,8 @@ Examples:
     """The operator's calibration for this hand, as calibrate writes it."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
-    """Commands a second [Hz]; frames are answered as they come, up to this rate."""
+    """Commands a second and hand [Hz]: never more, be the tracker as fast as it may; that many
+    where frames come too slowly, or not at all."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None
     """End after so long [s]; when the source ends if left out."""

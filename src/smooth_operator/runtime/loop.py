@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 from smooth_operator.runtime.controls import Controls
 from smooth_operator.runtime.limiter import Limiter
@@ -20,16 +19,14 @@ from smooth_operator.sinks.tick import Tick
 from smooth_operator.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
 
-PATIENCE: Final = 1.25
-"""Longest time between two commands, over the period: a frame that is a little late still finds the
-loop free."""
-
 
 class TeleopLoop:
     """Drives robot hands from a source until told to end.
 
     A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
-    commands go out at the loop's pace all the same, held or easing as the policies say.
+    commands go out at the loop's pace all the same, held or easing as the policies say. Commands of
+    a hand never exceed the rate (:class:`~smooth_operator.runtime.turns.Turns`), but for the first
+    one of an emergency stop, which waits for nothing.
 
     Args:
         pipelines: side -> hand.
@@ -64,9 +61,9 @@ class TeleopLoop:
         self.statistics = LoopStatistics(config.period)
         self.watch = watch
         self._beat = self.mailbox.clock()
-        self._turns = {side: Turns() for side in self.pipelines}
-        self._commanded: dict[Side, float] = {}
+        self._turns = {side: Turns(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of
+        self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
     def run(
         self,
@@ -110,10 +107,16 @@ class TeleopLoop:
         self.config = config
         self.controls.change(lambda hand: hand.configure(config))
 
+    @property
+    def silent_s(self) -> float:
+        """How long ago the last command left [s]; since it was built before the first one."""
+        return self.mailbox.clock() - self._beat
+
     def _loop(self, duration: float | None) -> None:
         clock, sides = self.mailbox.clock, tuple(self.pipelines)
         start = clock()
-        self._commanded = dict.fromkeys(sides, start)
+        for turns in self._turns.values():
+            turns.begin(start)
         ended: float | None = None
         while not self.controls.quitting:
             now = clock()
@@ -125,49 +128,60 @@ class TeleopLoop:
                 ended = now if ended is None else ended
                 if now - ended > self.config.safety.lost_s:
                     return
-            self._wait(now, sides)
-            for change in self.controls.drain():
-                for side, pipeline in self.pipelines.items():
-                    change(pipeline)
-                    self._asked.add(side)  # the sinks are to know at once
+            self._wait(sides)
+            self._change()
             for side in sides:
                 self._serve(side)
 
-    def _wait(self, now: float, sides: Sequence[Side]) -> None:
+    def _wait(self, sides: Sequence[Side]) -> None:
         """Sleep until something is to be done."""
         if self.controls.waiting:
             return
-        period = self.config.period
-        until = min(self._commanded.values()) + PATIENCE * period
-        opens = {side: self._turns[side].opens(period) for side in sides}
-        free = [side for side in sides if opens[side] <= now]
-        # a hand that may be answered a little later has to be looked at then
-        until = min([until, *(at for at in opens.values() if at > now)])
-        if free:
-            self.mailbox.wait(free, max(until - now, 0.0))
-        else:
-            time.sleep(max(until - now, 0.0))
+        seen, now = self.mailbox.received, self.mailbox.clock()
+        opens = [self._turns[side].opens for side in sides]
+        until = min(
+            at if at > now else self._due(side, now) for side, at in zip(sides, opens, strict=True)
+        )
+        # where nothing may leave yet no frame need wake the loop: the newest is looked at then
+        self.mailbox.sleep(until - now, seen if min(opens) <= now else None)
+
+    def _change(self) -> None:
+        """Do what the switches ask for."""
+        free = {side for side, hand in self.pipelines.items() if not hand.supervisor.stopped}
+        for change in self.controls.drain():
+            for side, pipeline in self.pipelines.items():
+                change(pipeline)
+                self._asked.add(side)  # the sinks are to know as soon as the pace lets them
+        self._stopped |= {side for side in free if self.pipelines[side].supervisor.stopped}
+
+    def _due(self, side: Side, now: float) -> float:
+        """When the next command of a hand is due, as things are now [s]."""
+        turns, following = self._turns[side], self.mailbox.following(side)
+        if side in self._stopped:
+            return now
+        if side in self._asked:
+            return min(turns.opens, now)
+        arrival = self.mailbox.newest(side)
+        if arrival is None:
+            return turns.keeps(following)
+        return turns.answers(arrival.received, following)
 
     def _serve(self, side: Side) -> None:
         """Answer the newest frame of a hand, or keep its pace."""
-        clock, period = self.mailbox.clock, self.config.period
-        now = clock()
-        opens = self._turns[side].opens(period)
-        arrival = self.mailbox.take(side) if now >= opens else None
-        due = self._commanded[side] + PATIENCE * period
-        if side in self._asked:
-            self._asked.remove(side)
-            due = min(due, now)
-        if arrival is None and now < due:
+        now, turns = self.mailbox.clock(), self._turns[side]
+        if now < turns.opens and side not in self._stopped:
             return
-        if arrival is not None:
-            due = max(arrival.received, opens)
-            self._turns[side].take(now, period)
-        self._commanded[side] = now
+        due = self._due(side, now)
+        if now < due:
+            return
+        arrival = self.mailbox.take(side)
+        self._asked.discard(side)
+        self._stopped.discard(side)
+        turns.take(now)
         tick = self.pipelines[side].step(now, arrival)
-        before = clock()
+        before = self.mailbox.clock()
         self.sinks.send(tick)
-        sent = self._beat = clock()
+        sent = self._beat = self.mailbox.clock()
         if tick.status is not None:
             tick = replace(tick, stages={**tick.stages, "send": (sent - before) * 1e3})
         self.sinks.observe(tick)
@@ -183,7 +197,7 @@ class TeleopLoop:
 
         def watch() -> None:
             while not done.wait(self.config.safety.watchdog_s / 2):
-                silence = self.mailbox.clock() - self._beat
+                silence = self.silent_s
                 if silence > self.config.safety.watchdog_s:
                     self.sinks.stalled(silence)
 

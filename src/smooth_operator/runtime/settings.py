@@ -82,8 +82,8 @@ class LoopConfig:
     """Pace of the loop.
 
     Attributes:
-        rate: commands per second, at least, and of those that answer frames at most, but for a
-            little play for an uneven tracker [Hz].
+        rate: commands per second and hand; never more, and that many where frames come too slowly
+            or not at all [Hz].
         safety: what happens when the tracker fails.
         limits: of what leaves the loop.
     """

@@ -1,37 +1,90 @@
-"""When frames may be answered: commands keep their pace though trackers don't keep theirs."""
+"""When commands leave: frames as they come, the pace where none come, never more than the rate."""
 
 from __future__ import annotations
 
 import math
 from typing import Final
 
-PLAY: Final = 0.8
-"""Shortest time between two frames that are answered, over the period: trackers are uneven."""
-CATCH_UP: Final = 0.25
-"""The same for a frame that comes on time after one that was late: its turn is now."""
+SHORTEST: Final = 0.25
+"""Shortest time between two commands, over the period."""
+BORROWED: Final = 1.0 - SHORTEST
+"""How much earlier than in an even pace a frame may be answered, over the period: its turn is taken
+from the commands after it. It keeps frames that come between two commands of the pace from
+waiting."""
+KEPT: Final = 0.5
+"""How much of the time that a command came late may be made up for, over the period: a frame that
+was held up does not hold up those behind it."""
+LONGEST: Final = 2.0
+"""Longest time between two commands, over the period."""
+EXTRA: Final = 1 + BORROWED + KEPT
+"""Commands over the rate: within any time t there are at most rate x t + 2.25."""
 
 
 class Turns:
-    """Turns of one hand, a period apart.
+    """The pace of one hand's commands.
 
-    One that is taken late, by up to a period, leaves the next where it was, so that a frame which
-    was held up does not hold up the one behind it. So frames that come faster than the pace are
-    thinned out evenly, and those that come at the pace are all answered as they come.
+    Turns lie a period apart. A frame may take one early and a command may take one late, within
+    bounds that don't add up: in any time t there are at most ``t / period + EXTRA`` commands, two
+    are at least ``SHORTEST`` periods apart, and over a run the rate is never exceeded. This is the
+    generic cell rate algorithm (ITU-T I.371), in which frames may come early and commands that
+    only keep the pace may not.
+
+    All times are by one clock [s]. Nothing here has a clock or sleeps.
+
+    Args:
+        period: time between two commands [s].
     """
 
-    def __init__(self) -> None:
-        self._taken, self._next = -math.inf, math.inf
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._last = -math.inf  # when the latest command left
+        self._turn = -math.inf  # when the next one does, at an even pace
 
-    def opens(self, period: float) -> float:
-        """When the next frame may be answered [s].
+    def begin(self, now: float) -> None:
+        """The loop starts: a frame may be answered now."""
+        self._turn = now + BORROWED * self._period
+
+    @property
+    def opens(self) -> float:
+        """Until when nothing may leave, but for an emergency stop [s]."""
+        period = self._period
+        return max(self._turn - BORROWED * period, self._last + SHORTEST * period)
+
+    def answers(self, received: float, following: float | None) -> float:
+        """When a frame is to be answered, if no newer one comes until then [s].
+
+        A frame that finds the turn open is answered as it comes. One that came before is left for
+        the next one if that comes so soon after the turn has opened that no turn is lost, so that a
+        tracker that is faster than the pace is thinned out to frames that are answered fresh.
 
         Args:
-            period: of the loop [s].
+            received: when it came [s].
+            following: when the next frame is expected [s]; None if nobody knows.
         """
-        early = self._taken + PLAY * period
-        return min(early, max(self._next, self._taken + CATCH_UP * period))
+        opens, latest = self.opens, self._last + LONGEST * self._period
+        if received >= opens:
+            return received
+        if following is None or not 0 <= following - opens <= KEPT * self._period:
+            return opens
+        patience = SHORTEST * (following - received)  # trackers are uneven
+        return following + patience if following <= latest else opens
 
-    def take(self, now: float, period: float) -> None:
-        """A frame is answered now [s]."""
-        self._next = min(max(self._next, now - period), now) + period
-        self._taken = now
+    def keeps(self, following: float | None) -> float:
+        """When a command is due though no frame has come [s].
+
+        Args:
+            following: when the next frame is expected [s]; None if nobody knows. If that is about
+                now the command waits for it a little, rather than leave just before it.
+        """
+        period, at = self._period, self._turn
+        if following is not None and at - SHORTEST * period <= following <= at + KEPT * period:
+            latest = max(at, self._last + LONGEST * period)
+            at = min(following + SHORTEST * period, latest)
+        return max(at, self.opens)
+
+    def take(self, now: float) -> None:
+        """A command leaves now [s]."""
+        period = self._period
+        turn = max(self._turn, now - KEPT * period) + period
+        # An emergency stop, which waits for no turn, delays what comes after it only so far.
+        self._turn, self._last = min(turn, now + LONGEST * period), now

@@ -10,15 +10,21 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, TypeAlias
+from statistics import median
+from typing import Final, Literal, Protocol, TypeAlias
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.types import HandFrame, Side
 
 Clock: TypeAlias = Callable[[], float]
 """Seconds that never go back: ``time.perf_counter``."""
+
+
+_GAPS: Final = 5
+"""Times between frames of which the median is a tracker's period; few, since trackers change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +64,8 @@ class Mailbox:
         self.received = 0
         self.overwritten = 0
         self._newest: dict[Side, Arrival] = {}
+        self._latest: dict[Side, float] = {}
+        self._gaps: dict[Side, deque[float]] = {}
         self._woken = False
         self._arrived = threading.Condition()
 
@@ -74,12 +82,42 @@ class Mailbox:
             self.received += 1
             self.overwritten += frame.side in self._newest
             self._newest[frame.side] = Arrival(frame, at, session)
+            if frame.side in self._latest:
+                gaps = self._gaps.setdefault(frame.side, deque(maxlen=_GAPS))
+                gaps.append(at - self._latest[frame.side])
+            self._latest[frame.side] = at
             self._arrived.notify_all()
 
     def take(self, side: Side) -> Arrival | None:
         """The newest frame of a hand, once; None if none came since the last call."""
         with self._arrived:
             return self._newest.pop(side, None)
+
+    def newest(self, side: Side) -> Arrival | None:
+        """What :meth:`take` would give, left where it is."""
+        with self._arrived:
+            return self._newest.get(side)
+
+    def following(self, side: Side) -> float | None:
+        """When the next frame of a hand is expected, by the last few [s]; None before there are
+        two."""
+        with self._arrived:
+            gaps = self._gaps.get(side)
+            return self._latest[side] + median(gaps) if gaps else None
+
+    def sleep(self, timeout: float, seen: int | None = None) -> None:
+        """Sleep for so many seconds at most, until :meth:`wake`, or until a frame is posted.
+
+        Args:
+            timeout: [s].
+            seen: ``received`` at a time from which on frames end it; None if none does.
+        """
+        with self._arrived:
+            self._arrived.wait_for(
+                lambda: self._woken or (seen is not None and self.received != seen),
+                max(timeout, 0.0),
+            )
+            self._woken = False
 
     def wait(self, sides: Collection[Side], timeout: float) -> bool:
         """Sleep until a frame of one of these hands is here, or for so many seconds at most.
@@ -93,7 +131,7 @@ class Mailbox:
             return self._has(sides)
 
     def wake(self) -> None:
-        """End a :meth:`wait`, or the next one, though no frame is here."""
+        """End a :meth:`wait` or :meth:`sleep`, or the next one, though no frame is here."""
         with self._arrived:
             self._woken = True
             self._arrived.notify_all()
