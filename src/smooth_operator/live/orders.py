@@ -41,7 +41,7 @@ from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.live.workshop import Choice, Workshop
 from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.remote import Word
+from smooth_operator.runtime.switchboard import Word
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # physics, which a run without a task need not have

@@ -28,6 +28,7 @@ class Controls:
     def __init__(self, mailbox: Mailbox) -> None:
         self._mailbox = mailbox
         self._pending: deque[Change] = deque()
+        self._stops = 0  # how many there were: a release ends those that came before it, only
         self._quit = threading.Event()
 
     def pause(self) -> None:
@@ -39,14 +40,21 @@ class Controls:
         self.change(lambda hand: hand.supervisor.resume())
 
     def stop(self) -> None:
-        """Emergency stop: the robot stands until :meth:`release`."""
+        """Emergency stop: the robot stands until a :meth:`release` that comes later."""
+        self._stops += 1
         # before whatever else is waiting
         self._pending.appendleft(lambda hand: hand.supervisor.stop())
         self._mailbox.wake()
 
     def release(self) -> None:
-        """End an emergency stop."""
-        self.change(lambda hand: hand.supervisor.release())
+        """End an emergency stop; one that comes before this has been done stays."""
+        stops = self._stops
+
+        def release(hand: HandPipeline) -> None:
+            if self._stops == stops:
+                hand.supervisor.release()
+
+        self.change(release)
 
     def change(self, change: Change) -> None:
         """Have something done to every hand, on the loop's thread; it must be quick."""

@@ -11,6 +11,9 @@ is one):
     {"ok": true, "modes": {"right": "stopped"}, "rate_hz": 99.8}
     {"ok": false, "error": "can't do 'halt'; expected one of stop, release, ..."}
 
+A stop is done before whatever else waits, and a release that waited is refused then: it was meant
+for an earlier stop. A status does not reach the loop, so that it may be asked for at any rate.
+
 Who starts the loop may add words; those of ``smooth-operator teleop`` are in
 :mod:`smooth_operator.live.orders`. An added word may take long, as compiling a method does: each is
 done on a thread of its own, so that a stop is answered meanwhile, and ``busy`` in the status says
@@ -20,113 +23,24 @@ what is under way.
 from __future__ import annotations
 
 import contextlib
-import json
 import queue
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
-from smooth_operator.errors import MissingExtraError, SmoothOperatorError, SourceError
-from smooth_operator.recording.jsonable import to_json
+from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.runtime.loop import TeleopLoop
-
-Word: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""What is done for a word: from the message's fields to the answer's; errors of the family are
-answered, too."""
+from smooth_operator.runtime.switchboard import Reply, Switchboard, Word
 
 _TURN_MS: Final = 20
+_SOON_MS: Final = 1  # while an answer waits for the loop
 _LARGEST: Final = 1 << 16  # [bytes]
-_PATIENCE_S: Final = 0.5
-"""How long an answer waits for the loop to have done what it was told [s]."""
-_AT_ONCE: Final = 16
-"""Words that may be under way; a program that asks for more goes wrong."""
-
-
-class Switchboard:
-    """Does what messages say.
-
-    Args:
-        loop: what it is said to.
-        words: more words than the loop's own.
-        status: more fields of the status; must be quick.
-    """
-
-    def __init__(
-        self,
-        loop: TeleopLoop,
-        words: Mapping[str, Word] = {},
-        status: Callable[[], Mapping[str, Any]] = dict,
-    ) -> None:
-        controls = loop.controls
-        self._loop, self._more, self._status = loop, dict(words), status
-        self._own: dict[str, Callable[[], None]] = {
-            "stop": controls.stop,
-            "release": controls.release,
-            "pause": controls.pause,
-            "resume": controls.resume,
-            "quit": controls.quit,
-            "status": lambda: None,
-        }
-        self._under_way: list[str] = []
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """All that it knows."""
-        return (*self._own, *self._more)
-
-    def answer(self, message: bytes, reply: Callable[[bytes], None]) -> None:
-        """Do what a message says.
-
-        Args:
-            message: a word, or a JSON object with ``do``.
-            reply: called with the answer, from this thread or from another, now or later.
-        """
-        try:
-            text = message.decode().strip()
-            fields = json.loads(text) if text.startswith("{") else {"do": text}
-            word = fields["do"]
-            known = word in self.words
-        except (ValueError, KeyError, TypeError):
-            known = False
-        if not known:
-            shown = message[:60].decode(errors="replace")
-            error = f"can't do {shown!r}; expected one of {', '.join(self.words)}"
-            reply(_encoded({"ok": False, "error": error}))
-        elif word in self._own:
-            reply(_encoded(self._switched(word)))
-        elif len(self._under_way) >= _AT_ONCE:
-            reply(_encoded({"ok": False, "error": "too much is asked for at once"}))
-        else:
-            self._under_way.append(word)
-            threading.Thread(
-                target=lambda: reply(self._done(word, fields)), name=f"remote {word}", daemon=True
-            ).start()
-
-    def _switched(self, word: str) -> dict[str, Any]:
-        """One of the loop's own words."""
-        self._own[word]()
-        if word != "quit":
-            # The loop wakes for it at once, and does first what was asked for first.
-            done = threading.Event()
-            self._loop.controls.change(lambda hand: done.set())
-            if not done.wait(_PATIENCE_S):
-                return {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
-        modes = {side: hand.mode_now.value for side, hand in self._loop.pipelines.items()}
-        head = {"ok": True, "modes": modes, "rate_hz": self._loop.statistics.rate_hz}
-        if word != "status":
-            return head
-        return {**head, **self._status(), "busy": list(self._under_way)}
-
-    def _done(self, word: str, fields: Mapping[str, Any]) -> bytes:
-        """One of the others."""
-        try:
-            return _encoded({"ok": True, **self._more[word](fields)})
-        except SmoothOperatorError as error:
-            return _encoded({"ok": False, "error": str(error)})
-        except Exception as error:  # a word that goes wrong must not leave its caller waiting
-            return _encoded({"ok": False, "error": f"{word}: {type(error).__name__}: {error}"})
-        finally:
-            self._under_way.remove(word)
+_FRAMES: Final = 8
+"""Most parts of a message: an address for each relay, an empty one, the word."""
+_GULP: Final = 256
+"""Messages that are heard before the next one is done."""
+_END_S: Final = 2.0
 
 
 @contextlib.contextmanager
@@ -180,17 +94,36 @@ def remote(
             while True:
                 socket.send_multipart(answers.get_nowait())
 
-    def reply_to(envelope: list[bytes]) -> Callable[[bytes], None]:
+    def reply_to(envelope: list[bytes]) -> Reply:
         return lambda text: answers.put([*envelope, text])
 
+    def hear() -> None:
+        """Take what has come, so that a stop is done before what came ahead of it."""
+        for _ in range(_GULP):
+            if not socket.poll(0):
+                return
+            frames = socket.recv_multipart()
+            if len(frames) <= _FRAMES:
+                *envelope, message = frames
+                board.hear(message, reply_to(envelope))
+
     def listen() -> None:
-        while not done.is_set():
-            if socket.poll(_TURN_MS):
-                *envelope, message = socket.recv_multipart()
-                board.answer(message, reply_to(envelope))
+        try:
+            while not done.is_set():
+                if board.idle:
+                    socket.poll(_TURN_MS)
+                elif not board.queued:
+                    socket.poll(_SOON_MS)
+                try:
+                    hear()
+                    board.turn()
+                    send_all()
+                except Exception as error:  # nothing that is sent may end the listening
+                    print(f"note: {address}: {type(error).__name__}: {error}", file=sys.stderr)
+            board.finish()
             send_all()
-        send_all()
-        socket.close()
+        finally:
+            socket.close()
 
     thread = threading.Thread(target=listen, name="remote", daemon=True)
     thread.start()
@@ -198,9 +131,6 @@ def remote(
         yield bound
     finally:
         done.set()
-        thread.join(2.0)
-        context.term()
-
-
-def _encoded(answer: Mapping[str, Any]) -> bytes:
-    return to_json(answer).encode()
+        thread.join(_END_S)
+        if not thread.is_alive():  # the context waits for its sockets to be closed
+            context.term()

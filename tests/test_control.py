@@ -1,0 +1,266 @@
+"""Switches of a running loop under attack: hostile messages, floods, stops that cross releases."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from live_time import until
+
+from smooth_operator import Retargeter, load_hand
+from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.remote import remote
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.runtime.switchboard import Switchboard
+from smooth_operator.runtime.turns import EXTRA
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sources.live import Mailbox, SourceHealth
+
+zmq = pytest.importorskip("zmq")
+
+RATE = 100.0
+LONG = 60.0  # a busy machine
+HOSTILE = [
+    b'{"do":' + b"[" * 20_000,
+    b"{" * 20_000,
+    b'{"do":' + b'{"do":' * 5_000,
+    b'{"do": ' + b"9" * 20_000 + b"}",
+    b'{"do": 1e999}',
+    b'{"do": ["stop"]}',
+    b'{"do": {"stop": "stop"}}',
+    b'{"do": null}',
+    b'{"do"',
+    b"{}",
+    b"[]",
+    b"",
+    b"\x00" * 1000,
+    b"\xff\xfe{",
+    '{"do": "\ud800"}'.encode("utf-8", "surrogatepass"),
+    b'{"do": "st\\ud800op"}',
+    b"stop\x00",
+    b'{"do": "bang"}',
+]
+
+
+@dataclass
+class Silence:
+    """A source without frames."""
+
+    label: str = "silence"
+
+    def start(self, mailbox: Mailbox) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def health(self) -> SourceHealth:
+        return SourceHealth("running")
+
+
+@dataclass
+class Running:
+    """A loop that runs, and what left it."""
+
+    loop: TeleopLoop
+    ticks: list[Tick] = field(default_factory=list)
+
+    def mode(self) -> Mode:
+        return self.ticks[-1].mode
+
+
+@pytest.fixture(scope="module")
+def retargeter() -> Retargeter:
+    built = Retargeter(load_hand("mimic_p050"), method="joint_angle")
+    built.warm_up()
+    return built
+
+
+@pytest.fixture
+def running(retargeter: Retargeter) -> Iterator[Running]:
+    config = LoopConfig(rate=RATE)
+    pipelines = {"right": HandPipeline(retargeter, config)}
+    loop = TeleopLoop(pipelines, Silence(), SinkRunner(), config)  # type: ignore[arg-type]
+    built = Running(loop)
+    loop.watch = built.ticks.append
+    thread = threading.Thread(target=loop.run, daemon=True)
+    thread.start()
+    until(lambda: built.ticks, LONG)
+    yield built
+    loop.controls.quit()
+    thread.join(LONG)
+    assert not thread.is_alive()
+
+
+class Client:
+    """A program that sends without waiting for answers."""
+
+    def __init__(self, address: str) -> None:
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.SNDHWM, 0)
+        self._socket.setsockopt(zmq.RCVHWM, 0)
+        self._socket.connect(address)
+
+    def send(self, *frames: bytes) -> None:
+        self._socket.send_multipart([b"", *frames])
+
+    def hear(self) -> dict[str, Any]:
+        assert self._socket.poll(1000 * LONG), "no answer"
+        return dict(json.loads(self._socket.recv_multipart()[-1]))
+
+    def ask(self, message: bytes) -> dict[str, Any]:
+        self.send(message)
+        return self.hear()
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+        self._context.term()
+
+
+def test_no_message_ends_the_listening(running: Running) -> None:
+    ended = threading.Event()
+
+    def listen() -> None:
+        with remote(running.loop, "tcp://127.0.0.1:*") as address:
+            found.append(address)
+            go.wait(LONG)
+        ended.set()
+
+    found: list[str] = []
+    go = threading.Event()
+    threading.Thread(target=listen, daemon=True).start()
+    until(lambda: found, LONG)
+    with Client(found[0]) as client:
+        for message in HOSTILE:
+            answer = client.ask(message)
+            assert not answer["ok"], message[:40]
+            assert len(answer["error"]) < 400
+        for _ in range(3):
+            client.send(*[b"x"] * 100)  # more parts than any relay adds
+        assert client.ask(b"status")["modes"] == {"right": "waiting"}
+        assert client.ask(b'{"do": "stop"}')["modes"] == {"right": "stopped"}
+        go.set()
+        assert ended.wait(LONG), "the context waits for a socket that nobody closes"
+    assert running.mode() is Mode.STOPPED
+
+
+def test_a_word_and_a_status_that_go_wrong_are_answered(running: Running) -> None:
+    def broken(fields: Any = None) -> dict[str, Any]:
+        raise RecursionError("deep")
+
+    with (
+        remote(running.loop, "tcp://127.0.0.1:*", {"bang": broken}, broken) as address,
+        Client(address) as client,
+    ):
+        for word in (b"bang", b"status"):
+            assert "RecursionError" in client.ask(word)["error"]
+        assert client.ask(b"stop")["ok"]
+
+
+def test_asking_for_the_status_sends_no_commands(running: Running) -> None:
+    with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as client:
+        for _ in range(3000):
+            client.send(b"status")
+        for _ in range(3000):
+            assert client.hear()["ok"]
+    at = np.array([tick.time for tick in running.ticks])
+    window = (np.searchsorted(at, at + 0.2, "right") - np.arange(len(at))).max()
+    assert window <= 0.2 * RATE + EXTRA + 1  # a tick's time is a moment after its turn
+
+
+def test_a_stop_overtakes_what_waits(running: Running) -> None:
+    # no thread and no socket: what has been heard by the time of the stop is certain
+    board = Switchboard(running.loop)
+    answers: list[tuple[str, dict[str, Any]]] = []
+
+    def say(word: str) -> None:
+        board.hear(word.encode(), lambda text: answers.append((word, json.loads(text))))
+
+    say("stop")
+    until(lambda: running.mode() is Mode.STOPPED, LONG)
+    for _ in range(1000):
+        say("status")
+    say("release")
+    say("pause")
+    say("stop")  # the release was for the first one
+    until(lambda: running.loop.controls.waiting is False, LONG)
+    assert [word for word, answer in answers if not answer["ok"]] == ["release"]
+    assert "stop came meanwhile" in answers[-1][1]["error"]
+    while not board.idle:
+        board.turn()
+    assert len(answers) == 1004
+    assert running.loop.pipelines["right"].supervisor.stopped
+    assert running.loop.pipelines["right"].supervisor.paused
+    say("release")
+    say("resume")
+    while not board.idle:
+        board.turn()
+    assert not running.loop.pipelines["right"].supervisor.stopped
+
+
+def test_a_stop_ends_what_was_released_a_moment_before(running: Running) -> None:
+    controls, supervisor = running.loop.controls, running.loop.pipelines["right"].supervisor
+    controls.stop()
+    until(lambda: running.mode() is Mode.STOPPED, LONG)
+    held, go = threading.Event(), threading.Event()
+    controls.change(lambda hand: (held.set(), go.wait(LONG)))  # type: ignore[arg-type, return-value]
+    held.wait(LONG)
+    controls.release()
+    controls.stop()  # both wait: the stop was later, and holds
+    go.set()
+    until(lambda: not controls.waiting, LONG)
+    first = len(running.ticks)
+    until(lambda: len(running.ticks) > first + 3, LONG)
+    assert supervisor.stopped
+    assert {tick.mode for tick in running.ticks[first:]} == {Mode.STOPPED}
+    controls.release()
+    until(lambda: not supervisor.stopped, LONG)
+
+
+def test_too_many_messages_are_refused_and_a_stop_is_not(running: Running) -> None:
+    board, answers = Switchboard(running.loop), []
+    for _ in range(5000):
+        board.hear(b"status", lambda text: answers.append(json.loads(text)))
+    assert answers
+    assert all("too much" in answer["error"] for answer in answers)
+    board.hear(b"stop", lambda text: None)
+    until(lambda: running.mode() is Mode.STOPPED, LONG)
+
+
+def test_a_loop_that_hangs_is_told_by_the_status(running: Running) -> None:
+    with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as client:
+        assert client.ask(b"status")["ok"]
+        hangs, go = threading.Event(), threading.Event()
+        running.loop.controls.change(
+            lambda hand: (hangs.set(), go.wait(LONG))  # type: ignore[arg-type, return-value]
+        )
+        hangs.wait(LONG)
+        time.sleep(0.6)
+        assert "does not answer" in client.ask(b"status")["error"]
+        assert "does not answer" in client.ask(b"stop")["error"]
+        go.set()
+        until(lambda: running.mode() is Mode.STOPPED, LONG)
+        assert client.ask(b"status")["modes"] == {"right": "stopped"}
+
+
+def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running: Running) -> None:
+    controls = running.loop.controls
+    end = time.monotonic() + 0.5
+    first = len(running.ticks)
+    while time.monotonic() < end:
+        controls.pause()
+        controls.resume()
+        time.sleep(0.0005)
+    at = np.array([tick.time for tick in running.ticks[first:]])
+    assert len(at) <= (at[-1] - at[0]) * RATE + EXTRA + 2
