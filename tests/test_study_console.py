@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import http
 import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from datetime import timedelta
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -34,6 +36,7 @@ from smooth_operator.study.console.hand import HIDDEN
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.store.clock import Clock
 from smooth_operator.study.store.events import Noted, TrialScored
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.study_store import StudyStore
@@ -179,6 +182,99 @@ def test_a_trial_ends_when_its_clock_was_stopped(store: StudyStore) -> None:
     desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     trial, record = store.progress("P01").trials[-1], store.records("P01")[-1]
     assert trial.time_s == pytest.approx((record.at - trial.started).total_seconds(), abs=0.5)
+
+
+class SetClock:
+    """A machine whose clocks a test sets: the time of day, and the steady one."""
+
+    def __init__(self) -> None:
+        self.day, self.steady = 1_700_000_000.0, 5_000.0
+
+    def passes(self, seconds: float) -> None:
+        self.day += seconds
+        self.steady += seconds
+
+    def clock(self, boot: str = "this-boot") -> Clock:
+        """Of a program that is started now."""
+        return Clock(lambda: self.day, lambda: self.steady, boot)
+
+
+@pytest.mark.parametrize("step", [-600.0, 3600.0])
+def test_a_clock_that_is_set_changes_no_trial(store: StudyStore, step: float) -> None:
+    machine, told = SetClock(), list[str]()
+    store.clock = machine.clock()
+    desk = Desk(store, operator="P01", tell=told.append)
+    walk(desk, store, "trial")
+    machine.passes(10.0)
+    machine.day += step
+    machine.passes(2.5)
+    desk.tick()
+    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    assert store.progress("P01").trials[-1].time_s == 12.5
+    assert store.records("P01")[-1].at - store.progress("P01").trials[-1].started == timedelta(
+        seconds=12.5
+    )
+    (note,) = [text for _, text in store.progress("P01").notes]
+    assert f"clock was set by {step:+.0f} s" in note
+    assert told == [note]
+    assert not desk.tick()
+    assert len(told) == 1  # a step is told once
+
+
+@pytest.mark.parametrize("step", [-600.0, 0.0, 3600.0])
+def test_a_clock_that_is_set_while_the_console_is_away(store: StudyStore, step: float) -> None:
+    machine = SetClock()
+    store.clock = machine.clock()
+    walk(Desk(store, operator="P01"), store, "trial")
+    machine.passes(10.0)
+    machine.day += step
+    store.clock = machine.clock()  # killed, and started again
+    machine.passes(2.5)
+    desk = Desk(store, operator="P01")
+    desk.tick()
+    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    progress = store.progress("P01")
+    assert progress.trials[-1].time_s == 12.5
+    notes = [text for _, text in progress.notes]
+    if step:
+        assert [f"clock was set by {step:+.0f} s" in note for note in notes] == [True]
+    else:
+        assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("step", "time", "says"), [(-600.0, 0.0, "no time"), (3600.0, 3612.5, "by the time of day")]
+)
+def test_after_a_restart_of_the_machine_a_time_is_in_doubt(
+    store: StudyStore, step: float, time: float, says: str
+) -> None:
+    machine = SetClock()
+    store.clock = machine.clock()
+    walk(Desk(store, operator="P01"), store, "trial")
+    machine.passes(12.5)
+    machine.day += step
+    machine.steady = 3.0
+    store.clock = machine.clock("another-boot")
+    desk = Desk(store, operator="P01")
+    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    progress = store.progress("P01")
+    assert progress.trials[-1].time_s == time
+    assert [says in text for _, text in progress.notes] == [True]
+
+
+def test_free_movement_lasts_although_the_clock_is_set(tmp_path: Path) -> None:
+    machine = SetClock()
+    with open_study(tmp_path, console_plan(seconds=30.0)) as store:
+        store.clock = machine.clock()
+        desk = Desk(store, operator="P01")
+        walk(desk, store, "familiarise")
+        machine.passes(3.0)
+        machine.day += 3600.0
+        assert not desk.tick()
+        machine.passes(26.9)
+        assert not desk.tick()
+        machine.passes(0.2)
+        assert desk.tick()
 
 
 def test_a_score_that_is_undone_keeps_its_time(store: StudyStore) -> None:
@@ -658,6 +754,28 @@ def test_the_operators_link_opens_the_operators_page_alone(
         assert status("/link", **upgrade(Cookie=cookie)) == 101
         elsewhere = {"Origin": "https://elsewhere.example"}
         assert status("/link", **upgrade(Cookie=cookie, **elsewhere)) == 403
+
+
+def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> None:
+    gate = Gate({"experimenter": "e" * 24, "operator": "o" * 24})
+    with contextlib.ExitStack() as stack:
+        port = stack.enter_context(served(Desk(store, operator="P01"), gate))
+        client = pytest.importorskip("websockets.sync.client")
+
+        def connect(path: str, token: str) -> Any:
+            url = f"ws://127.0.0.1:{port}{path}?token={token * 24}"
+            return stack.enter_context(client.connect(url, proxy=None))
+
+        full = pytest.importorskip("websockets.exceptions").InvalidStatus
+        taken: list[Any] = []
+        with contextlib.suppress(full):
+            taken.extend(connect("/operator/link", "o") for _ in range(200))
+        assert 32 <= len(taken) < 200
+        assert fetch(port, "/operator/link?token=" + "o" * 24, **upgrade())[0] == 503
+        for _ in range(8):
+            connect("/link", "e").recv(timeout=60)
+        taken.pop().close()  # a place that is left is free again
+        eventually(lambda: fetch(port, "/operator/link?token=" + "o" * 24, **upgrade())[0] == 101)
 
 
 def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:

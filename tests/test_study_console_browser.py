@@ -170,6 +170,33 @@ def check_store(folder: Path) -> None:
 
 
 @pytest.mark.browser
+def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> None:
+    with (
+        open_study(tmp_path, console_plan()) as store,
+        served(Desk(store, operator="P01"), Gate(None)) as port,
+    ):
+        pages = Pages(chromium, port)
+        page = pages.experimenter
+        page.get_by_role("button", name="Calibrated").click()
+        pages.step("Block 1 of 2")
+        pages.press(" ", "space")
+        pages.step("Trial 1 of 3")
+        pages.press(" ", "space")
+        pages.press(" ", "space")  # the clock is stopped
+        page.get_by_text("The clock is stopped").wait_for()
+        shown = page.locator(".clock").inner_text()
+        page.evaluate("{ const day = Date.now; Date.now = () => day.call(Date) + 3600e3; }")
+        page.wait_for_timeout(1500)  # messages come, by which the page compares clocks
+        assert page.locator(".clock").inner_text() == shown
+        pages.press("1", "1")
+        pages.step("Questionnaire")
+        minutes, seconds = shown.split(":")
+        time_s = store.progress("P01").trials[-1].time_s
+        assert time_s == pytest.approx(60 * int(minutes) + float(seconds), abs=0.5)
+        pages.context.close()
+
+
+@pytest.mark.browser
 def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -> None:
     gate = Gate({"experimenter": "e" * 24, "operator": "o" * 24})
     with (

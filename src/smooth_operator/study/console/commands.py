@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import Event, Noted, event_of
 from smooth_operator.study.store.progress import Progress
 
@@ -90,14 +90,14 @@ def command_of(said: Mapping[str, Any], role: Role) -> Command:
 
 
 def event_for(
-    command: Command, progress: Progress, now: datetime, measured_s: float | None = None
+    command: Command, progress: Progress, elapsed: Elapsed | None, measured_s: float | None = None
 ) -> Event:
     """The event that a command causes. What the protocol decides is not taken from the page.
 
     Args:
         command: what is asked for.
         progress: of its operator.
-        now: when it came.
+        elapsed: from the start of the trial until it came; None where none runs.
         measured_s: how long the trial took, where something better than a person measured it [s].
 
     Raises:
@@ -107,7 +107,7 @@ def event_for(
     values = dict(command.fields)
     if command.do == "score":
         values["score"] = progress.capped(str(values.get("line")))
-        values["time_s"] = trial_time(progress, now, command.waited_s, measured_s)
+        values["time_s"] = trial_time(progress, elapsed, command.waited_s, measured_s)
     elif command.do == "start_block":
         block = progress.step.block
         values["condition"] = "" if block is None else block.condition.name
@@ -115,7 +115,10 @@ def event_for(
 
 
 def trial_time(
-    progress: Progress, now: datetime, waited_s: float, measured_s: float | None = None
+    progress: Progress,
+    elapsed: Elapsed | None,
+    waited_s: float,
+    measured_s: float | None = None,
 ) -> float:
     """How long the trial that runs took [s], to the millisecond.
 
@@ -124,19 +127,18 @@ def trial_time(
 
     Args:
         progress: of the operator.
-        now: this moment.
+        elapsed: from its start until now.
         waited_s: how long ago the clock was stopped [s].
         measured_s: what a simulation says [s]; by its own clock, and to the moment.
     """
     trial = progress.running
-    if trial is None:
+    if trial is None or elapsed is None:
         raise StudyError(f"operator {progress.operator}: no trial runs that could be scored")
     if trial.undone_time_s is not None:
         return trial.undone_time_s
     if measured_s is not None:
         return round(measured_s, 3)
-    elapsed = (now - trial.started).total_seconds()
-    return round(max(0.0, elapsed - waited_s), 3)
+    return round(max(0.0, elapsed.seconds - waited_s), 3)
 
 
 def check_seen(command: Command, progress: Progress) -> None:

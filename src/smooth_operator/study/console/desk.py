@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 from datetime import datetime
 from typing import Any, Final
 
@@ -24,9 +25,15 @@ from smooth_operator.study.console.hand import Hand
 from smooth_operator.study.console.switching import Switch, Teleop
 from smooth_operator.study.console.view import experimenter_view, operator_view
 from smooth_operator.study.design.plan import Plan
-from smooth_operator.study.store.events import FamiliarisationEnded, FamiliarisationStarted, Noted
+from smooth_operator.study.store.clock import Elapsed
+from smooth_operator.study.store.events import (
+    FamiliarisationEnded,
+    FamiliarisationStarted,
+    Noted,
+    TrialScored,
+)
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.study_store import StudyStore, now
+from smooth_operator.study.store.study_store import StudyStore
 
 _WITH_THE_HAND: Final = ("calibrated", "start_block", "start_trial", "reset", "void", "score")
 """Commands that the teleoperation has a part in."""
@@ -91,7 +98,7 @@ class Desk:
             StoreFailedError: it can't be written now.
             SmoothOperatorError: it is refused; nothing was written.
         """
-        at = now()  # what takes long here does not count
+        at = self._store.clock.seconds()  # what takes long here does not count
         with _store_told_apart():
             if command.do == "choose":
                 return self._choose(command.operator)
@@ -123,12 +130,14 @@ class Desk:
         operator = self.operator
         if operator is None:
             return False
+        self._tell_of_steps(operator)
         with _store_told_apart(), self._lock:
             progress = self._store.progress(operator)
             step, block = progress.step, progress.step.block
             if step.what != "familiarise" or block is None or step.since is None:
                 return False
-            if (now() - step.since).total_seconds() < progress.plan.protocol.familiarisation_s:
+            moved = self._store.clock.since(step.since, step.clock).seconds
+            if moved < progress.plan.protocol.familiarisation_s:
                 return False
             started = max(
                 r.number for r in progress.records if isinstance(r.event, FamiliarisationStarted)
@@ -140,6 +149,17 @@ class Desk:
             event = FamiliarisationEnded(block.task.name, block.number)
             self._store.append(operator, event, author="system", token=token)
         return True
+
+    def _tell_of_steps(self, operator: str) -> None:
+        step = self._store.clock.step()
+        if step:
+            text = (
+                f"the machine's clock was set by {step:+.0f} s; this console goes on by its own, "
+                "so durations are right, and moments are as they would be without that"
+            )
+            self._tell(text)
+            with _store_told_apart():
+                self._store.append(operator, Noted(text), author="system")
 
     def watch(self) -> None:
         """Looks at the teleoperation, and puts it back on the method of the block that is on.
@@ -175,6 +195,10 @@ class Desk:
         view["teleop"] = None if self._hand is None else self._hand.view(current)
         return view, operator_view(plan, current)
 
+    def now(self) -> datetime:
+        """This moment, by the clock that trials are timed by."""
+        return self._store.clock.now()
+
     def marks(self) -> tuple[object, ...]:
         """Changes whenever what the pages show does, whoever wrote it."""
         with _store_told_apart():
@@ -209,13 +233,14 @@ class Desk:
         return record.number
 
     def _write(
-        self, command: Command, role: Role, at: datetime, measured_s: float | None = None
+        self, command: Command, role: Role, at: float, measured_s: float | None = None
     ) -> int:
         with self._lock:
             if (number := self._known(command)) is not None:
                 return number
             progress = self._due(command)
-            event = event_for(command, progress, at, measured_s)
+            elapsed = self._elapsed(progress, at)
+            event = event_for(command, progress, elapsed, measured_s)
             try:
                 number = self._store.append(
                     command.operator, event, author=role, token=command.token
@@ -224,10 +249,32 @@ class Desk:
                 # A connection that was lost may have committed what it did not acknowledge.
                 if (number := self._known(command)) is None:
                     raise
+            if isinstance(event, TrialScored) and elapsed is not None and measured_s is None:
+                self._note_doubt(command, progress, elapsed)
         self._changed()
         return number
 
-    def _write_with(self, hand: Hand, command: Command, role: Role, at: datetime) -> int:
+    def _elapsed(self, progress: Progress, at: float) -> Elapsed | None:
+        """How long the trial that runs had taken at a moment of the steady clock."""
+        trial, clock = progress.running, self._store.clock
+        if trial is None:
+            return None
+        elapsed = clock.since(trial.started, trial.clock)
+        return replace(elapsed, seconds=elapsed.seconds - (clock.seconds() - at))
+
+    def _note_doubt(self, command: Command, progress: Progress, elapsed: Elapsed) -> None:
+        """Says in the log why the time of a trial may be wrong."""
+        trial, doubt = progress.running, elapsed.doubt
+        if trial is None or trial.undone_time_s is not None:
+            return
+        if elapsed.seconds < command.waited_s:
+            doubt = "it has no time, since a clock was set: it would have ended before it began"
+        if doubt:
+            with suppress(StudyError):
+                text = f"Trial {trial.number} of {trial.block.task.name}: {doubt}"
+                self._store.append(command.operator, Noted(text), author="system")
+
+    def _write_with(self, hand: Hand, command: Command, role: Role, at: float) -> int:
         """The same, with what the hand has to do before and along with it."""
         starts = command.do in ("calibrated", "start_block", "start_trial")
         with self._switching if starts else nullcontext():
@@ -235,7 +282,8 @@ class Desk:
                 return number
             with self._lock:
                 progress = self._due(command)
-                progress.check(event_for(command, progress, at))
+                elapsed = self._elapsed(progress, at)
+                progress.check(event_for(command, progress, elapsed))
             hand.before(command, progress)
             measured = hand.measured(progress) if command.do == "score" else None
             number = self._write(command, role, at, measured)

@@ -41,7 +41,8 @@ _LOOK_CLOSER_S: Final = 0.4
 _TROUBLE_S: Final = 10.0
 """How long a failure of the store is shown that did not come again."""
 _LARGEST: Final = 256 * 1024
-_MOST_PAGES: Final = 64
+_PLACES: Final[dict[Role, int]] = {"experimenter": 16, "operator": 48}
+"""How many pages of each kind may be connected: a tablet's link takes no experimenter's place."""
 
 _LOGGER: Final = logging.getLogger("smooth_operator.study.console")
 _LOGGER.addHandler(logging.NullHandler())
@@ -135,8 +136,12 @@ class Console:
                 return refusal
             path = urlsplit(request.path).path
             if path in LINK.values():
-                if len(self._pages) >= _MOST_PAGES:
-                    return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "too many\n")
+                role = _role_of(path)
+                if self._counts()[role] >= _PLACES[role]:
+                    return connection.respond(
+                        http.HTTPStatus.SERVICE_UNAVAILABLE,
+                        f"{_PLACES[role]} pages of the {role} are open already; close some\n",
+                    )
                 return None
             if path not in site:
                 return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
@@ -151,7 +156,7 @@ class Console:
 
         request = connection.request
         path = urlsplit(request.path).path if request is not None else ""
-        page = _Page(connection, "operator" if path == LINK["operator"] else "experimenter")
+        page = _Page(connection, _role_of(path))
         self._pages.add(page)
         self._count_pages()
         page.news.set()
@@ -215,7 +220,7 @@ class Console:
                     page.answers.pop(0)
 
     async def _send(self, page: _Page, what: dict[str, Any]) -> None:
-        await page.connection.send(json.dumps({**what, "sent": 1e3 * time.time()}))
+        await page.connection.send(json.dumps({**what, "sent": 1e3 * self._desk.now().timestamp()}))
 
     # All pages.
 
@@ -244,7 +249,7 @@ class Console:
             for page in self._pages:
                 page.news.set()
 
-    def _counts(self) -> dict[str, int]:
+    def _counts(self) -> dict[Role, int]:
         return {role: sum(page.role == role for page in self._pages) for role in HOME}
 
     def _count_pages(self) -> None:
@@ -308,6 +313,10 @@ class Console:
 
     def _in_thread(self, job: Callable[..., Any], *given: Any) -> asyncio.Future[Any]:
         return asyncio.get_running_loop().run_in_executor(self._threads, job, *given)
+
+
+def _role_of(path: str) -> Role:
+    return "operator" if path == LINK["operator"] else "experimenter"
 
 
 def _object(message: str | bytes) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from typing import Any, ClassVar, Final, TypeAlias, get_type_hints
 
@@ -56,9 +56,14 @@ class BlockStarted(_OfBlock):
 
 @dataclass(frozen=True)
 class FamiliarisationStarted(_OfBlock):
-    """Free movement begins, and its countdown."""
+    """Free movement begins, and its countdown.
+
+    Attributes:
+        clock: reading of a steady clock (:mod:`smooth_operator.study.store.clock`).
+    """
 
     kind: ClassVar[str] = "familiarisation_started"
+    clock: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)
@@ -70,9 +75,14 @@ class FamiliarisationEnded(_OfBlock):
 
 @dataclass(frozen=True)
 class TrialStarted(_OfTrial):
-    """The clock of a trial runs."""
+    """The clock of a trial runs.
+
+    Attributes:
+        clock: reading of a steady clock (:mod:`smooth_operator.study.store.clock`).
+    """
 
     kind: ClassVar[str] = "trial_started"
+    clock: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

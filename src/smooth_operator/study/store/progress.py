@@ -50,6 +50,7 @@ class Step:
         trial: of the block, from 1, where there is one.
         point: of the questionnaire, where there is one.
         since: when it began, where it runs: familiarisation, trial, break.
+        clock: reading of the steady clock then, of familiarisation and trial.
     """
 
     what: What
@@ -57,6 +58,7 @@ class Step:
     trial: int | None = None
     point: Point | None = None
     since: datetime | None = None
+    clock: str = ""
 
 
 @dataclass
@@ -73,6 +75,7 @@ class Trial:
         time_s: None likewise.
         void: why it doesn't count; None if it does.
         undone_time_s: time of a score that was undone, for scoring it again.
+        clock: reading of the steady clock at its start; empty if there is none.
     """
 
     block: Block
@@ -84,6 +87,7 @@ class Trial:
     time_s: float | None = None
     void: str | None = None
     undone_time_s: float | None = None
+    clock: str = ""
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ class Progress:
     _answered: set[tuple[str, int, Point]] = field(default_factory=set)
     _calibrated: set[str] = field(default_factory=set)
     _started: set[tuple[str, int]] = field(default_factory=set)
-    _moving: datetime | None = None
+    _moving: tuple[datetime, str] | None = None
     _moved: set[tuple[str, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -150,10 +154,12 @@ class Progress:
             return Step("start_block", block)
         if key not in self._moved and self.plan.protocol.familiarisation_s > 0:
             if self._moving is not None:
-                return Step("familiarise", block, since=self._moving)
+                since, clock = self._moving
+                return Step("familiarise", block, since=since, clock=clock)
             return Step("start_familiarisation", block)
         if (running := self.running) is not None:
-            return Step("trial", block, running.number, since=running.started)
+            since, clock = running.started, running.clock
+            return Step("trial", block, running.number, since=since, clock=clock)
         done = self._scored[key]
         point = block.questionnaires.get(done)
         if point is not None and (*key, point) not in self._answered:
@@ -288,14 +294,14 @@ class Progress:
             case BlockStarted():
                 self._started.add((event.task, event.block))
             case FamiliarisationStarted():
-                self._moving = at
+                self._moving = (at, event.clock)
             case FamiliarisationEnded():
                 self._moving = None
                 self._moved.add((event.task, event.block))
             case TrialStarted():
                 block = self._block()
                 assert block is not None
-                self.trials.append(Trial(block, event.trial, at))
+                self.trials.append(Trial(block, event.trial, at, clock=event.clock))
             case TrialReset():
                 self.trials[-1].resets += 1
             case TrialScored():

@@ -11,13 +11,22 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table
-from smooth_operator.study.store.events import Event, Record, event_of, payload
+from smooth_operator.study.store.clock import Clock
+from smooth_operator.study.store.events import (
+    Event,
+    FamiliarisationStarted,
+    Record,
+    TrialStarted,
+    event_of,
+    payload,
+)
 from smooth_operator.study.store.progress import Progress
 from smooth_operator.study.store.tables import reason, tables
 
@@ -45,6 +54,8 @@ class StudyStore:
         self._lock = threading.RLock()
         self.name = name
         """Of the study."""
+        self.clock = Clock()
+        """What moments and durations are taken from."""
 
     @property
     def plan(self) -> Plan:
@@ -101,7 +112,9 @@ class StudyStore:
                 return record
             progress = self._caught_up(connection, operator)
             progress.check(event)
-            record = Record(progress.number + 1, now(), author, event)
+            if isinstance(event, TrialStarted | FamiliarisationStarted):
+                event = replace(event, clock=self.clock.reading())
+            record = Record(progress.number + 1, self.clock.now(), author, event)
             connection.execute(
                 self._tables["events"]
                 .insert()

@@ -2,7 +2,7 @@
 
 import { ask } from './ask.js';
 import { clock, h, fill, part } from './dom.js';
-import { keep, kept, Link } from './link.js';
+import { keep, kept, Link, moment } from './link.js';
 import { drawPeople } from './people.js';
 import { drawStep } from './step.js';
 
@@ -44,11 +44,11 @@ const desk = {
     link.command('choose', operator);
   },
   stop() {
-    stopped.at = stopped.at === null ? Date.now() : null;
+    stopped.at = stopped.at === null ? moment() : null;
     draw();
   },
   score(line) {
-    desk.send('score', { ...desk.place('task', 'block', 'trial'), line }, { since: stopped.at ?? Date.now() });
+    desk.send('score', { ...desk.place('task', 'block', 'trial'), line }, { since: stopped.at ?? moment() });
   },
   async voidTrial() {
     const given = await ask('Void this trial', 'For a reason that is not the operator’s. It will be done again.',

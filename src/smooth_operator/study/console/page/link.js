@@ -9,6 +9,11 @@ const STALE = 120000; // ms after which a page that is opened again starts nothi
 const LASTING = new Set(['score', 'answer', 'weigh', 'void', 'note']); // what has happened, however late it is told
 const BACKOFF = [150, 300, 600, 1000, 2000]; // ms
 
+/** This machine's time of day, ms, as of the page's beginning: it goes on if that clock is set. */
+export function moment() {
+  return performance.timeOrigin + performance.now();
+}
+
 /** A text that nothing else is called by. crypto.randomUUID would need HTTPS. */
 export function token() {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
@@ -55,11 +60,11 @@ export class Link extends EventTarget {
 
   /** The server's clock now, ms. */
   now() {
-    return Date.now() + this.offset;
+    return moment() + this.offset;
   }
 
   /** Ask for something. since: when it was meant, by this clock; now if left out. */
-  command(what, operator, fields = {}, { after = null, since = Date.now() } = {}) {
+  command(what, operator, fields = {}, { after = null, since = moment() } = {}) {
     const entry = { token: token(), do: what, operator, fields, after, since };
     this.outbox.push(entry);
     this.store();
@@ -120,7 +125,7 @@ export class Link extends EventTarget {
   hear(said) {
     this.heard = performance.now();
     // The message that was fastest tells best how the clocks differ.
-    this.best = Math.max(this.best, said.sent - Date.now());
+    this.best = Math.max(this.best, said.sent - moment());
     this.offset = this.best;
     if (said.type === 'state') {
       this.tries = 0;
@@ -130,7 +135,7 @@ export class Link extends EventTarget {
         this.name = `smooth-operator:${study}:${this.path}`;
         const known = new Set(this.outbox.map((entry) => entry.token));
         this.outbox.unshift(...(kept(this.name) ?? []).filter((entry) => !known.has(entry.token)
-          && (LASTING.has(entry.do) || Math.abs(Date.now() - entry.since) < STALE)));
+          && (LASTING.has(entry.do) || Math.abs(moment() - entry.since) < STALE)));
       }
       this.state = said;
       this.dispatchEvent(new Event('state'));
@@ -162,7 +167,7 @@ export class Link extends EventTarget {
     if (!this.connected || this.flying || !this.outbox.length || this.study === undefined) return;
     const { since, ...command } = this.outbox[0];
     this.flying = command.token;
-    const waited = Math.min(86400, Math.max(0, (Date.now() - since) / 1000));
+    const waited = Math.min(86400, Math.max(0, (moment() - since) / 1000));
     this.socket.send(JSON.stringify({ type: 'command', ...command, waited_s: waited }));
   }
 
