@@ -79,13 +79,14 @@ def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20() -> Non
 
 
 def test_ako_switches_between_wrist_and_pinch_at_20_mm() -> None:
-    human = jnp.asarray(ako_vectors([0.02, 0.0, 0.12, 0.02]), jnp.float32)
+    """Each pinch vector by its own distance, all wrist vectors by the nearest finger."""
+    human = jnp.asarray(ako_vectors([0.02, 0.005, 0.12, 0.02]), jnp.float32)
     policy = AkoTargets(switch_pinch=True)
     weights = np.asarray(policy(PinchLayout(FINGERS), human, jnp.zeros(4, bool)).weights)
-    s = 1 / (1 + np.exp(-10 * (np.array([0.02, 0.0, 0.12, 0.02]) - 0.02)))
-    np.testing.assert_allclose(weights[1:5], s, rtol=1e-6)
+    s = 1 / (1 + np.exp(-10 * (np.array([0.02, 0.005, 0.12, 0.02]) - 0.02)))
+    np.testing.assert_allclose(weights[:5], np.array([10, 1, 1, 1, 1]) * s[1], rtol=1e-6)
     np.testing.assert_allclose(weights[5:9], 10 * (1 - s), rtol=1e-6)
-    np.testing.assert_allclose(weights[[0, 9, 10, 11, 12, 13]], 10)
+    np.testing.assert_allclose(weights[9:], 10)
     held = AkoTargets()(PinchLayout(FINGERS), human, jnp.zeros(4, bool)).weights
     np.testing.assert_allclose(held[5:9], 10)
 

@@ -101,15 +101,15 @@ class Problem:
             for name in (LANDMARKS[i] for i in layout.landmarks)
         ]
         errors = layout.among(points) - self.vectors
-        penalties = np.asarray(self.objective.penalty(jnp.asarray(errors)), np.float64)
-        return np.asarray((self.weights * penalties.sum(axis=-1)).sum(axis=-1))
+        components = [jnp.asarray(errors[..., c]) for c in range(3)]
+        prices = np.asarray(self.objective.price(components, jnp.asarray(self.weights)), np.float64)
+        return np.asarray(prices.sum(axis=-1))
 
     def cost(self, q: Float[np.ndarray, "T m"], velocity_weight: float) -> Float[np.ndarray, " T"]:
         """All of Eq. (1) at an answer to each frame, each with the answer before it."""
         before = np.concatenate([self.start[None], q[:-1]])
-        pose = self.objective.config.pose_weight * ((q - self.hand.neutral) ** 2).sum(axis=1)
-        velocity = velocity_weight * ((q - before) ** 2).sum(axis=1)
-        return np.asarray(self.tracking_loss(q) + pose + velocity)
+        rest = self.objective.regularisation(np.asarray(q), before, velocity_weight)
+        return np.asarray(self.tracking_loss(q) + rest)
 
 
 def make_problems(

@@ -35,9 +35,9 @@ class Retargeting:
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
     """Preset of the method: for smooth teleop or, for recordings, offline; for sbr realtime, paper
-    or offline; for keyvector default, vector, position or slsqp; for hybrid, dexpilot and ako
-    default or slsqp; for geort the file of a model that you trained; for any of them the
-    preset.toml of a tuning. The first one if left out."""
+    or offline; for keyvector default, vector, position, slsqp or published; for hybrid, dexpilot
+    and ako default, slsqp or published; for geort the file of a model that you trained; for any of
+    them the preset.toml of a tuning. The first one if left out."""
 
     seed: int = 0
     """Of all random numbers: the same seed and frames give the same commands."""

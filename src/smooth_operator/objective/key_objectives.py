@@ -1,7 +1,7 @@
 """Targets of "Analyzing Key Objectives" (AKO, Xin et al. 2025): what leads depends on distance.
 
-A finger near the thumb is led by its thumb vector; the further away, the more its wrist vector
-counts, with a sigmoid in between instead of DexPilot's latch: no state, no jump.
+The nearer a finger is to the thumb, the less the wrist vectors count, with a sigmoid in between
+instead of DexPilot's latch: no state, no jump.
 """
 
 from __future__ import annotations
@@ -47,18 +47,19 @@ class AkoTargets:
     """Targets and weights of AKO.
 
     Attributes:
-        w_thumb_wrist: weight of wrist to thumb tip.
+        w_thumb_wrist: weight of wrist to thumb tip, before switching.
         w_wrist: weight of wrist to each other tip, before switching.
         w_pinch: weight of thumb tip to each other tip.
         w_distal: weight of last joint to tip, which holds the direction of the pad.
-        switch_distance: thumb-to-tip distance at which wrist and pinch vector count half [m].
+        switch_distance: thumb-to-tip distance at which a switched vector counts half [m]. All wrist
+            vectors are switched by the finger that is nearest to the thumb.
         switch_scale: steepness of the switch [1/m].
         contact: distance under which a pinch is meant to close [m].
         release: distance from which the pinch vector is the human's own [m]; the target length
             rises from 0 at ``contact`` in between.
-        switch_pinch: whether pinch vectors fade away from the thumb as wrist vectors fade near it.
-            Without it, as by default, fingers are closer to the human's on every recording tried:
-            docs/benchmarks.md.
+        switch_pinch: whether each pinch vector fades away from the thumb, as the wrist vectors fade
+            near it, as published. Without it pinches close further and directions are nearer to
+            the human's: docs/methods.md.
     """
 
     w_thumb_wrist: float = 10.0
@@ -94,6 +95,7 @@ class AkoTargets:
         pinch = slice(fingers, 2 * fingers - 1)
         distance = jnp.linalg.norm(human[pinch], axis=-1)
         open_share = jax.nn.sigmoid(self.switch_scale * (distance - self.switch_distance))
+        wrist = jnp.full(fingers, self.w_wrist, human.dtype).at[0].set(self.w_thumb_wrist)
         # 2 (d - contact) for the published 10 and 20 mm
         slope = self.release / (self.release - self.contact)
         length = jnp.where(
@@ -102,8 +104,7 @@ class AkoTargets:
         scaled = human[pinch] * (length / jnp.maximum(distance, 1e-9))[:, None]
         weights = jnp.concatenate(
             [
-                jnp.full(1, self.w_thumb_wrist, human.dtype),
-                self.w_wrist * open_share,
+                wrist * open_share.min(),
                 self.w_pinch * (1 - open_share if self.switch_pinch else jnp.ones_like(open_share)),
                 jnp.full(fingers, self.w_distal, human.dtype),
             ]

@@ -55,33 +55,29 @@ class LocalObjective:
         objective = self.objective
         motion = self.kinematics(self._full(q))
         errors = self._errors(motion.points, goal)
-        slope, bend = objective.slopes(errors)
+        slope, bend = objective.slopes(errors, goal.weights)
         incidence = jnp.asarray(self.incidence, q.dtype)
-        force = incidence.T @ (goal.weights[:, None] * slope)  # (P, 3): dJ/dp
-        stretch = goal.weights[:, None] * bend  # (K, 3)
+        force = incidence.T @ slope  # (P, 3): dJ/dp
         relative = jnp.einsum("kf,fjc->kcj", incidence, motion.velocities)
-        flat = relative.reshape(-1, relative.shape[-1])
-        hessian = (flat * stretch.reshape(-1, 1)).T @ flat
+        if bend.ndim == 2:
+            flat = relative.reshape(-1, relative.shape[-1])
+            hessian = (flat * bend.reshape(-1, 1)).T @ flat
+        else:
+            hessian = jnp.einsum("kcj,kcd,kdi->ji", relative, bend, relative)
         hessian = hessian + self.kinematics.curvature(motion, force)
         gradient = jnp.einsum("fc,fjc->j", force, motion.velocities)
         matrix = jnp.asarray(objective.hand.expansion[0][list(self.kinematics.order)], q.dtype)
-        reg, vel = objective.config.pose_weight, goal.velocity_weight
-        pull = 2 * reg * (q - self._neutral(q)) + 2 * vel * (q - goal.previous)
-        stiffness = 2 * (reg + vel) * jnp.eye(len(q), dtype=q.dtype)
-        cost = (goal.weights[:, None] * objective.penalty(errors)).sum()
+        pull, stiffness = objective.regularisation_slopes(q, goal.previous, goal.velocity_weight)
+        cost = objective.price([errors[:, c] for c in range(3)], goal.weights).sum()
         return (
             cost + self.regularisation(q, goal),
             gradient @ matrix + pull,
-            matrix.T @ hessian @ matrix + stiffness,
+            matrix.T @ hessian @ matrix + stiffness * jnp.eye(len(q), dtype=q.dtype),
         )
 
     def regularisation(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
         """Last two terms of Eq. (1) at a pose."""
-        reg = self.objective.config.pose_weight * ((q - self._neutral(q)) ** 2).sum()
-        return reg + goal.velocity_weight * ((q - goal.previous) ** 2).sum()
-
-    def _neutral(self, q: Float[Array, " m"]) -> Float[Array, " m"]:
-        return jnp.asarray(self.objective.hand.neutral, q.dtype)
+        return self.objective.regularisation(q, goal.previous, goal.velocity_weight)
 
     def _full(self, q: Float[Array, " m"]) -> Float[Array, " n"]:
         matrix, offset = self.objective.hand.expansion

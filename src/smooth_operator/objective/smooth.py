@@ -122,22 +122,22 @@ class SmoothObjective:
         marks, fingers = len(self.marks), len(objective.hand.fingers)
         points = motion.points
         errors = self._errors(points[:marks], frame)
-        slope, bend = objective.slopes(errors)
+        slope, bend = objective.slopes(errors, frame.weights)
         incidence = jnp.asarray(self.incidence, dtype)
-        force = incidence.T @ (frame.weights[:, None] * slope)
+        force = incidence.T @ slope
         # of the fingertips' motion
         stiff = jnp.repeat(goal.motion_weights / objective.config.transition, 3)
         astray = points[:fingers] - goal.tips
         force = force.at[:fingers].add(stiff.reshape(astray.shape) * astray)
-        cost = (frame.weights[:, None] * objective.penalty(errors)).sum()
+        cost = objective.price([errors[:, c] for c in range(3)], frame.weights).sum()
         cost = cost + 0.5 * (stiff * (astray * astray).reshape(-1)).sum()
         levers = motion.velocities
         relative = jnp.einsum("kf,fjc->kcj", incidence, levers[:marks])
-        rows = [
-            relative.reshape(-1, relative.shape[-1]),
-            jnp.swapaxes(levers[:fingers], 1, 2).reshape(-1, levers.shape[1]),
-        ]
-        bends = [(frame.weights[:, None] * bend).reshape(-1), stiff]
+        rows = [jnp.swapaxes(levers[:fingers], 1, 2).reshape(-1, levers.shape[1])]
+        bends = [stiff]
+        if bend.ndim == 2:
+            rows.insert(0, relative.reshape(-1, relative.shape[-1]))
+            bends.insert(0, bend.reshape(-1))
         held = None
         if not self.polar.is_off:
             thumb = self.thumb
@@ -152,26 +152,25 @@ class SmoothObjective:
             bends.append(crowd.bend)
         every = jnp.concatenate(rows)
         hessian = (every * jnp.concatenate(bends)[:, None]).T @ every
+        if bend.ndim == 3:
+            hessian = hessian + jnp.einsum("kcj,kcd,kdi->ji", relative, bend, relative)
         if held is not None:
             turning = relative[thumb]
             hessian = hessian + jnp.einsum("kcj,kcd,kdi->ji", turning, held.bend, turning)
         hessian = hessian + self.kinematics.curvature(motion, force)
         gradient = jnp.einsum("fc,fjc->j", force, levers)
         spread = matrix[np.array(self.kinematics.order)]
-        reg, vel = objective.config.pose_weight, frame.velocity_weight
-        neutral = jnp.asarray(objective.hand.neutral, dtype)
-        pull = 2 * reg * (q - neutral) + 2 * vel * (q - frame.previous)
+        pull, firm = objective.regularisation_slopes(q, frame.previous, frame.velocity_weight)
         return (
             cost + self.regularisation(q, goal),
             gradient @ spread + pull,
-            spread.T @ hessian @ spread + 2 * (reg + vel) * jnp.eye(len(q), dtype=dtype),
+            spread.T @ hessian @ spread + firm * jnp.eye(len(q), dtype=dtype),
         )
 
     def regularisation(self, q: Float[Array, " m"], goal: SmoothGoal) -> Float[Array, ""]:
         """Last two terms of Eq. (1) at a pose."""
-        neutral = jnp.asarray(self.objective.hand.neutral, q.dtype)
-        reg = self.objective.config.pose_weight * ((q - neutral) ** 2).sum()
-        return reg + goal.frame.velocity_weight * ((q - goal.frame.previous) ** 2).sum()
+        frame = goal.frame
+        return self.objective.regularisation(q, frame.previous, frame.velocity_weight)
 
     def tracking(self, q: Float[Array, " m"], goal: SmoothGoal) -> Float[Array, ""]:
         """First term of Eq. (1) at a pose."""

@@ -28,7 +28,9 @@ from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.retargeters.joint_angle import JointAngleMap
 from smooth_operator.retargeters.method import MethodOutput
 from smooth_operator.retargeters.program import compiled
+from smooth_operator.retargeters.published_angles import PublishedAngles
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
 from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 
@@ -39,21 +41,28 @@ class DescentConfig:
     Attributes:
         alignment: how human landmarks reach the palm frame.
         objective: targets, loss and weights.
-        solver: when SLSQP stops.
-        start: where to begin: at the ``previous`` command, or at the ``joint_angle`` method's
-            answer to the frame.
+        solver: which SLSQP, and when it stops: NLopt's (:class:`SlsqpConfig`), or SciPy's
+            (:class:`ScipySlsqpConfig`).
+        start: where to begin: at the ``previous`` command; at the ``joint_angle`` method's answer
+            to the frame; or at the joint angles of the paper's authors (``published_angles``),
+            which are known for the joints of the mimic hand: on another hand that is
+            ``joint_angle``.
         approach: Newton steps before SLSQP; with no iterations, SLSQP does it all.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
-    solver: SlsqpConfig = field(default_factory=lambda: SlsqpConfig(optimality=1e-4))
-    start: Literal["previous", "joint_angle"] = "previous"
+    solver: SlsqpConfig | ScipySlsqpConfig = field(
+        default_factory=lambda: SlsqpConfig(optimality=1e-4)
+    )
+    start: Literal["previous", "joint_angle", "published_angles"] = "previous"
     approach: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=5))
 
     def __post_init__(self) -> None:
-        if self.start not in ("previous", "joint_angle"):
-            raise ConfigError(f"start must be 'previous' or 'joint_angle', not {self.start!r}")
+        if self.start not in ("previous", "joint_angle", "published_angles"):
+            raise ConfigError(
+                f"start must be 'previous', 'joint_angle' or 'published_angles', not {self.start!r}"
+            )
 
     def build(self, hand: Hand) -> Descent:
         """The method for one hand.
@@ -117,9 +126,13 @@ class Descent:
         return LocalObjective(self.objective)
 
     @cached_property
-    def joint_angles(self) -> JointAngleMap | None:
+    def joint_angles(self) -> JointAngleMap | PublishedAngles | None:
         """Where the descent begins, if not at the previous command."""
-        return JointAngleMap(self.hand) if self.config.start == "joint_angle" else None
+        if self.config.start == "previous":
+            return None
+        if self.config.start == "published_angles" and PublishedAngles.fits(self.hand):
+            return PublishedAngles(self.hand)
+        return JointAngleMap(self.hand)
 
     @cached_property
     def needs(self) -> tuple[int, ...]:
@@ -189,23 +202,28 @@ class Descent:
     def solve(
         self, state: DescentState, problem: DescentProblem
     ) -> tuple[DescentState, MethodOutput]:
-        """SLSQP, unless the start is a minimum; its last word is the best point it has seen."""
-        evaluate, goal = self.evaluate, problem.goal
+        """SLSQP, unless the start is a minimum already."""
+        evaluate, goal, solver = self.evaluate, problem.goal, self.config.solver
         value, steepest = np.asarray(problem.told).tolist()
-        if steepest <= self.config.solver.optimality:
+        if isinstance(solver, SlsqpConfig) and steepest <= solver.optimality:
             x = np.asarray(problem.start, np.float64)
         else:
-            found = slsqp_minimise(
-                lambda q: np.asarray(evaluate(q.astype(np.float32), goal)),
-                np.asarray(problem.start),
-                self.hand.limits,
-                self.config.solver,
-            )
+
+            def objective(q: np.ndarray) -> np.ndarray:
+                return np.asarray(evaluate(q.astype(np.float32), goal))
+
+            start, limits = np.asarray(problem.start), self.hand.limits
+            if isinstance(solver, SlsqpConfig):
+                found = slsqp_minimise(objective, start, limits, solver)
+            else:
+                found = scipy_slsqp_minimise(objective, start, limits, solver)
             x, value = found.x, found.value
         q = x.astype(np.float32)
-        config = self.config.objective
-        regular = config.pose_weight * ((x - self.hand.neutral) ** 2).sum()
-        regular += config.velocity_weight * ((x - np.asarray(state.q)) ** 2).sum()
+        regular = float(
+            self.objective.regularisation(
+                x, np.asarray(state.q), self.config.objective.velocity_weight
+            )
+        )
         after = DescentState(q, problem.latched, problem.closure)
         if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
             q = np.full_like(q, np.nan)

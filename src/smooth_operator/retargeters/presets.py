@@ -22,6 +22,7 @@ from smooth_operator.retargeters.smooth import SmoothConfig
 from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 from smooth_operator.solvers.slsqp import SlsqpConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 
@@ -87,9 +88,49 @@ DEXPILOT: Final = DescentConfig(
 """DexPilot (Handa et al. 2019) with its own numbers; no velocity term."""
 
 AKO: Final = DescentConfig(
-    objective=ObjectiveConfig(targets=AkoTargets(), pose_weight=0.0, velocity_weight=0.1)
+    objective=ObjectiveConfig(
+        targets=AkoTargets(),
+        loss="smooth_l1_norm",
+        pose_weight=0.0,
+        velocity_weight=0.1,
+        velocity_loss="smooth_l1",
+    )
 )
-"""Analyzing Key Objectives (Xin et al. 2025)."""
+"""Analyzing Key Objectives (Yu et al. 2025), but that pinch vectors do not fade with distance."""
+
+
+def _as_published(
+    config: DescentConfig, objective: ObjectiveConfig, tolerance: float = 1e-6
+) -> DescentConfig:
+    """Solved as the authors do: by SciPy's SLSQP alone, at most 20 iterations a frame."""
+    return replace(
+        config,
+        objective=objective,
+        approach=NewtonConfig(iterations=0),
+        solver=ScipySlsqpConfig(tolerance=tolerance, max_iterations=20),
+    )
+
+
+_FIVE_VECTORS: Final = ObjectiveConfig(
+    targets=PlainTargets(w_thumb=0.0, w_between=0.0),
+    loss="squared",
+    pose_weight=0.0,
+    velocity_weight=0.0,
+)
+
+KEYVECTOR_PUBLISHED: Final = _as_published(KEYVECTOR, _FIVE_VECTORS)
+"""The baseline of the paper's authors: wrist to tips, squared error, nothing else."""
+
+HYBRID_PUBLISHED: Final = replace(KEYVECTOR_PUBLISHED, start="published_angles")
+"""The paper's baseline: the same, begun at the authors' joint angles."""
+
+DEXPILOT_PUBLISHED: Final = _as_published(DEXPILOT, replace(DEXPILOT.objective, pose_centre="zero"))
+"""The paper's baseline: the pose term pulls to zero angles."""
+
+AKO_PUBLISHED: Final = _as_published(
+    AKO, replace(AKO.objective, targets=AkoTargets(switch_pinch=True)), tolerance=1e-5
+)
+"""As the paper's authors run it; pinch vectors fade with the distance from the thumb."""
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()
@@ -97,7 +138,7 @@ SMOOTH_TELEOP: Final = SmoothConfig()
 
 
 def _alone(config: DescentConfig) -> DescentConfig:
-    """As published: SLSQP from the start, until its own tolerance."""
+    """NLopt's SLSQP from the start, until its own tolerance."""
     return replace(config, approach=NewtonConfig(iterations=0), solver=SlsqpConfig())
 
 
@@ -140,13 +181,17 @@ PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
         "vector": KEYVECTOR_VECTOR,
         "position": KEYVECTOR_POSITION,
         "slsqp": _alone(KEYVECTOR),
+        "published": KEYVECTOR_PUBLISHED,
     },
-    "hybrid": {"default": HYBRID, "slsqp": _alone(HYBRID)},
-    "dexpilot": {"default": DEXPILOT, "slsqp": _alone(DEXPILOT)},
-    "ako": {"default": AKO, "slsqp": _alone(AKO)},
+    "hybrid": {"default": HYBRID, "slsqp": _alone(HYBRID), "published": HYBRID_PUBLISHED},
+    "dexpilot": {"default": DEXPILOT, "slsqp": _alone(DEXPILOT), "published": DEXPILOT_PUBLISHED},
+    "ako": {"default": AKO, "slsqp": _alone(AKO), "published": AKO_PUBLISHED},
     "geort": {"default": GeortConfig()},
 }
 """Method name -> preset name -> configuration; the first preset of a method is its default."""
+
+_ALIASES: Final = {"sbr": {"published": "paper"}}
+"""Method -> other names of its presets: ``published`` is what every published method answers to."""
 
 
 def method_names() -> tuple[str, ...]:
@@ -177,7 +222,9 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     """Configuration of a method by preset name; None gives the method's default preset.
 
     For a method with a trained model (geort), the file of one may stand for the preset; for any
-    method a preset file (:mod:`smooth_operator.retargeters.preset_file`).
+    method a preset file (:mod:`smooth_operator.retargeters.preset_file`). ``published`` is a preset
+    of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
+    is its ``paper``.
 
     Raises:
         UnknownNameError: if there is no such method or preset.
@@ -187,6 +234,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     presets = PRESETS[method]
     if preset is None:
         return presets[default]
+    preset = _ALIASES.get(method, {}).get(preset, preset)
     if preset not in presets and preset.endswith(SUFFIX):
         return _from_file(method, Path(preset))
     if preset not in presets:

@@ -1,0 +1,101 @@
+"""Presets ``published``: the paper's baselines, against the commands of their authors' code."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator.hands.hand import Hand
+from smooth_operator.recording import read_recording
+from smooth_operator.retargeters.descent import DescentConfig
+from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
+
+pytestmark = pytest.mark.shared
+
+GLOVE = "recordings/manus_right_subject-000_run-010.npz"
+METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
+PINCHING = (2600, 3100)
+
+Scorer = Callable[[np.ndarray, tuple[str, ...], tuple[int, int]], dict[str, Any]]
+"""Commands, their joint names and the frames of the glove that they answer, to figures."""
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture(scope="module")
+def score(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Scorer:
+    """The independent scorer, on frames of the glove recording."""
+    spec = importlib.util.spec_from_file_location("scorer", shared / "tools" / "score.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module: ModuleType = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.load_hand = functools.cache(module.load_hand)
+    folder = tmp_path_factory.mktemp("scored")
+
+    def score(q: np.ndarray, names: tuple[str, ...], frames: tuple[int, int]) -> dict[str, Any]:
+        with np.load(shared / GLOVE) as archive:
+            cut = {key: archive[key][slice(*frames)] for key in ("data", "timestamps")}
+        np.savez(folder / "frames.npz", **cut)
+        np.savez(folder / "commands.npz", joint_positions=q, joint_names=np.array(names))
+        found: dict[str, Any] = module.score(folder / "frames.npz", folder / "commands.npz")
+        found["frozen"] = float((np.abs(np.diff(q, axis=0)).max(axis=1) < 1e-6).mean())
+        return found
+
+    return score
+
+
+@functools.lru_cache(maxsize=8)
+def published(hand: Hand, method: str) -> Retargeter:
+    return Retargeter(hand, method=method, preset="published")
+
+
+def commands(shared: Path, retargeter: Retargeter, frames: tuple[int, int]) -> np.ndarray:
+    retargeter.reset()
+    found, _ = retargeter.run(read_recording(shared / GLOVE)[slice(*frames)])
+    return np.asarray(found.joint_positions)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_on_a_glove_each_has_the_figures_of_its_authors_code(
+    shared: Path, hand: Hand, score: Scorer, method: str
+) -> None:
+    with np.load(shared / f"peers/{method}_subject-000_frames-0-500.npz") as archive:
+        names = tuple(str(name) for name in archive["joint_names"])
+        q = archive["joint_positions"].astype(float)
+    theirs = score(q, names, (0, 500))
+    mine = commands(shared, published(hand, method), (0, 500))
+    ours = score(mine, hand.joint_names, (0, 500))
+    for figure in ("cosine_thumb", "cosine_all", "scale_ratio", "motion_preservation"):
+        assert ours[figure] == pytest.approx(theirs[figure], abs=2e-3), figure
+    assert ours["flatness"] == pytest.approx(theirs["flatness"], rel=0.1)
+    assert ours["frozen"] == pytest.approx(theirs["frozen"], abs=0.02)
+    columns = [names.index(name) for name in hand.joint_names]
+    assert np.median(np.abs(mine - q[:, columns])) < 1e-4  # [rad]
+
+
+@pytest.mark.parametrize(
+    ("method", "cosine", "gap"),
+    [("keyvector", 0.7877, 12.4), ("hybrid", 0.7289, 17.6), ("dexpilot", None, 10.0),
+     ("ako", None, 5.35)],
+)  # fmt: skip
+def test_where_the_operator_pinches(
+    shared: Path, hand: Hand, score: Scorer, method: str, cosine: float | None, gap: float
+) -> None:
+    """Figures of the authors' code on these frames, as published in docs/benchmarks.md."""
+    found = score(commands(shared, published(hand, method), PINCHING), hand.joint_names, PINCHING)
+    if cosine is not None:
+        assert found["cosine_thumb"] == pytest.approx(cosine, abs=2e-3)
+    assert found["pinch_gap_mm"] == pytest.approx(gap, abs=0.1)
