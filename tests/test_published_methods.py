@@ -12,12 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator import Retargeter, load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.recording import read_recording
-from smooth_operator.retargeters.descent import DescentConfig
-from smooth_operator.retargeters.presets import PRESETS
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 
 pytestmark = pytest.mark.shared
 
