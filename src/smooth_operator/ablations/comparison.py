@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.ablations.bootstrap import Estimate, mean_of
 from smooth_operator.ablations.contestants import Contestant, Sampling, Slsqp, Starts
 from smooth_operator.ablations.experiment import Table
+from smooth_operator.ablations.intervals import Estimate, Samples, typical
 from smooth_operator.ablations.lineup import Lineup, make_lineup
 from smooth_operator.ablations.problems import Problem
 from smooth_operator.ablations.runs import Run, measure_run
-from smooth_operator.ablations.sizes import PUBLISHED_STARTS, Size, trial_note
-from smooth_operator.ablations.study import TUNING_OPERATOR, Study
+from smooth_operator.ablations.sizes import PUBLISHED_STARTS, Size
+from smooth_operator.ablations.study import TUNING_OPERATOR, Study, counted, recordings_of
 from smooth_operator.retargeters.presets import DEXPILOT
 
 
@@ -37,16 +37,24 @@ class Comparison:
     problems: list[Problem]
     runs: Mapping[str, list[list[Run]]]
 
-    def samples(self, label: str, metric: str) -> list[list[float]]:
+    @property
+    def units(self) -> list[str]:
+        """The independent unit of each recording."""
+        return [problem.unit for problem in self.problems]
+
+    def samples(self, label: str, metric: str) -> Samples:
         """A figure of a solver, by recording and seed."""
-        return [
-            [self._measured[label, r, s][metric] for s in range(len(seeds))]
-            for r, seeds in enumerate(self.runs[label])
-        ]
+        return Samples(
+            [
+                [self._measured[label, r, s][metric] for s in range(len(seeds))]
+                for r, seeds in enumerate(self.runs[label])
+            ],
+            self.units,
+        )
 
     def mean(self, label: str, metric: str) -> Estimate:
-        """The same with an interval."""
-        return mean_of(self.samples(label, metric))
+        """Its geometric mean with an interval."""
+        return typical(self.samples(label, metric))
 
     @cached_property
     def _measured(self) -> dict[tuple[str, int, int], dict[str, float]]:
@@ -84,10 +92,10 @@ class Comparison:
                 "ms a frame", "evaluations",
             ),
             rows,
-            "Means over recordings and seeds with 95 % bootstrap intervals. Tracking loss: first "
-            "term of Eq. (1); objective: all of it, which is what is minimised. Jitter: mean "
-            "|q(t+1) + q(t−1) − 2 q(t)| over frames and joints. Evaluations: of a start, cycles "
-            "for sampling, steps for Newton. " + self._about_time(),
+            f"Geometric means over {len(set(self.units))} independent recordings with 95 % "
+            "intervals. Tracking loss: first term of Eq. (1); objective: all of it, which is what "
+            "is minimised. Jitter: mean |q(t+1) + q(t−1) − 2 q(t)| over frames and joints. "
+            "Evaluations: of a start, cycles for sampling, steps for Newton. " + self._about_time(),
         )  # fmt: skip
 
     def _about_time(self) -> str:
@@ -108,12 +116,13 @@ class Comparison:
         return {
             "velocity_weight": self.velocity_weight,
             "recordings": [
-                {"name": p.name, "frames": p.frames, "rate_hz": p.rate_hz} for p in self.problems
+                {"name": p.name, "unit": p.unit, "frames": p.frames, "rate_hz": p.rate_hz}
+                for p in self.problems
             ],
             "solvers": {
                 label: {
                     "settings": self.lineup.contestants[label],
-                    **{metric: self.samples(label, metric) for metric in metrics},
+                    **{metric: self.samples(label, metric).values for metric in metrics},
                 }
                 for label in self.runs
             },
@@ -173,11 +182,12 @@ def setup_of(comparison: Comparison, size: Size) -> str:
         "which runs them one after the other."
     )
     return (
-        trial_note(size) + f"DexPilot's loss (its weights and latches, smooth-L1, pose weight "
+        f"DexPilot's loss (its weights and latches, smooth-L1, pose weight "
         f"{problems[0].objective.config.pose_weight:g}"
         + (f", w_v {comparison.velocity_weight:g}" if comparison.velocity_weight else "")
-        + f") on {hand.name}, {frames:,} frames of {len(problems)} recordings, "
-        f"{size.seeds} seeds of each random solver. Every solver begins a recording at the same "
+        + f") on {hand.name}, {frames:,} frames of {recordings_of(comparison.units)}, "
+        f"{counted(size.seeds, 'seed')} of each random solver. Every solver begins a recording at "
+        "the same "
         "minimum and a frame at its own last answer, within the same joint limits; descending ones "
         "stop where an iteration gains less than 1e-6 or after 100 evaluations. Algorithm 1 has "
         f"N = {size.samples:,}, L = {size.cycles}. The step of RMSProp and the tuned initial "

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from smooth_operator.ablations.comparison import Comparison
 from smooth_operator.benchmark.drawing import INK
 
@@ -85,7 +83,7 @@ def _dot(
     family = found.lineup.contestants[label].family
     color = FAMILY_COLORS[family]
     mean = found.mean(label, metric)
-    each = [factor * float(np.mean(own)) for own in found.samples(label, metric)]
+    each = factor * found.samples(label, metric).means
     ax.plot(each, [y] * len(each), "|", color=color, markersize=6, alpha=0.55, zorder=2)
     if mean.low is not None and mean.high is not None and metric != "frame_ms":
         ax.plot(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from smooth_operator.ablations.bootstrap import Estimate
 from smooth_operator.ablations.figures import plain_log
 from smooth_operator.ablations.grid import Point
+from smooth_operator.ablations.intervals import Estimate
 from smooth_operator.benchmark.drawing import GRID, MARKERS
 
 if TYPE_CHECKING:

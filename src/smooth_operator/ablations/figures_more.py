@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from smooth_operator.ablations.bootstrap import Estimate
 from smooth_operator.ablations.figures import plain_log
 from smooth_operator.ablations.fk_libraries import LIBRARIES
+from smooth_operator.ablations.intervals import Estimate
 from smooth_operator.benchmark.drawing import GRID, INK, MARKERS, METHOD_COLORS
 
 if TYPE_CHECKING:

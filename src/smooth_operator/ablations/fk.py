@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.ablations import fk_libraries
-from smooth_operator.ablations.bootstrap import Estimate, contrast, mean_of
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures_more import fk_figure
 from smooth_operator.ablations.fk_libraries import (
@@ -33,9 +32,10 @@ from smooth_operator.ablations.fk_libraries import (
     random_poses,
 )
 from smooth_operator.ablations.fk_urdf import write_urdf
+from smooth_operator.ablations.intervals import Estimate, Samples, contrast, independent, typical
 from smooth_operator.ablations.more_sizes import more_size
 from smooth_operator.ablations.study import Job, Study
-from smooth_operator.ablations.verdicts import Verdict, both, judge_direction
+from smooth_operator.ablations.verdicts import Direction, Verdict, judge
 from smooth_operator.benchmark.machine import Watch
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
@@ -67,18 +67,18 @@ class Timing:
     worst: Mapping[str, float]
     others: float | None
 
-    def quiet(self, library: str, batch: int) -> list[float]:
-        """The faster half of the rounds [ns]: whatever else a machine does makes it slower only."""
-        times = sorted(self.per_pose[library][batch])
-        return times[: (len(times) + 1) // 2]
+    def rounds(self, library: str, batch: int) -> Samples:
+        """Time a pose in each round [ns]; all count, since those kept by their speed would differ
+        less than the machine does."""
+        return independent(self.per_pose[library][batch])
 
     def mean(self, library: str, batch: int) -> Estimate:
-        """Time a pose [ns], with an interval over rounds."""
-        return mean_of([self.quiet(library, batch)])
+        """Time a pose [ns], geometric, with an interval over rounds."""
+        return typical(self.rounds(library, batch))
 
     def over(self, slow: str, fast: str, batch: int) -> Estimate:
-        """How many times as long one takes as another."""
-        return contrast([self.quiet(slow, batch)], [self.quiet(fast, batch)], "ratio")
+        """How many times as long one takes as another, round by round."""
+        return contrast(self.rounds(slow, batch), self.rounds(fast, batch), "ratio")
 
 
 class FkLibraries:
@@ -98,11 +98,12 @@ class FkLibraries:
             "library likes best; the model of Pinocchio and PyTorch Kinematics is URDF that is "
             "written from the compiled one. Before the clock starts each must agree with MuJoCo's "
             f"own kinematics on {CHECKED} poses to {1e6 * AGREEMENT:g} µm. Warm; libraries take "
-            f"turns, {more_size(study).fk_rounds} rounds, of which the faster half counts, "
-            "since what else a machine does makes it slower only; a round is the median of the "
-            f"calls in {1e3 * SLICE_S:g} ms. Ours, MJX and PyTorch Kinematics compute in float32 "
-            f"and on as many threads as they like ({device}); Pinocchio and MuJoCo C in float64, a "
-            "pose at a time in a Python loop, since they have no batch."
+            f"turns, {more_size(study).fk_rounds} rounds, and are compared round by round; a round "
+            f"is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the rounds of "
+            "this run on this machine, and say nothing of another. Ours, MJX and PyTorch "
+            f"Kinematics compute in float32 and on as many threads as they like ({device}); "
+            "Pinocchio and MuJoCo C in float64, a pose at a time in a Python loop, since they have "
+            "no batch."
             + "".join(f" {name}: {why}, so there is a gap." for name, why in found.gaps.items()),
             [_paper_verdict(found), _own_verdict(found)],
             [_table(found)],
@@ -235,9 +236,7 @@ def _paper_verdict(found: Timing) -> Verdict:
             "`python -m pip install 'smooth-operator[fk]'` brings them. Verdict: not shown.",
         )  # fmt: skip
     ratios = {name: found.over(name, MJX, largest) for name in rivals}
-    held = both(*(judge_direction(one, 1.0, upwards=True) for one in ratios.values()))
-    if absent and held == "held":
-        held = "held in part"
+    held = judge(Direction(1.0, upwards=True), list(ratios.values()), missing=len(absent))
     shown = ", ".join(f"{name} × {one.shown(3)}" for name, one in ratios.items())
     crossing = _crossing(found, MJX, rivals)
     gap = "".join(f" {name} is missing here ({found.gaps[name]})." for name in absent)
@@ -274,7 +273,7 @@ def _own_verdict(found: Timing) -> Verdict:
             f"Not compared: {why}. Verdict: not shown.",
         )  # fmt: skip
     ratios = {(batch, name): found.over(name, WALK, batch) for batch in batches for name in rivals}
-    held = both(*(judge_direction(one, 1.0, upwards=True) for one in ratios.values()))
+    held = judge(Direction(1.0, upwards=True), list(ratios.values()))
     closest = min(ratios, key=lambda at: ratios[at].value)
     largest = found.batches[-1]
     each = ", ".join(f"{name} × {ratios[largest, name].shown(3)}" for name in rivals)
@@ -308,6 +307,6 @@ def _table(found: Timing) -> Table:
         "Time a pose [ns]",
         ["batch", *found.per_pose],
         rows,
-        f"95 % intervals over rounds. Largest disagreement with MuJoCo's fingertips: {apart}."
-        + busy,
+        "Geometric means with 95 % intervals over rounds. Largest disagreement with MuJoCo's "
+        f"fingertips: {apart}." + busy,
     )

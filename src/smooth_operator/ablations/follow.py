@@ -10,8 +10,15 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.ablations.bootstrap import Contrast, Estimate, Samples, contrast, mean_of
 from smooth_operator.ablations.delay import sub_frame_lag
+from smooth_operator.ablations.intervals import (
+    Contrast,
+    Estimate,
+    Samples,
+    contrast,
+    mean_of,
+    typical,
+)
 from smooth_operator.ablations.study import Job, Study
 from smooth_operator.ablations.takes import LEAD, Take
 from smooth_operator.benchmark.built import built_for
@@ -181,6 +188,12 @@ def _tips(hand: Hand, aligned: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray,
     return np.asarray(aligned[:, [LANDMARKS.index(name) for name in hand.tip_names]])
 
 
+_SIGNED_OR_BOUNDED: Final = (
+    "cosine_similarity", "motion_preservation", "lag_ms", "correlation", "held"
+)  # fmt: skip
+"""Figures that are averaged as they are; the others are positive and differ manifold."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """Methods over conditions, recordings and seeds.
@@ -190,36 +203,54 @@ class Sweep:
         labels: of the methods.
         measured: (label, condition, recording) -> one set of figures for each seed.
         human: (condition, recording) -> the same of the human.
-        recordings: names.
+        units: name of a recording -> the independent unit that it belongs to.
     """
 
     conditions: Sequence[Any]
     labels: Sequence[str]
     measured: Mapping[tuple[str, Any, str], list[dict[str, float]]]
     human: Mapping[tuple[Any, str], list[dict[str, float]]]
-    recordings: Sequence[str]
-
-    def samples(self, label: str, condition: Any, metric: str) -> list[list[float]]:
-        """A figure by recording and seed; recordings without it are left out."""
-        return list(_known(self.measured, (label, condition), self.recordings, metric).values())
+    units: Mapping[str, str]
 
     def mean(self, label: str, condition: Any, metric: str) -> Estimate | None:
-        """With an interval; None where no recording has it."""
-        return _mean(self.samples(label, condition, metric))
+        """With an interval, geometric for figures of smoothness; None where no recording has it."""
+        return self._averaged(self.known(label, condition, metric), metric)
 
     def human_mean(self, condition: Any, metric: str) -> Estimate | None:
         """The same of the human."""
-        return _mean(list(_known(self.human, (condition,), self.recordings, metric).values()))
+        return self._averaged(_known(self.human, (condition,), self.units, metric), metric)
+
+    def known(self, label: str, condition: Any, metric: str) -> dict[str, list[float]]:
+        """Recording -> a figure by seed; recordings without it are left out."""
+        return _known(self.measured, (label, condition), self.units, metric)
+
+    def _averaged(self, values: Mapping[str, list[float]], metric: str) -> Estimate | None:
+        if not values:
+            return None
+        over = mean_of if metric in _SIGNED_OR_BOUNDED else typical
+        return over(self.samples(values))
+
+    def samples(self, values: Mapping[str, Sequence[float]]) -> Samples:
+        """With the units of the recordings."""
+        return Samples(list(values.values()), [self.units[name] for name in values])
 
     def against(
         self, a: str, b: str, condition: Any, metric: str, kind: Contrast = "ratio"
     ) -> Estimate | None:
         """One method against another, recording by recording; None where they can't be compared."""
-        x, y = (
-            _known(self.measured, (label, condition), self.recordings, metric) for label in (a, b)
+        return self.compared(
+            self.known(a, condition, metric), self.known(b, condition, metric), kind
         )
+
+    def compared(
+        self, x: Mapping[str, list[float]], y: Mapping[str, list[float]], kind: Contrast
+    ) -> Estimate | None:
+        """Figures of the recordings that are in both; None where there is none."""
         both = [name for name in x if name in y]
-        return contrast([x[r] for r in both], [y[r] for r in both], kind) if both else None
+        if not both:
+            return None
+        a, b = (self.samples({name: own[name] for name in both}) for own in (x, y))
+        return contrast(a, b, kind)
 
     def figures(self) -> list[dict[str, Any]]:
         """All numbers, for results.json."""
@@ -280,14 +311,14 @@ def run_sweep(
         list(field.choices),
         measured,
         human,
-        list(dict.fromkeys(recording for _, recording in takes)),
+        {name: study.unit_of[name] for name in dict.fromkeys(own for _, own in takes)},
     )
 
 
 def _known(
     table: Mapping[Any, list[dict[str, float]]],
     at: tuple[Any, ...],
-    recordings: Sequence[str],
+    recordings: Iterable[str],
     metric: str,
 ) -> dict[str, list[float]]:
     found = {
@@ -295,7 +326,3 @@ def _known(
         for name in recordings
     }
     return {name: values for name, values in found.items() if values}
-
-
-def _mean(samples: Samples) -> Estimate | None:
-    return mean_of(samples) if samples else None

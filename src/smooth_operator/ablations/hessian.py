@@ -10,20 +10,15 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.ablations.bootstrap import Estimate, contrast, pooled
 from smooth_operator.ablations.comparison import Comparison, compare_solvers, setup_of
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures_hessian import hessian_figure
+from smooth_operator.ablations.intervals import Estimate, Samples, contrast, pooled, typical
 from smooth_operator.ablations.lineup import NEWTON, SAMPLING
 from smooth_operator.ablations.problems import Problem
 from smooth_operator.ablations.study import Job, Study
 from smooth_operator.ablations.velocity import VELOCITY_WEIGHT
-from smooth_operator.ablations.verdicts import (
-    Verdict,
-    both,
-    judge_direction,
-    judge_equality,
-)
+from smooth_operator.ablations.verdicts import Direction, Equality, Verdict, judge
 from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal
 from smooth_operator.offline.finished import digest
@@ -183,8 +178,9 @@ def _job(problem: Problem, q: Float[np.ndarray, "T m"]) -> Job:
     )
 
 
-def _share(ranked: Ranked, label: str, ranks: slice) -> list[list[float]]:
-    return [[float(run[ranks].mean()) for run in seeds] for seeds in ranked[label]]
+def _share(found: Comparison, ranked: Ranked, label: str, ranks: slice) -> Samples:
+    values = [[float(run[ranks].mean()) for run in seeds] for seeds in ranked[label]]
+    return Samples(values, found.units)
 
 
 def _thirds(ranked: Ranked) -> tuple[slice, slice]:
@@ -196,8 +192,8 @@ def _thirds(ranked: Ranked) -> tuple[slice, slice]:
 
 def _ratios(found: Comparison, ranked: Ranked, ranks: slice) -> dict[str, Estimate]:
     labels = (found.lineup.slsqp, found.lineup.batched("slsqp"))
-    sampled = _share(ranked, SAMPLING, ranks)
-    return {one: contrast(_share(ranked, one, ranks), sampled, "ratio") for one in labels}
+    sampled = _share(found, ranked, SAMPLING, ranks)
+    return {one: contrast(_share(found, ranked, one, ranks), sampled, "ratio") for one in labels}
 
 
 def _said(ratios: dict[str, Estimate]) -> str:
@@ -207,7 +203,7 @@ def _said(ratios: dict[str, Estimate]) -> str:
 def _stiff_verdict(found: Comparison, ranked: Ranked) -> Verdict:
     _, stiff = _thirds(ranked)
     ratios = _ratios(found, ranked, stiff)
-    held = both(*(judge_equality(one, 1 / MATCHED, MATCHED) for one in ratios.values()))
+    held = judge(Equality(1 / MATCHED, MATCHED), list(ratios.values()))
     return Verdict(
         "in stiff directions all solvers jitter alike",
         "“closely matched”, no figure",
@@ -224,22 +220,19 @@ def _flat_verdict(found: Comparison, ranked: Ranked) -> Verdict:
     flat, stiff = _thirds(ranked)
     ratios = _ratios(found, ranked, flat)
     # "a stark divergence": more than in the stiff directions, too
-    sampled = [_share(ranked, SAMPLING, ranks) for ranks in (flat, stiff)]
+    sampled = [_share(found, ranked, SAMPLING, ranks) for ranks in (flat, stiff)]
     excess = {
         label: pooled(
             [
-                (_share(ranked, label, flat), sampled[0]),
-                (sampled[1], _share(ranked, label, stiff)),
+                (_share(found, ranked, label, flat), sampled[0]),
+                (sampled[1], _share(found, ranked, label, stiff)),
             ],
             "ratio",
         )
         for label in ratios
     }
-    held = both(
-        *(judge_direction(one, 1.0, upwards=True) for one in ratios.values()),
-        *(judge_direction(one, 1.0, upwards=True) for one in excess.values()),
-    )
-    newton = contrast(_share(ranked, NEWTON, flat), sampled[0], "ratio")
+    held = judge(Direction(1.0, upwards=True), [*ratios.values(), *excess.values()])
+    newton = contrast(_share(found, ranked, NEWTON, flat), sampled[0], "ratio")
     meaning = (
         ": descending does not in itself jump in flat directions"
         if newton.high is not None and newton.high < 1
@@ -277,11 +270,8 @@ def _table(found: Comparison, ranked: Ranked) -> Table:
     middle = slice(flat.stop, stiff.start)
     rows = []
     for label in ranked:
-        cells = [label]
-        for ranks in (flat, middle, stiff):
-            means = [np.mean(own) for own in _share(ranked, label, ranks)]
-            cells.append(f"{1e3 * float(np.mean(means)):.3g}")
-        rows.append(cells)
+        shares = [_share(found, ranked, label, ranks) for ranks in (flat, middle, stiff)]
+        rows.append([label, *(typical(share).shown(3, 1e3) for share in shares)])
     term = f"with w_v = {found.velocity_weight:g}" if found.velocity_weight else "without"
     return Table(
         f"Jitter by stiffness, {term} velocity term" if not found.velocity_weight
@@ -290,4 +280,5 @@ def _table(found: Comparison, ranked: Ranked) -> Table:
          f"ranks {middle.start + 1}–{middle.stop} [mrad]",
          f"ranks {stiff.start + 1}–{count}, stiff [mrad]"),
         rows,
+        "Geometric means over independent recordings with 95 % intervals.",
     )  # fmt: skip

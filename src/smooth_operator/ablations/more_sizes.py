@@ -54,13 +54,13 @@ DEFAULT: Final = MoreSize(
     fk_batches=(1, 4, 16, 64, 256, 1024, 4096, 16384, 65536),
     fk_rounds=7,
     table_frames=300,
-    latency_frames=200,
-    frames=200,
+    latency_frames=100,
+    frames=120,
     noises=(0.0, 0.5e-3, 1e-3, 2e-3, 5e-3),
     losses=(0.0, 0.05, 0.1, 0.2),
-    seeds=2,
+    seeds=1,
     rates=(15.0, 30.0, 60.0, 100.0, 200.0),
-    seconds=3.0,
+    seconds=2.0,
 )
 
 PUBLISHED: Final = replace(DEFAULT, table_frames=500, seconds=5.0)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from smooth_operator.ablations.bootstrap import Estimate
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures_more import Column, Row, sweep_figure
 from smooth_operator.ablations.follow import PUBLISHED_SBR, Sweep, field_of, run_sweep
+from smooth_operator.ablations.intervals import Estimate
 from smooth_operator.ablations.more_sizes import more_size
-from smooth_operator.ablations.study import Study
+from smooth_operator.ablations.study import Study, counted
 from smooth_operator.ablations.takes import LEAD, middle, recording_of, through_tracker
-from smooth_operator.ablations.verdicts import Verdict, both, judge_direction
+from smooth_operator.ablations.verdicts import Direction, Verdict, judge
 from smooth_operator.sources.tracker import TrackerModel
 
 BASELINES: Final = ("dexpilot", "geort", "hybrid")
@@ -70,8 +70,9 @@ class TrackerNoise:
         rates = sorted({round(s.recording.rate_hz) for s in study.sources if s.recording})
         return Outcome(
             f"{len(field.choices)} methods on {study.hand}, {frames:,} frames of "
-            f"{len(study.sources)} recordings at {' and '.join(map(str, rates))} Hz, {size.seeds} "
-            "seeds of the tracker for each condition. Noise is white and Gaussian, independent for "
+            f"{study.recordings} at {' and '.join(map(str, rates))} Hz, "
+            f"{counted(size.seeds, 'seed')} of the tracker for each condition. Noise is white and "
+            "Gaussian, independent for "
             "each coordinate of each landmark and each frame; frames are lost in bursts of 30 ms "
             "in the mean, whose commands repeat the last. Methods see the bad tracker and are "
             "measured against the hand as it was; a recording of a real tracker has its own noise "
@@ -89,7 +90,7 @@ class TrackerNoise:
                     "noise",
                     "Smoothness and faithfulness over the tracker's noise (left) and over the "
                     "share of frames that it loses (right). Grey: the human's own fingertips, as "
-                    "they were and as the methods see them. Bars: 95 % intervals.",
+                    "they were and as the methods see them. Bars: 95 % intervals over recordings.",
                     sweep_figure(
                         sweep.mean, sweep.human_mean, sweep.labels, _ROWS,
                         [
@@ -172,7 +173,7 @@ def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
     ratios = compared(sweep, at, "flatness")
     if not ratios:
         return not_compared(told, paper, sweep)
-    held = both(*(judge_direction(one, 1.0, upwards=False) for one in ratios.values()))
+    held = judge(Direction(1.0, upwards=False), list(ratios.values()))
     worst = noises[-1]
     most = compared(sweep, worst, "flatness")
     order = ranking(sweep, at, "flatness")
@@ -201,7 +202,7 @@ def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
     ratios = compared(sweep, at, "step")
     if not ratios:
         return not_compared(told, "no claim", sweep)
-    held = both(*(judge_direction(one, 1.0, upwards=False) for one in ratios.values()))
+    held = judge(Direction(1.0, upwards=False), list(ratios.values()))
     order = ranking(sweep, at, "step")
     clean, lost = (sweep.mean(PUBLISHED_SBR, c, "jitter") for c in (losses[0], at))
     grown = "" if clean is None or lost is None else (
@@ -226,7 +227,7 @@ def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
     found = compared(sweep, at, "motion_preservation", "difference")
     if not found:
         return not_compared(told, paper, sweep)
-    held = both(*(judge_direction(one, 0.0, upwards=True) for one in found.values()))
+    held = judge(Direction(0.0, upwards=True), list(found.values()))
     order = ranking(sweep, at, "motion_preservation", "up")
     return Verdict(
         told,
@@ -253,6 +254,7 @@ def _table(sweep: Sweep, conditions: Sequence[Condition], title: str) -> Table:
         title,
         ["method", "tracker", *(header for _, header, _ in _HEADERS)],
         rows,
-        "Means over recordings and seeds with 95 % bootstrap intervals. Flatness and jitter are of "
+        "Means over independent recordings with 95 % intervals, geometric ones for jitter, "
+        "flatness and the largest step. Flatness and jitter are of "
         "this frame rate, and hold the human's own acceleration.",
     )

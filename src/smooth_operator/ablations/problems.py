@@ -43,6 +43,7 @@ class Problem:
 
     Attributes:
         name: of the recording.
+        unit: the independent unit that it belongs to.
         objective: what is minimised; its hand and weights.
         vectors: (T, K, 3) targets [m].
         weights: (T, K) their weights.
@@ -52,6 +53,7 @@ class Problem:
     """
 
     name: str
+    unit: str
     objective: Objective
     vectors: Float[np.ndarray, "T K 3"]
     weights: Float[np.ndarray, "T K"]
@@ -150,6 +152,7 @@ def make_problem(source: Source, hand: str, config: ObjectiveConfig, frames: int
     first = source.frames[0] if source.frames else 0
     return Problem(
         source.name,
+        source.request.unit,
         objective,
         vectors,
         weights,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from smooth_operator.ablations.bootstrap import Estimate
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures_more import Column, Row, sweep_figure
 from smooth_operator.ablations.follow import PUBLISHED_SBR, Sweep, field_of, run_sweep
+from smooth_operator.ablations.intervals import Estimate
 from smooth_operator.ablations.more_sizes import more_size
 from smooth_operator.ablations.noise import (
     compared,
@@ -19,7 +19,7 @@ from smooth_operator.ablations.noise import (
 )
 from smooth_operator.ablations.study import Study
 from smooth_operator.ablations.takes import LEAD, Take, at_rate
-from smooth_operator.ablations.verdicts import Verdict, both, judge_direction, judge_equality
+from smooth_operator.ablations.verdicts import Direction, Equality, Verdict, judge
 from smooth_operator.errors import RecordingError
 
 CONTROL_HZ: Final = 30.0
@@ -58,7 +58,7 @@ class FrameRate:
         )
         return Outcome(
             f"{len(field.choices)} methods on {study.hand}, {seconds:.3g} s of "
-            f"{len(study.sources)} recordings at each rate. The built-in operator is recorded anew "
+            f"{study.recordings} at each rate. The built-in operator is recorded anew "
             "at each rate, the motion being the same; of other recordings frames are left out. "
             "Accelerations are by the real stamps. Lag is the shift of cubic splines through the "
             "commands against those through the human's motion that best aligns their velocities, "
@@ -99,7 +99,7 @@ def _smooth_verdict(sweep: Sweep) -> Verdict:
     ratios = [one for found in by_rate.values() for one in found.values()]
     if not ratios:
         return not_compared(told, paper, sweep)
-    held = both(*(judge_direction(one, 1.0, upwards=False) for one in ratios))
+    held = judge(Direction(1.0, upwards=False), ratios)
     low, high = sweep.conditions[0], sweep.conditions[-1]
     each = "; ".join(f"{rate:g} Hz: {listed(found)}" for rate, found in by_rate.items())
     human = [sweep.human_mean(rate, "flatness") for rate in (low, high)]
@@ -130,7 +130,9 @@ def _lag_verdict(sweep: Sweep) -> Verdict:
     known = {rate: lag for rate, lag in lags.items() if lag is not None}
     if not known:
         return not_compared(told, paper, sweep)
-    held = both(*(judge_equality(lag, -1e3 / rate, 1e3 / rate) for rate, lag in known.items()))
+    # in frames, so that one margin serves all rates
+    frames = [Estimate(tuple(1e-3 * rate * ms for ms in lag.points)) for rate, lag in known.items()]
+    held = judge(Equality(-1.0, 1.0), frames)
     each = ", ".join(f"{rate:g} Hz {lag.shown(3, 1.0, ' ms')}" for rate, lag in known.items())
     at = _near(sweep, CONTROL_HZ)
     slower = compared(sweep, at, "lag_ms", "difference")
@@ -157,7 +159,7 @@ def _filter_verdict(sweep: Sweep) -> Verdict:
     change = _difference(sweep, low, high)
     if change is None:
         return not_compared(told, "no claim", sweep)
-    held = judge_direction(change, 0.0, upwards=True)
+    held = judge(Direction(0.0, upwards=True), [change])
     frames = slow.value * low / 1e3, fast.value * high / 1e3
     return Verdict(
         told,
@@ -197,19 +199,8 @@ def _yardstick(sweep: Sweep, rate: float) -> str:
 
 def _difference(sweep: Sweep, low: float, high: float) -> Estimate | None:
     """SBR's lag at one rate over that at another, recording by recording [ms]."""
-    from smooth_operator.ablations.bootstrap import contrast
-
-    pairs = [
-        (sweep.measured[PUBLISHED_SBR, low, name], sweep.measured[PUBLISHED_SBR, high, name])
-        for name in sweep.recordings
-        if (PUBLISHED_SBR, low, name) in sweep.measured
-        and (PUBLISHED_SBR, high, name) in sweep.measured
-    ]
-    known = [(a[0]["lag_ms"], b[0]["lag_ms"]) for a, b in pairs]
-    known = [(a, b) for a, b in known if a == a and b == b]  # NaN is unlike itself
-    if not known:
-        return None
-    return contrast([[a] for a, _ in known], [[b] for _, b in known], "difference")
+    slow, fast = (sweep.known(PUBLISHED_SBR, rate, "lag_ms") for rate in (low, high))
+    return sweep.compared(slow, fast, "difference")
 
 
 def _near(sweep: Sweep, rate: float) -> float:
@@ -241,6 +232,7 @@ def _table(sweep: Sweep) -> Table:
         "Methods by frame rate",
         ["method", "rate", *(header for _, header, _ in _HEADERS)],
         rows,
-        "Means over recordings with 95 % bootstrap intervals. Flatness is the paper's: by frame, "
+        "Means over independent recordings with 95 % intervals, geometric ones for accelerations "
+        "and flatness. Flatness is the paper's: by frame, "
         "not by time, so it may be compared within a rate only.",
     )

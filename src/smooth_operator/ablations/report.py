@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.ablations.catalogue import EXPERIMENTS
-from smooth_operator.ablations.experiment import Experiment, Outcome
+from smooth_operator.ablations.experiment import Experiment, Outcome, Table
 from smooth_operator.ablations.store import RESULTS, Store
 from smooth_operator.ablations.verdicts import RULES
 from smooth_operator.benchmark.drawing import write_figure
@@ -29,7 +29,13 @@ from smooth_operator.recording import atomic_write
 
 REPORT: Final = "report.html"
 
-_MARKS: Final = {"held": "✓", "held in part": "≈", "not shown": "?", "did not hold": "✗"}
+_MARKS: Final = {
+    "held": "✓",
+    "held in part": "≈",
+    "mixed": "±",
+    "not shown": "?",
+    "did not hold": "✗",
+}
 _CLASSES: Final = {"held": "best", "did not hold": "worse"}
 _STYLE: Final = """
 figure img { display: block; width: 100%; height: auto; }
@@ -38,8 +44,17 @@ td.verdict { white-space: nowrap; }
 """
 
 
-def write_outcome(store: Store, name: str, made: Experiment, outcome: Outcome) -> Path:
+def write_outcome(
+    store: Store, name: str, made: Experiment, outcome: Outcome, warning: str = ""
+) -> Path:
     """Writes what an experiment comes to.
+
+    Args:
+        store: the folder.
+        name: of the experiment.
+        made: the experiment.
+        outcome: what it comes to.
+        warning: what a reader must know before the verdicts.
 
     Returns:
         ``results.json``, written last: where it stands, the figures do.
@@ -54,6 +69,7 @@ def write_outcome(store: Store, name: str, made: Experiment, outcome: Outcome) -
         "experiment": name,
         "title": made.title,
         "claim": made.claim,
+        "warning": warning,
         "setup": outcome.setup,
         "verdicts": outcome.verdicts,
         "tables": outcome.tables,
@@ -125,7 +141,14 @@ def _overview(results: Mapping[str, Mapping[str, Any]]) -> Html:
         for verdict in content["verdicts"]
     ]
     headers = [escape(text) for text in ("claim", "paper", "here", "verdict")]
-    return join([table(headers, rows, class_="words"), paragraph(RULES, "soft")])
+    warned = {
+        name: content["warning"] for name, content in results.items() if content.get("warning")
+    }
+    warnings = [
+        paragraph(f"{', '.join(own for own in warned if warned[own] == text)}: {text}", "warning")
+        for text in dict.fromkeys(warned.values())
+    ]
+    return join([*warnings, table(headers, rows, class_="words"), paragraph(RULES, "soft")])
 
 
 def _verdict_cell(held: str) -> Html:
@@ -173,6 +196,23 @@ def _picture(path: Path, caption: str) -> Html:
         return paragraph(f"{path.name} is missing: run the experiment again.", "warning")
     image = f'<img src="data:image/svg+xml;base64,{content}" alt="{escape(caption)}">'
     return element("figure", Html(f"{image}{element('figcaption', escape(caption))}"))
+
+
+def markdown(table: Table) -> str:
+    """A table as Markdown, its columns but the first to the right where they hold figures."""
+    numbers = [
+        all(
+            not row[i] or row[i].lstrip("*−+÷×<~ ")[:1].isdigit() or row[i] == "–"
+            for row in table.rows
+        )
+        for i in range(len(table.headers))
+    ]
+    ruler = ["---:" if i and right else "---" for i, right in enumerate(numbers)]
+    lines = [table.headers, None, *table.rows]
+    text = [
+        "|" + "|".join(ruler) + "|" if line is None else f"| {' | '.join(line)} |" for line in lines
+    ]
+    return "\n".join(text) + (f"\n\n{table.note}" if table.note else "")
 
 
 def verdict_lines(outcomes: Sequence[tuple[str, Outcome]]) -> list[tuple[str, str, str, str, str]]:

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.ablations.bootstrap import Estimate, contrast
 from smooth_operator.ablations.comparison import (
     Comparison,
     compare_as_printed,
@@ -16,9 +15,10 @@ from smooth_operator.ablations.comparison import (
 )
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures import comparison_figure
+from smooth_operator.ablations.intervals import Estimate, contrast
 from smooth_operator.ablations.lineup import NEWTON, SAMPLING, TUNED
 from smooth_operator.ablations.study import Study
-from smooth_operator.ablations.verdicts import Verdict, both, judge_effect, judge_equality
+from smooth_operator.ablations.verdicts import Effect, Equality, Verdict, judge
 from smooth_operator.metrics.consistency import JOINTS_STILL
 
 PAPER_REDUCTION: Final = -0.364
@@ -50,7 +50,7 @@ class SolverSwap:
                 Drawing(
                     "solvers",
                     "Tracking loss, joint jitter and time a frame of each solver on DexPilot's "
-                    "loss. Bars: 95 % intervals over recordings and seeds; ticks: recordings.",
+                    "loss. Bars: 95 % intervals over independent recordings; ticks: recordings.",
                     comparison_figure([found]),
                 )
             ],
@@ -60,8 +60,7 @@ class SolverSwap:
 
 def change(found: Comparison, label: str, other: str, metric: str) -> Estimate:
     """Relative change of a figure from another solver to this one."""
-    ratio = contrast(found.samples(label, metric), found.samples(other, metric), "ratio")
-    return ratio.mapped(1.0, -1.0)
+    return contrast(found.samples(label, metric), found.samples(other, metric), "change")
 
 
 def percent(change: Estimate) -> str:
@@ -74,8 +73,7 @@ def _loss_verdict(found: Comparison) -> Verdict:
     single, many = (
         change(found, SAMPLING, other, "loss") for other in (found.lineup.slsqp, batched)
     )
-    margin = (-LOSS_MARGIN, LOSS_MARGIN)
-    held = both(judge_equality(single, *margin), judge_equality(many, *margin))
+    held = judge(Equality(-LOSS_MARGIN, LOSS_MARGIN), (single, many))
     return Verdict(
         "all solvers reach about the same tracking loss",
         "“remarkably similar”, no figure",
@@ -95,7 +93,7 @@ def _jitter_verdict(found: Comparison) -> Verdict:
     single, many = (
         change(found, SAMPLING, other, "jitter") for other in (found.lineup.slsqp, batched)
     )
-    held = both(*(judge_effect(one, 0.0, PAPER_REDUCTION) for one in (single, many)))
+    held = judge(Effect(0.0, PAPER_REDUCTION), (single, many))
     newton = change(found, NEWTON, SAMPLING, "jitter")
     more = " The published deviation of sampling is the best of those that it was tuned over."
     if TUNED in found.runs:
@@ -118,7 +116,7 @@ def _printed_verdict(found: Comparison) -> Verdict:
     single, many = (
         change(found, SAMPLING, other, "jitter") for other in (found.lineup.slsqp, batched)
     )
-    held = both(*(judge_effect(one, 0.0, PAPER_REDUCTION) for one in (single, many)))
+    held = judge(Effect(0.0, PAPER_REDUCTION), (single, many))
     still, stops = (
         np.mean([[frozen(run.q) for run in seeds] for seeds in found.runs[label]])
         for label in (SAMPLING, found.lineup.slsqp)

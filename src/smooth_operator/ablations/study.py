@@ -29,6 +29,18 @@ Track: TypeAlias = Callable[[str, float], AbstractContextManager[Advance]]
 """Opens the display of a phase: its name, and how much work it is [ms, about]."""
 
 
+def counted(count: int, noun: str) -> str:
+    """A number with its noun."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def recordings_of(units: Sequence[str]) -> str:
+    """How many recordings there are, and how many of them are independent."""
+    alone = len(set(units))
+    own = counted(len(units), "recording")
+    return own if alone == len(units) else f"{own} ({alone} independent)"
+
+
 @contextmanager
 def silent(name: str, work: float) -> Iterator[Advance]:
     """A display that shows nothing."""
@@ -70,6 +82,16 @@ class Study:
     store: Store
     track: Track = silent
 
+    @property
+    def recordings(self) -> str:
+        """How many recordings are judged, and how many of them are independent."""
+        return recordings_of([source.request.unit for source in self.sources])
+
+    @property
+    def unit_of(self) -> dict[str, str]:
+        """Name of a recording -> the independent unit that it belongs to."""
+        return {source.name: source.request.unit for source in self.sources}
+
     def finish(self, phase: str, jobs: Sequence[Job]) -> list[dict[str, np.ndarray]]:
         """Computes the cells that are missing, and keeps each as soon as it is whole.
 
@@ -80,18 +102,21 @@ class Study:
         missing = [job for job, cell in zip(jobs, kept, strict=True) if cell is None]
         if missing:
             with self.track(phase, sum(job.work for job in missing)) as advance:
+                count = 0
                 for i, job in enumerate(jobs):
                     if kept[i] is None:
-                        kept[i] = self._computed(job, advance)
+                        count += 1
+                        kept[i] = self._computed(job, f"{count} of {len(missing)}", advance)
         return [cell for cell in kept if cell is not None]
 
-    def _computed(self, job: Job, advance: Advance) -> dict[str, np.ndarray]:
+    def _computed(self, job: Job, place: str, advance: Advance) -> dict[str, np.ndarray]:
+        label = f"{place}: {job.label}"
         again = self.store.load(job.key)  # the same cell may be asked for twice
         if again is not None:
-            advance(job.label, job.work)
+            advance(label, job.work)
             return again
-        advance(job.label, 0.0)
-        arrays = job.compute(lambda share: advance(job.label, share * job.work))
+        advance(label, 0.0)
+        arrays = job.compute(lambda share: advance(label, share * job.work))
         self.store.save(job.key, arrays)
         return arrays
 

@@ -10,7 +10,7 @@ from typing import Final
 from smooth_operator.ablations.catalogue import experiment
 from smooth_operator.ablations.experiment import Outcome
 from smooth_operator.ablations.report import write_outcome, write_report
-from smooth_operator.ablations.sizes import DEFAULT, PUBLISHED, QUICK, Size
+from smooth_operator.ablations.sizes import DEFAULT, PUBLISHED, QUICK, Size, trial_note
 from smooth_operator.ablations.store import Store
 from smooth_operator.ablations.study import Study, Track, silent
 from smooth_operator.benchmark.drawing import styled
@@ -103,7 +103,7 @@ def run_experiments(
         made = experiment(name)
         with styled():
             outcome = made.run(study)
-        write_outcome(store, name, made, outcome)
+        write_outcome(store, name, made, outcome, trial_note(settings.how_much))
         outcomes.append((name, outcome))
         write_report(store)
         done(name, outcome)

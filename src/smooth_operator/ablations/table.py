@@ -10,14 +10,14 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.ablations.bootstrap import Estimate, contrast, mean_of
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures_more import Panel, table_figure
 from smooth_operator.ablations.follow import Field, effort_ms, field_of
+from smooth_operator.ablations.intervals import Estimate, Samples, contrast, mean_of, typical
 from smooth_operator.ablations.more_sizes import more_size
 from smooth_operator.ablations.study import Job, Study
 from smooth_operator.ablations.takes import LEAD, led, middle, recording_of
-from smooth_operator.ablations.verdicts import Held, Verdict, judge_direction
+from smooth_operator.ablations.verdicts import Direction, Verdict, judge
 from smooth_operator.benchmark.built import built_for
 from smooth_operator.benchmark.cells import Cell, fingerprint
 from smooth_operator.benchmark.latency import measure_latency
@@ -63,33 +63,53 @@ class Benchmark:
     Attributes:
         labels: of the methods.
         values: (definition, label, metric) -> recording -> figure.
-        recordings: names.
+        units: name of a recording -> the independent unit that it belongs to.
         others: the largest share of the cores that other processes took while latency was measured.
     """
 
     labels: Sequence[str]
     values: Mapping[tuple[Definition, str, str], Mapping[str, float]]
-    recordings: Sequence[str]
+    units: Mapping[str, str]
     others: float | None
 
     def each(self, definition: Definition, label: str, metric: Metric) -> list[float]:
         """A figure by recording; those without it are left out."""
-        own = self.values.get((definition, label, metric.name), {})
-        return [own[name] for name in self.recordings if name in own]
+        return list(self._own(definition, label, metric).values())
 
     def mean(self, definition: Definition, label: str, metric: Metric) -> Estimate | None:
-        """With an interval over recordings; None where there is none."""
-        own = self.each(definition, label, metric)
-        return mean_of([[value] for value in own]) if own else None
+        """With an interval over independent recordings, geometric for what is to be small; None
+        where there is none."""
+        own = self._own(definition, label, metric)
+        if not own:
+            return None
+        over = typical if metric.goal == "down" else mean_of
+        return over(self._samples(own))
+
+    def _own(self, definition: Definition, label: str, metric: Metric) -> dict[str, float]:
+        own = self.values.get((definition, label, metric.name), {})
+        return {name: own[name] for name in self.units if name in own}
+
+    def _samples(self, own: Mapping[str, float]) -> Samples:
+        return Samples([[value] for value in own.values()], [self.units[name] for name in own])
 
     def better(self, definition: Definition, a: str, b: str, metric: Metric) -> Estimate | None:
-        """By how much a method is better than another, recording by recording; the unit is the
-        metric's, and for one whose goal is 1 that of the distance from it."""
-        x, y = (self.values.get((definition, label, metric.name), {}) for label in (a, b))
-        both_have = [name for name in self.recordings if name in x and name in y]
+        """By how much a method is better than another, recording by recording: positive is better.
+
+        Of a figure that is to be small it is the share by which the other's is larger, else a
+        difference in the metric's unit; of one whose goal is 1 of the distance from it.
+        """
+        x, y = (self._own(definition, label, metric) for label in (a, b))
+        both_have = [name for name in x if name in y]
         if not both_have:
             return None
-        merits = [[[merit(metric, own[name])] for name in both_have] for own in (x, y)]
+        if metric.goal == "down":
+            mine, others = (
+                self._samples({name: own[name] for name in both_have}) for own in (x, y)
+            )
+            return contrast(others, mine, "change")
+        merits = [
+            self._samples({name: merit(metric, own[name]) for name in both_have}) for own in (x, y)
+        ]
         return contrast(merits[0], merits[1], "difference")
 
     def winners(self, definition: Definition, metric: Metric, labels: Sequence[str]) -> set[str]:
@@ -117,7 +137,7 @@ class BenchmarkTable:
         environment = study.store.environment
         return Outcome(
             f"{len(field.choices)} methods on {study.hand}, {frames:,} frames of "
-            f"{len(study.sources)} recordings. DexPilot, Hybrid and SBR are as their authors run "
+            f"{study.recordings}. DexPilot, Hybrid and SBR are as their authors run "
             "them (dexpilot:published, hybrid:published, sbr:paper); GeoRT is ours, with the model "
             "that comes with the hand; the others are as they come here. The first frame is shown "
             f"{LEAD} times before anything counts, so that no method is measured on its way from "
@@ -201,9 +221,7 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
                 if np.isfinite(p50):
                     values.setdefault((definition, label, LATENCY), {})[name] = float(p50)
     known = [share for share in shares if np.isfinite(share)]
-    return Benchmark(
-        list(field.choices), values, [s.name for s in study.sources], max(known, default=None)
-    )
+    return Benchmark(list(field.choices), values, study.unit_of, max(known, default=None))
 
 
 def _cut(source: Source, frames: int) -> Source:
@@ -258,20 +276,6 @@ def _plan(cell: Cell) -> Plan:
     return Plan(recording, hand, cell.method, cell.preset, cell.config, 0)
 
 
-def judge_order(pairs: Sequence[Held]) -> Held:
-    """The verdict on an order by those on its pairs.
-
-    Held where every pair is shown; in part where more are shown than shown the other way round;
-    not held where fewer are.
-    """
-    shown, opposite = pairs.count("held"), pairs.count("did not hold")
-    if pairs and shown == len(pairs):
-        return "held"
-    if shown == opposite:
-        return "not shown"
-    return "held in part" if shown > opposite else "did not hold"
-
-
 def _verdict(found: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict:
     """Does the paper's order of its four methods show here?"""
     paper = {label: PAPER_TABLE[PAPERS[label]][metric.name] for label in papers}
@@ -282,16 +286,16 @@ def _verdict(found: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict
         for b in order[i + 1 :]
         if (estimate := found.better("paper", a, b, metric)) is not None
     }
-    judged = {pair: judge_direction(e, 0.0, upwards=True) for pair, e in pairs.items()}
-    held = judge_order(list(judged.values()))
-    counts = {word: list(judged.values()).count(word) for word in ("held", "did not hold")}
+    better = Direction(0.0, upwards=True)
+    held = judge(better, list(pairs.values()))
+    judged = [better(one, among=len(pairs)) for one in pairs.values()]
+    counts = {word: judged.count(word) for word in ("held", "did not hold")}
     means = {label: found.mean("paper", label, metric) for label in papers}
     known = {label: mean.value for label, mean in means.items() if mean is not None}
     ours = sorted(known, key=lambda label: -merit(metric, known[label]))
     shown = " > ".join(f"{PAPERS[one]} {shown_value(metric, known[one])}" for one in ours)
     first = order[0] if order else ""
-    top = [judged[pair] for pair in judged if first in pair]
-    wins = judge_order(top)
+    wins = judge(better, [found for pair, found in pairs.items() if first in pair])
     sound = found.winners("sound", metric, papers)
     best_sound = ", ".join(PAPERS[label] for label in papers if label in sound) or "none"
     every = ", ".join(sorted(found.winners("sound", metric, list(found.labels)))) or "none"
@@ -307,10 +311,10 @@ def _verdict(found: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict
         held,
         f"The paper's order, best first: "
         f"{', '.join(f'{PAPERS[one]} {shown_value(metric, paper[one])}' for one in order)}. Here, "
-        f"by the paper's definition: {shown}. Of {len(judged)} pairs {counts['held']} are shown to "
-        f"stand in the paper's order and {counts['did not hold']} in the opposite one. That "
-        f"{PAPERS.get(first, 'none')} is the best: {wins}. (In part: more pairs shown than shown "
-        "the other way round.) By the sound definition the best of the "
+        f"by the paper's definition: {shown}. Of {len(judged)} pairs, with intervals widened for "
+        f"their number, {counts['held']} are shown to stand in the paper's order and "
+        f"{counts['did not hold']} in the opposite one. That {PAPERS.get(first, 'none')} is the "
+        f"best: {wins}. By the sound definition the best of the "
         f"four is {best_sound}, and of all methods here {every}.{close} Verdict on the order: "
         f"{held}.",
     )
@@ -332,8 +336,8 @@ def _paper_table(found: Benchmark, papers: Sequence[str]) -> Table:
         "The paper's table",
         ["metric", *(PAPERS[label] for label in papers)],
         rows,
-        "★: the best of a row. Means over recordings, 95 % bootstrap intervals over them; by the "
-        f"paper's definitions. {PAPER_NOTE}{_busy(found)}",
+        "★: the best of a row. Means over independent recordings (flatness and latency: geometric "
+        f"ones) with 95 % intervals; by the paper's definitions. {PAPER_NOTE}{_busy(found)}",
     )
 
 
@@ -348,7 +352,8 @@ def _table(found: Benchmark, definition: Definition) -> Table:
         f"All methods, by the {'paper’s' if definition == 'paper' else 'sound'} definitions",
         ["method", *(_TITLES[metric.name] for metric in HEADLINES)],
         rows,
-        f"★: the best of a column. Means over recordings, 95 % intervals.{_busy(found)}",
+        "★: the best of a column. Means over independent recordings (flatness and latency: "
+        f"geometric ones), 95 % intervals.{_busy(found)}",
     )
 
 

@@ -15,7 +15,6 @@ from jaxtyping import Float, Int
 
 from smooth_operator.benchmark.sources import SYNTHETIC_SECONDS, Source
 from smooth_operator.errors import RecordingError
-from smooth_operator.sources import SyntheticOperator
 from smooth_operator.sources.tracker import TrackerModel, TrackerStream
 from smooth_operator.types import HandRecording
 
@@ -117,7 +116,7 @@ def at_rate(source: Source, rate_hz: float, seconds: float) -> Take | None:
     begin = float(recording.stamps[0]) + max(0.0, (recording.duration - seconds) / 2)
     end = begin + min(seconds, recording.duration)
     if source.request.path is None:
-        operator = SyntheticOperator(seed=source.request.seed, side=source.side, rate_hz=rate_hz)
+        operator = replace(source.request, rate=rate_hz, noise=0.0).operator()
         whole = operator.record(SYNTHETIC_SECONDS)
         inside = np.flatnonzero((whole.stamps >= begin - 1e-9) & (whole.stamps < end + 1e-9))
         clean = whole[int(inside[0]) : int(inside[-1]) + 1]

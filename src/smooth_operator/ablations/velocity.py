@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from smooth_operator.ablations.bootstrap import Estimate, contrast, pooled
 from smooth_operator.ablations.comparison import Comparison, compare_solvers, setup_of
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures import comparison_figure
+from smooth_operator.ablations.intervals import Estimate, contrast, mean_of, pooled
 from smooth_operator.ablations.lineup import NEWTON, SAMPLING
 from smooth_operator.ablations.solver import percent
 from smooth_operator.ablations.study import Study
-from smooth_operator.ablations.verdicts import Verdict, both, judge_effect, judge_equality
+from smooth_operator.ablations.verdicts import Effect, Equality, Verdict, judge
 
 VELOCITY_WEIGHT: Final = 0.05
 PAPER_FACTOR: Final = 7.18
@@ -49,7 +49,7 @@ class VelocityTerm:
                 Drawing(
                     "velocity",
                     "Tracking loss, joint jitter and time a frame, without (open) and with the "
-                    "velocity term (filled). Bars: 95 % intervals over recordings and seeds.",
+                    "velocity term (filled). Bars: 95 % intervals over independent recordings.",
                     comparison_figure([without, held]),
                 )
             ],
@@ -76,7 +76,7 @@ def _added(without: Comparison, held: Comparison, label: str) -> Estimate:
 
 
 def _factor_verdict(factor: Estimate, without: Comparison, with_term: Comparison) -> Verdict:
-    held = judge_effect(factor, 1.0, PAPER_FACTOR)
+    held = judge(Effect(1.0, PAPER_FACTOR), [factor])
     each = ", ".join(
         f"{label} {_factor(without, with_term, label).value:.3g}"
         for label in _common(without, with_term)
@@ -93,8 +93,8 @@ def _factor_verdict(factor: Estimate, without: Comparison, with_term: Comparison
 
 
 def _loss_verdict(added: Estimate, without: Comparison) -> Verdict:
-    held = judge_effect(added, 0.0, PAPER_LOSS)
-    share = added.value / without.mean(SAMPLING, "loss").value
+    held = judge(Effect(0.0, PAPER_LOSS), [added])
+    share = added.value / mean_of(without.samples(SAMPLING, "loss")).value
     return Verdict(
         "the velocity term costs tracking loss",
         f"+ {PAPER_LOSS}",
@@ -113,10 +113,10 @@ def _comparable_verdict(found: Comparison) -> Verdict:
         for other in (found.lineup.slsqp, batched)
     ]
     losses = [
-        contrast(found.samples(other, "loss"), found.samples(SAMPLING, "loss"), "ratio")
+        contrast(found.samples(other, "loss"), found.samples(SAMPLING, "loss"), "change")
         for other in (found.lineup.slsqp, batched)
     ]
-    held = both(*(judge_equality(one, 1 / COMPARABLE, COMPARABLE) for one in ratios))
+    held = judge(Equality(1 / COMPARABLE, COMPARABLE), ratios)
     newton = contrast(found.samples(NEWTON, "jitter"), found.samples(SAMPLING, "jitter"), "ratio")
     return Verdict(
         "with the term, gradient solvers reach jitter comparable to sampling's",
@@ -127,7 +127,7 @@ def _comparable_verdict(found: Comparison) -> Verdict:
         "sampling's, at slightly higher loss. Here the jitter of single-start SLSQP is "
         f"{ratios[0].shown(3)} times that of sampling, that of {batched} {ratios[1].shown(3)} "
         f"times; comparable means within a factor of {COMPARABLE:g}. Their loss is "
-        f"{percent(losses[0].mapped(1, -1))} and {percent(losses[1].mapped(1, -1))} against "
+        f"{percent(losses[0])} and {percent(losses[1])} against "
         f"sampling's. Newton's jitter is {newton.shown(3)} times sampling's. Verdict: {held}.",
     )
 
@@ -147,5 +147,6 @@ def _table(without: Comparison, held: Comparison) -> Table:
         "What the velocity term does",
         ("solver", "jitter without [mrad]", "jitter with [mrad]", "divided by", "loss added"),
         rows,
-        "Factors are geometric means over recordings, with 95 % intervals.",
+        "Jitters and factors are geometric means over independent recordings, what is added to the "
+        "loss the arithmetic mean, with 95 % intervals.",
     )

@@ -2,8 +2,9 @@
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
 and may bring settings of its own after an ``@``, separated by commas: a range of frames, a rate, a
-side; for the built-in operator also the noise of its tracker. ``glove.npz@:500``,
-``video.npz@30hz``, ``synthetic:3@left,100:300``, ``synthetic:3@0.5mm``.
+side; for the built-in operator also the noise of its tracker, the length of its hand and its tempo.
+``glove.npz@:500``, ``video.npz@30hz``, ``synthetic:3@left,100:300``, ``synthetic:3@0.5mm``,
+``synthetic:3@17.5cm,1.2x``.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ SYNTHETIC_SECONDS: Final = 20.0
 
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 _NOISE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
+_LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)
+_SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*x", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,8 @@ class Request:
         rate: frames a second [Hz]; None as the file says.
         side: None as the file says.
         noise: of the built-in operator's tracker: standard deviation of each coordinate [m].
+        hand_length: of the built-in operator [m]; None as it comes.
+        speed: tempo of the built-in operator; 1 is natural.
     """
 
     path: Path | None
@@ -50,6 +55,32 @@ class Request:
     rate: float | None = None
     side: Side | None = None
     noise: float = 0.0
+    hand_length: float | None = None
+    speed: float = 1.0
+
+    @property
+    def unit(self) -> str:
+        """What an independent repetition is: the file, or the built-in operator of a seed.
+
+        Parts of one file, and one file read in several ways, are one unit.
+        """
+        return f"{SYNTHETIC}:{self.seed}" if self.path is None else str(self.path.resolve())
+
+    def operator(self) -> SyntheticOperator:
+        """The built-in operator that is asked for, with its tracker.
+
+        Raises:
+            ConfigError: the length of the hand or the tempo is outside its range.
+        """
+        made = SyntheticOperator(
+            seed=self.seed,
+            side=self.side or "right",
+            speed=self.speed,
+            tracker=TrackerModel(noise=self.noise, seed=self.seed),
+        )
+        if self.hand_length is not None:
+            made = replace(made, hand_length=self.hand_length)
+        return made if self.rate is None else replace(made, rate_hz=self.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +139,16 @@ def parse_request(
     name, at, options = text.rpartition("@")
     if not at or Path(text).exists():  # a file's name may hold an @
         name, options = text, ""
-    noise = 0.0
+    noise, length, speed = 0.0, None, 1.0
     for option in filter(None, (part.strip() for part in options.split(","))):
         if rated := _RATE.fullmatch(option):
             rate = float(rated[1])
         elif noisy := _NOISE.fullmatch(option):
             noise = 1e-3 * float(noisy[1])
+        elif long := _LENGTH.fullmatch(option):
+            length = 1e-2 * float(long[1])
+        elif fast := _SPEED.fullmatch(option):
+            speed = float(fast[1])
         elif ":" in option:
             frames = option
         elif option.lower() in ("left", "right", "l", "r"):
@@ -122,7 +157,8 @@ def parse_request(
             raise ConfigError(
                 f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
                 "frames (:500), a rate (60hz), a side (left) or, for the built-in operator, the "
-                "noise of its tracker (0.5mm), with commas between them"
+                "noise of its tracker (0.5mm), the length of its hand (17.5cm) and its tempo "
+                "(1.2x), with commas between them"
             )
     if frames is not None:
         frame_slice(frames, 10**12)  # a text that is no range is refused before anything is read
@@ -131,9 +167,12 @@ def parse_request(
         if not (seed.isascii() and seed.isdigit()):
             raise ConfigError(f"{name!r}: the seed must be a whole number, as in {SYNTHETIC}:3")
         own_rate = rate if "hz" in options.lower() else None
-        return Request(None, int(seed), frames, own_rate, side, noise)
-    if noise:
-        raise ConfigError(f"{text!r}: noise is for the built-in operator, as in {SYNTHETIC}:3@1mm")
+        return Request(None, int(seed), frames, own_rate, side, noise, length, speed)
+    if noise or length is not None or speed != 1.0:
+        raise ConfigError(
+            f"{text!r}: noise, length and tempo are for the built-in operator, as in "
+            f"{SYNTHETIC}:3@1mm,17.5cm,1.2x"
+        )
     return Request(Path(name), 0, frames, rate, side)
 
 
@@ -227,17 +266,8 @@ def _load(request: Request) -> Source:
 
 def _read(request: Request) -> HandRecording:
     if request.path is None:
-        operator = SyntheticOperator(
-            seed=request.seed,
-            side=request.side or "right",
-            tracker=TrackerModel(noise=request.noise, seed=request.seed),
-        )
-        if request.rate is not None:
-            operator = replace(operator, rate_hz=request.rate)
-        recording = operator.record(SYNTHETIC_SECONDS)
-        if not request.noise:
-            return recording
-        return replace(recording, name=f"{recording.name}+{1e3 * request.noise:g}mm")
+        recording = request.operator().record(SYNTHETIC_SECONDS)
+        return replace(recording, name=recording.name + _suffix(request))
     if request.path.is_dir():
         raise RecordingError(
             f"{request.path}: no recordings in it or in its folders; expected names that end in "
@@ -253,6 +283,14 @@ def _read(request: Request) -> HandRecording:
         if with_its_own is None:
             raise
         return with_its_own
+
+
+def _suffix(request: Request) -> str:
+    """What tells the built-in operator's recordings of one seed apart."""
+    length = "" if request.hand_length is None else f"+{1e2 * request.hand_length:g}cm"
+    speed = "" if request.speed == 1.0 else f"+{request.speed:g}x"
+    noise = f"+{1e3 * request.noise:g}mm" if request.noise else ""
+    return length + speed + noise
 
 
 def _or_none(request: Request) -> HandRecording | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 from rich import box
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from smooth_operator.ablations.experiment import Outcome
 from smooth_operator.ablations.report import REPORT, verdict_lines
+from smooth_operator.ablations.sizes import trial_note
 from smooth_operator.ablations.store import check_folder
 from smooth_operator.ablations.study import Advance, Track
 from smooth_operator.ablations.suite import Settings, load_recordings, run_experiments
@@ -56,13 +58,16 @@ def ablate(options: Experimenting, names: Sequence[str], recordings: Sequence[st
     ):
         try:
             outcomes = run_experiments(
-                settings, sources, _track(console, options.quiet), _told(console, options.quiet)
+                settings,
+                sources,
+                _track(console, options.quiet),
+                _told(console, options.quiet, len(names)),
             )
         except KeyboardInterrupt:
             _note(console, f"stopped; the same command goes on with what is in {options.output}")
             raise
     if not options.quiet:
-        _print_verdicts(outcomes)
+        _print_verdicts(outcomes, trial_note(settings.how_much))
         _note(console, f"wrote {options.output}: {', '.join(names)}, {REPORT}")
 
 
@@ -70,11 +75,18 @@ def _note(console: Console, text: str) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
-def _told(console: Console, quiet: bool) -> Callable[[str, Outcome], None]:
+def _told(console: Console, quiet: bool, count: int) -> Callable[[str, Outcome], None]:
+    """Says what came of an experiment, and how many of them are done."""
+    places = itertools.count(1)
+
     def done(name: str, outcome: Outcome) -> None:
         if not quiet:
             held = sum(verdict.held == "held" for verdict in outcome.verdicts)
-            _note(console, f"{name}: {held} of {len(outcome.verdicts)} claims held")
+            _note(
+                console,
+                f"{next(places)} of {count} experiments done; {name}: {held} of "
+                f"{len(outcome.verdicts)} claims held",
+            )
 
     return done
 
@@ -111,7 +123,7 @@ def _track(console: Console, quiet: bool) -> Track:
     return phase
 
 
-def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]]) -> None:
+def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]], warning: str) -> None:
     console = Console(highlight=False)
     if not console.is_terminal:  # a pipe or file has no width
         console.width = _WIDTH_OF_A_FILE
@@ -121,3 +133,5 @@ def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]]) -> None:
     for line in verdict_lines(outcomes):
         table.add_row(*line)
     console.print(table)
+    if warning:
+        console.print(warning.strip(), markup=False, style="bold yellow")
