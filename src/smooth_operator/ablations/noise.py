@@ -8,16 +8,13 @@ from typing import Any, Final
 
 from smooth_operator.ablations.experiment import Drawing, Outcome, Table
 from smooth_operator.ablations.figures_more import Column, Row, sweep_figure
-from smooth_operator.ablations.follow import PUBLISHED_SBR, Sweep, field_of, run_sweep
+from smooth_operator.ablations.follow import BASELINES, PUBLISHED_SBR, Sweep, field_of, run_sweep
 from smooth_operator.ablations.intervals import Estimate
 from smooth_operator.ablations.more_sizes import more_size
 from smooth_operator.ablations.study import Study, counted
 from smooth_operator.ablations.takes import LEAD, middle, recording_of, through_tracker
 from smooth_operator.ablations.verdicts import Direction, Verdict, judge
 from smooth_operator.sources.tracker import TrackerModel
-
-BASELINES: Final = ("dexpilot", "geort", "hybrid")
-"""Those of the paper's table."""
 
 NOISE: Final = 1e-3
 """Noise that verdicts are given at [m]: a glove's or a good camera's; or the nearest there is."""
@@ -77,8 +74,9 @@ class TrackerNoise:
             "in the mean, whose commands repeat the last. Methods see the bad tracker and are "
             "measured against the hand as it was; a recording of a real tracker has its own noise "
             f"in both. The first frame is shown {LEAD} times before anything counts. Methods are "
-            "as they come here (sbr is our preset realtime), and sbr:paper is the paper's method "
-            f"with the paper's settings.{field.told()}",
+            "as they come here (sbr is our preset realtime); those of the paper's table are in it "
+            "as their authors run them, too (sbr:paper, dexpilot:published, hybrid:published), and "
+            f"verdicts are on these, with GeoRT by our model.{field.told()}",
             [_smooth_verdict(sweep, noises), _step_verdict(sweep, losses),
              _price_verdict(sweep, noises)],
             [
