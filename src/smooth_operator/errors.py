@@ -76,8 +76,9 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 
     def __init__(self, kind: str, name: str, available: Iterable[str], more: str = "") -> None:
         known = sorted(available)
-        close = get_close_matches(name, known, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
+        bare = {one.lstrip("-"): one for one in known}  # the dashes of options are like any others
+        close = get_close_matches(name.lstrip("-"), bare, n=1)
+        hint = f" Did you mean {bare[close[0]]!r}?" if close else ""
         self.message = f"unknown {kind} {name!r}.{hint} Available: {', '.join(known) or 'none'}."
         self.message += f" {more}" if more else ""
         super().__init__(self.message)

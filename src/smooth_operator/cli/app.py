@@ -74,8 +74,8 @@ def _run(arguments: list[str]) -> int:
             command = parse(arguments)
             command.run()
             return OK
-        except SystemExit as stop:  # of the parser: help is 0, a wrong argument 2
-            return stop.code if isinstance(stop.code, int) else USER_ERROR
+        except SystemExit as stop:  # of the parser: help is 0, completion None, a mistake 2
+            return stop.code if isinstance(stop.code, int) else USER_ERROR if stop.code else OK
         finally:
             sys.stdout.flush()  # here, where a broken pipe can still be answered
     except BrokenPipeError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import Final, TypeAlias
 
@@ -13,11 +14,14 @@ from smooth_operator.cli.calibrate_options import Calibrate
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
+from smooth_operator.cli.grammar import check_words
 from smooth_operator.cli.hands_options import Hands
+from smooth_operator.cli.help_text import document, wrapped_output
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.sample_options import Sample
 from smooth_operator.cli.study_options import Study
+from smooth_operator.cli.subcommands import described
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.tune_options import Tune
@@ -101,24 +105,29 @@ def parse(arguments: Sequence[str]) -> Command:
 
     Raises:
         SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
+        SmoothOperatorError: there is no such command or option.
     """
+    check_words(_COMMANDS, arguments)
     flags = (tyro.conf.FlagCreatePairsOff,)
     name = arguments[0] if arguments else ""
-    if name in _COMMANDS:
-        kind = _COMMANDS[name]
-        return tyro.cli(
-            kind,
-            prog=f"smooth-operator {name}",
-            description=f"{kind.__doc__}\n\n{kind.details}",
-            args=list(arguments[1:]),
+    for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
+    with contextlib.nullcontext() if for_a_shell else wrapped_output():
+        if name in _COMMANDS:
+            kind = _COMMANDS[name]
+            document(kind)
+            return tyro.cli(
+                kind,
+                prog=f"smooth-operator {name}",
+                description=described(kind),
+                args=list(arguments[1:]),
+                config=flags,
+            )
+        # All together: for the overview.
+        tyro.extras.subcommand_cli_from_dict(
+            dict(_COMMANDS),
+            prog="smooth-operator",
+            description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
+            args=list(arguments) or ["--help"],
             config=flags,
         )
-    # All together: for the overview, and for the message about a command that does not exist.
-    tyro.extras.subcommand_cli_from_dict(
-        dict(_COMMANDS),
-        prog="smooth-operator",
-        description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
-        args=list(arguments) or ["--help"],
-        config=flags,
-    )
     raise SystemExit(2)  # not reached: what names a command was parsed above

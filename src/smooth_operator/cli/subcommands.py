@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from smooth_operator.cli.help_text import unwrapped
+
 
 def described(kind: Any) -> str:
     """Help of a subcommand: what its class's docstring says, and its details."""
-    return f"{kind.__doc__}\n\n{kind.details}"
+    return unwrapped(f"{kind.__doc__}\n\n{kind.details}")
 
 
 class Group:

@@ -1,0 +1,125 @@
+"""Help that is wrapped once, and words that are no command or option."""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from smooth_operator.cli import main
+from smooth_operator.cli.grammar import option_names, subcommands
+from smooth_operator.cli.help_text import unwrapped
+from smooth_operator.cli.options import _COMMANDS
+from smooth_operator.cli.subcommands import Group
+
+EDGES = " ╭╰│"
+
+
+def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
+    for name, kind in _COMMANDS.items():
+        yield (name,), kind
+        if issubclass(kind, Group):
+            yield from (((name, inner), options) for inner, options in subcommands(kind).items())
+
+
+def printed(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
+    """What a command prints where UTF-8 is understood, as boxes are then drawn."""
+    stream = io.TextIOWrapper(io.BytesIO(), "utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        assert main(words) == 0
+    stream.seek(0)
+    return stream.read()
+
+
+def ragged(text: str, width: int) -> Iterator[str]:
+    """Lines that end although the next word would have had room."""
+    for first, second in pairwise(text.splitlines()):
+        line, after, room = first, second, width
+        if line.startswith("│") and after.startswith("│"):
+            room = len(line) - 2
+            line, after = line.strip("│").rstrip(), after.strip("│").rstrip()
+            column = len(after) - len(after.lstrip())
+            if column < 4 or line[column - 2 : column].strip() or not line[column:].strip():
+                continue
+        elif not line or line[0] in EDGES or not after or after[0] in EDGES:
+            continue
+        words = after.split()
+        example = words[:1] == ["smooth-operator"] or "  " in after.strip()  # kept as written
+        if words and not example and len(line) + 1 + len(words[0]) < room:
+            yield f"{line} | {words[0]}"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_help_is_wrapped_once_and_fits(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    for words, _ in [((), None), *commands()]:
+        text = printed(monkeypatch, *words, "--help")
+        assert list(ragged(text, width)) == [], words
+        longest = max(text.splitlines(), key=len)
+        assert len(longest) <= width, longest
+
+
+def test_what_is_indented_keeps_its_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "One\ntwo.\n\nFormats:\n  .a  first\n  b   second\nAfter\nthem."
+    assert unwrapped(text) == "One two.\n\nFormats:\n  .a  first\n  b   second\n\nAfter them."
+    assert main(["convert", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "  a folder     a LeRobot dataset, v3.0 (extra lerobot)" in lines
+    assert any(line.startswith("A video (.mp4") for line in lines)
+
+
+def test_a_completion_is_for_the_shell(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", "--tyro-print-completion", "bash"]) == 0
+    assert "\n  complete -F _tyro_smooth_operator_convert" in capsys.readouterr().out
+
+
+def test_the_options_are_those_of_the_help(monkeypatch: pytest.MonkeyPatch) -> None:
+    for words, kind in commands():
+        if issubclass(kind, Group):
+            continue
+        text = printed(monkeypatch, *words, "--help")
+        listed = set(re.findall(r"^│ (--[a-z][\w.-]*)", text, re.MULTILINE))
+        assert set(option_names(kind)) == listed, words
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says", "never"),
+    [
+        ("retaget glove.npz", "unknown command 'retaget'. Did you mean 'retarget'?", "option"),
+        ("retarget x.npz --outpt y.npz", "unknown option '--outpt'. Did you mean '--output'?", "x"),
+        ("retarget x.npz --outpt=y.npz", "Did you mean '--output'?", "y.npz"),
+        ("study new folder --yes", "unknown option '--yes'. Available:", "Did you mean"),
+        ("study nwe folder", "unknown command 'nwe'. Did you mean 'new'?", "erase'"),
+        ("study erase me --yse", "Did you mean '--yes'?", "study new"),
+        ("teleop --limits.velocty 3", "Did you mean '--limits.velocity'?", "command"),
+        ("retarget x.npz -o y.npz", "unknown option '-o'.", "command"),
+        ("--hand leap_hand retarget x.npz", "'--hand' stands before the command", "unknown"),
+    ],
+)
+def test_a_misspelt_word_is_told_with_the_one_that_was_meant(
+    arguments: str, says: str, never: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments.split()) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert says in told.err
+    assert never not in told.err.split("Available")[0].replace("retarget x", "")
+    assert "smooth-operator" in told.err
+
+
+@pytest.mark.parametrize(
+    "arguments", ["retarget {} --frames -3:", "retarget {} --frames=-3:", "convert {} --output x"]
+)
+def test_values_that_look_like_options_are_none(
+    arguments: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = str(tmp_path / "none.npz")
+    assert main([word.format(missing) for word in arguments.split()]) == 2
+    assert "unknown" not in capsys.readouterr().err
