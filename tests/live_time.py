@@ -16,9 +16,9 @@ class Kept(Mailbox):
         super().__init__(clock)
         self.all: list[Arrival] = []
 
-    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> None:
-        self.all.append(Arrival(frame, self.clock() if received is None else received, session))
-        super().post(frame, received=received, session=session)
+    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> Arrival:
+        self.all.append(super().post(frame, received=received, session=session))
+        return self.all[-1]
 
 
 class Waits:

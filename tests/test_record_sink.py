@@ -10,21 +10,27 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ticks import make_tick
 
+from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.recording import LogWriter, read_episode, read_log, read_recording
+from smooth_operator.recording import Log, LogWriter, read_episode, read_log, read_recording
 from smooth_operator.recording.log_episode import write_log_episode
+from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.sinks.catalogue import build_sink
 from smooth_operator.sinks.record import RecordSink
 from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.tick import Mode
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.live import Mailbox
 from smooth_operator.types import Side
 
 
@@ -269,6 +275,19 @@ def test_disk_full_reaches_the_loop_once_and_recording_goes_on_in_another_file(
     assert len(early.numbers) > 40
     assert early.numbers.tolist() == list(range(len(early.numbers)))
     assert late.numbers[-1] == number - 1
+    (health,) = runner.health()
+    assert number == recorded(sink) + not_recorded(sink) + health.missed
+
+
+def recorded(sink: RecordSink) -> int:
+    """Ticks in all its files."""
+    loops = [read_log(path).loop for path in sink.paths]
+    return sum(len(loop.numbers) for loop in loops if loop is not None)
+
+
+def not_recorded(sink: RecordSink) -> int:
+    """Ticks that are not, as it says."""
+    return int(sink.note.split()[0]) if sink.note else 0
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs to mount a tmpfs")
@@ -297,7 +316,8 @@ def test_a_disk_that_is_really_full(hand: Hand, tmp_path: Path) -> None:
         assert log.truncated
         assert log.loop is not None
         assert len(log.loop.numbers) > 100
-        assert sink.note
+        refused = len(errors)  # the caller counts what raised
+        assert number + 1 == recorded(sink) + not_recorded(sink) + refused
     finally:
         subprocess.run(["umount", str(tmp_path)], check=True)
 
@@ -363,3 +383,43 @@ def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
             with_ticks += 1
         assert died - last < 1.0, (note, died - began)
     assert with_ticks >= 8
+
+
+def _recorded(hand: Hand, path: Path, stamps: list[float]) -> Log:
+    """The log of a tracker with these stamps, a frame every 10 ms; through mailbox and pipeline."""
+    mailbox, sink = Mailbox(clock=lambda: 0.0), RecordSink(path)
+    retargeter = Retargeter(hand, method="joint_angle")
+    pipeline = HandPipeline(retargeter, LoopConfig(rate=100.0), clock=lambda: now)
+    operator = SyntheticOperator(seed=3, rate_hz=100).record(len(stamps) / 100)
+    sink.open({"right": hand}, {})
+    for k, (frame, stamp) in enumerate(zip(operator, stamps, strict=True)):
+        now = 50.0 + 0.01 * k
+        mailbox.post(replace(frame, stamp=stamp), received=now)
+        sink.send(pipeline.step(now, mailbox.take("right")))
+    sink.close()
+    return read_log(path)
+
+
+@pytest.mark.parametrize("jump", [1000.0, 5.0, -1000.0, 1e12, 1e300, float("inf"), float("nan")])
+def test_one_bad_stamp_spoils_nothing(hand: Hand, tmp_path: Path, jump: float) -> None:
+    stamps = [7.0 + 0.01 * k for k in range(100)]
+    stamps[40] += jump
+    log = _recorded(hand, tmp_path / "a.mcap", stamps)
+    assert log.commands is not None
+    assert log.recording is not None
+    assert len(log.commands) == 100
+    np.testing.assert_allclose(np.diff(log.commands.stamps), 0.01, atol=1e-6)
+    assert len(log.recording) == (100 if abs(jump) < 1e6 else 99)
+    answered = np.flatnonzero(log.loop.answers) if log.loop is not None else np.empty(0)
+    np.testing.assert_allclose(log.recording.stamps, 50.0 + 0.01 * answered, atol=1e-6)
+    assert len(read_recording(tmp_path / "a.mcap")) == len(log.recording)
+    found = log.stages_ms["tracker"][np.isfinite(log.stages_ms["tracker"])]
+    assert found.max() < 1.0  # ms: the bad one is not taken for the fastest
+
+
+def test_a_clock_that_is_set_while_it_runs_keeps_its_pace(hand: Hand, tmp_path: Path) -> None:
+    set_by = [0.0] * 30 + [3600.0] * 30 + [-3600.0] * 30
+    stamps = [7.0 + 0.01 * k + by for k, by in enumerate(set_by)]
+    log = _recorded(hand, tmp_path / "a.mcap", stamps)
+    assert log.recording is not None
+    np.testing.assert_allclose(log.recording.stamps, 50.0 + 0.01 * np.arange(90), atol=1e-6)

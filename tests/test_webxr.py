@@ -116,6 +116,8 @@ def test_a_moment_without_hands_is_a_message() -> None:
         HEADER.pack(b"XRH1", 0, 0.0, 3, 0) + joints().tobytes(),
         HEADER.pack(b"XRH1", 0, 0.0, 4, 0),
         message(joints(), stamp=float("nan")),
+        message(joints(), stamp=1e300),
+        message(joints(), stamp=-1e12),
     ],
 )
 def test_a_broken_message_is_refused(bad: bytes) -> None:

@@ -57,6 +57,10 @@ class LogWriter:
 
     One log holds one hand and one robot. Use as a context manager; not for several threads at once.
 
+    Attributes:
+        path: the file.
+        commands_flushed: commands in the chunks that have reached the operating system.
+
     Args:
         path: where to write; the folder must exist.
         overwrite: replace a file that stands there.
@@ -93,6 +97,8 @@ class LogWriter:
                 f"not {chunk_bytes} and {flush_seconds}"
             )
         self.path = Path(path)
+        self.commands_flushed = 0
+        self._whole_bytes = 0  # the file up to the last chunk that was written
         self._chunk_bytes = chunk_bytes
         self._flush_seconds = flush_seconds
         self._pending_bytes = 0
@@ -117,7 +123,7 @@ class LogWriter:
             for topic in SCHEMAS:
                 if topic != LOOP:  # which only the logs of a live loop have
                     self._register(topic)
-            self._writer.flush()  # a log that is killed now is an empty log, not an empty file
+            self._end_chunk()  # a log that is killed now is an empty log, not an empty file
 
     def write_hand(self, frame: HandFrame) -> None:
         """Append a hand frame.
@@ -269,11 +275,7 @@ class LogWriter:
             OutputError: as for the class.
         """
         with self._writing():
-            assert self._stream is not None
-            self._writer.flush()
-            self._pending_bytes = 0
-            if sync:
-                os.fsync(self._stream.fileno())
+            self._end_chunk(sync=sync)
 
     def close(self) -> None:
         """Write what is pending and the index, and close the file. A second call does nothing.
@@ -286,6 +288,7 @@ class LogWriter:
         with self._writing():
             if self._config is not None:  # no frame ever came
                 self._message(CONFIG, {"configuration": self._config})
+            self._end_chunk()
             self._writer.finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
@@ -317,7 +320,8 @@ class LogWriter:
                 self._pending_since = now
             if messages:
                 # Whole nanoseconds, and MCAP has none before zero; the message keeps the stamp.
-                self._log_time = min(max(round(messages[0][1]["stamp"] * 1e9), 0), _MAX_LOG_TIME)
+                nanoseconds = min(max(messages[0][1]["stamp"] * 1e9, 0.0), float(_MAX_LOG_TIME))
+                self._log_time = min(round(nanoseconds), _MAX_LOG_TIME)
             if self._config is not None:
                 self._message(CONFIG, {"configuration": self._config})
                 self._config, self._config_written = None, True
@@ -327,8 +331,16 @@ class LogWriter:
                 self._pending_bytes >= self._chunk_bytes
                 or now - self._pending_since >= self._flush_seconds
             ):
-                self._writer.flush()
-                self._pending_bytes = 0
+                self._end_chunk()
+
+    def _end_chunk(self, *, sync: bool = False) -> None:
+        assert self._stream is not None
+        self._writer.flush()
+        if sync:
+            os.fsync(self._stream.fileno())
+        self._pending_bytes = 0
+        self.commands_flushed = self._sequence[COMMAND]
+        self._whole_bytes = self._stream.tell()
 
     def _message(self, topic: str, message: dict[str, Any]) -> None:
         data = _ENCODER.encode(message).encode()
@@ -364,9 +376,19 @@ class LogWriter:
         except OSError as error:
             stream, self._stream = self._stream, None
             if stream is not None:
+                self._give_up(stream)
+            raise output_error(self.path, error) from error
+
+    def _give_up(self, stream: IO[bytes]) -> None:
+        """Close the file without the chunk that is written in part."""
+        with contextlib.suppress(OSError):
+            file = os.dup(stream.fileno())
+            try:
                 with contextlib.suppress(OSError):
                     stream.close()
-            raise output_error(self.path, error) from error
+                os.ftruncate(file, self._whole_bytes)
+            finally:
+                os.close(file)
 
 
 def _points(array: np.ndarray) -> list[dict[str, float | None]]:

@@ -116,11 +116,12 @@ class HandPipeline:
         result: Result | None = None
         self.supervisor.update(now)  # what the operator switched since the last step
         if arrival is not None:
-            self._delay.see(arrival)
             why = implausible(arrival.frame)
-            why = (
-                self.supervisor.admits(arrival, now) if why is None else self.supervisor.refuse(why)
-            )
+            if why is None:
+                self._delay.see(arrival)
+                why = self.supervisor.admits(arrival, now)
+            else:
+                self.supervisor.refuse(why)
             if why is not None:
                 events.append(f"frame refused: {why}")
                 arrival = None

@@ -1,4 +1,4 @@
-"""Whether a frame can be what it says: of a human's size, and of that side."""
+"""Whether a frame can be what it says: of a human's size, of that side, of a time in seconds."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.landmarks import BASES, WRIST
+from smooth_operator.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame
 
 PALM_M = (0.05, 0.14)
@@ -32,6 +33,8 @@ def implausible(frame: HandFrame) -> str | None:
     What is missing is not judged: the method says whether it needs it. The reasons are few and
     have no figures in them, so that frames can be counted by reason.
     """
+    if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
+        return "a stamp that is no time in seconds"
     p = frame.landmarks
     palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
     if not np.isfinite(palm):

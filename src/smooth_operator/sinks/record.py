@@ -75,7 +75,10 @@ class RecordSink:
     def note(self) -> str:
         """What a person should know: ticks that are missing from the files."""
         lost = self._lost + (0 if self._recorder is None else self._recorder.dropped)
-        return f"{lost} ticks are not recorded: the disk was too slow, or failed" if lost else ""
+        if not lost:
+            return ""
+        told = "1 tick is" if lost == 1 else f"{lost} ticks are"
+        return f"{told} not recorded: the disk was too slow, or failed"
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Create the files; see :class:`~smooth_operator.sinks.sink.Sink`."""

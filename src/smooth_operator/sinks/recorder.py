@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import threading
 import time
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import OutputError, SinkError
-from smooth_operator.recording import LogWriter, read_log
+from smooth_operator.recording import LogWriter
 from smooth_operator.recording.loop_state import LoopState
 from smooth_operator.sinks.stamps import StampMap
 from smooth_operator.sinks.tick import Driver, Tick
@@ -33,7 +34,8 @@ class Recorder:
         buffer: ticks that may wait.
 
     Attributes:
-        dropped: ticks that are not in the files.
+        dropped: ticks that were taken, or found no room, and are not in the files; while the
+            recorder runs those that still wait count as recorded.
         empty: files in which nothing is, because the disk failed before.
 
     Raises:
@@ -54,6 +56,8 @@ class Recorder:
         self._flush_s, self._buffer = flush_s, buffer
         self._waiting: deque[Tick] = deque()
         self._events: list[str] = []
+        self._taken = 0  # ticks that went into the buffer
+        self._failed = False
         self._missed = 0  # since the last tick that found room
         self._stalled = 0.0
         self._error: Exception | None = None
@@ -82,9 +86,8 @@ class Recorder:
         with self._change:
             error, self._error = self._error, None
             if error is not None:
-                self.dropped += 1
-                raise error
-            if not self._thread.is_alive() or len(self._waiting) >= self._buffer:
+                raise error  # and the caller counts the tick
+            if self._failed or len(self._waiting) >= self._buffer:
                 self.dropped += 1
                 self._missed += 1
                 return
@@ -97,6 +100,7 @@ class Recorder:
                 self._events.append(f"no command for {self._stalled:.2f} s: the loop stood still")
                 self._stalled = 0.0
             self._waiting.append(tick)
+            self._taken += 1
             self._change.notify_all()
 
     def silence(self, seconds: float) -> None:
@@ -128,11 +132,15 @@ class Recorder:
         try:
             self._write()
         except Exception as error:  # of the disk, or a tick that no log can hold
+            logs = self._logs.values()
             with self._change:
-                self.dropped += len(self._waiting)
+                self._failed = True  # takes no more
+            self.empty += [log.path for log in logs if not log.give_up()]
+            with self._change:
+                # those that wait, those that were being written, those in a chunk that was lost
+                self.dropped += self._taken - sum(log.kept for log in logs)
                 self._waiting.clear()
                 self._error = error
-            self.empty += [log.path for log in self._logs.values() if log.give_up()]
 
     def _write(self) -> None:
         flushed = time.monotonic()
@@ -174,7 +182,7 @@ class _HandLog:
         self._log.write_config(config)
         self._stamps = StampMap()
         self._driver: Driver | None = None
-        self._pending = self._flushed = False
+        self._pending = False
 
     def write(self, tick: Tick, events: tuple[str, ...]) -> None:
         """Append a tick."""
@@ -211,20 +219,22 @@ class _HandLog:
         """Bring what is pending to the disk, where it outlives a power cut as well."""
         if self._pending:
             self._log.flush(sync=True)
-            self._pending, self._flushed = False, True
+            self._pending = False
 
     def close(self) -> None:
         """End the file."""
         self._log.close()
 
-    def give_up(self) -> bool:
-        """Save what can be saved, after an error; whether nothing is in the file."""
-        try:
-            self.flush()
+    @property
+    def kept(self) -> int:
+        """Ticks that are in the file."""
+        return self._log.commands_flushed
+
+    def give_up(self) -> int:
+        """Save what can be saved, after an error; the number of ticks in the file."""
+        with contextlib.suppress(OutputError):
             self._log.close()
-        except OutputError:
-            pass
-        return not self._flushed and read_log(self.path).commands is None
+        return self.kept
 
     def discard(self) -> None:
         """Take the file away, since its like for the other hand can't be written."""

@@ -22,8 +22,10 @@ class StampMap:
     A frame is stamped by its tracker, whose clock begins anew with every start; a command that
     answers no frame has the loop's own time. Each start of the tracker is shifted by one constant,
     reception minus stamp of its first frame, so that differences of stamps within it are the
-    tracker's own. Commands without a frame are put earlier by as much as frames lately came late,
-    lest they stand where the stamp of the next frame belongs.
+    tracker's own. A jump of the stamps counts as a start
+    (:data:`~smooth_operator.sources.live.JUMP_S`), so that one bad stamp moves no others. Commands
+    without a frame are put earlier by as much as frames lately came late, lest they stand where the
+    stamp of the next frame belongs.
     """
 
     def __init__(self) -> None:

@@ -15,8 +15,6 @@ Message: TypeAlias = tuple[bytes, ...]
 Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
 """The hands of a message that came at a time by the loop's clock [s]."""
 
-RESTART_S: Final = 1.0
-"""Stamps that jump back by more than this are of a tracker that was started again [s]."""
 SILENCE_S: Final = 1.0
 """Without a message for so long, a source waits for its tracker again [s]."""
 
@@ -28,8 +26,8 @@ class Intake:
 
     A message that can't be read is counted, and the last reason told in the health; it never ends
     the source. A hand's session goes up by one when its tracker was started again: it says a new
-    ``session``, its stamps jump back by more than :data:`RESTART_S`, or it begins or ceases to
-    stamp. Stamps that repeat or go back less are passed on as they are; the loop judges them.
+    ``session``, or it begins or ceases to stamp. Jumps of the stamps are the mailbox's affair, and
+    stamps that repeat or go back a little are the loop's.
 
     Args:
         running: the started source.
@@ -112,15 +110,10 @@ class _Tracker:
     def __init__(self) -> None:
         self._session = 0
         self._start: tuple[bool, str | None] | None = None
-        self._stamp = float("-inf")
 
     def session_of(self, reading: Reading) -> int:
         start = (reading.stamped, reading.session)
-        stamp = reading.frame.time
-        if self._start is not None and (start != self._start or stamp < self._stamp - RESTART_S):
+        if self._start is not None and start != self._start:
             self._session += 1
-            self._stamp = stamp
         self._start = start
-        # The newest, so that one late frame does not make the next one look like a restart.
-        self._stamp = max(self._stamp, stamp)
         return self._session

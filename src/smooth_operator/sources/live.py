@@ -22,6 +22,13 @@ from smooth_operator.types import HandFrame, Side
 Clock: TypeAlias = Callable[[], float]
 """Seconds that never go back: ``time.perf_counter``."""
 
+LATEST_STAMP_S: Final = 1e11
+"""Stamps are seconds and below this, the year 5138 of Unix time [s]; larger ones are of another
+unit."""
+JUMP_S: Final = 1.0
+"""Stamps that jump by more than this are of a tracker that was started again, or set its clock [s]:
+back from the newest one, or ahead of the time that went by since that one was received."""
+
 
 _GAPS: Final = 5
 """Times between frames of which the median is a tracker's period; few, since trackers change."""
@@ -35,6 +42,8 @@ class Arrival:
         frame: the hand; its stamp is by the tracker's clock, or ``received`` where it had none.
         received: when its last byte was here, by the loop's clock [s].
         session: which start of the tracker it belongs to; stamps of another session may begin anew.
+            It goes up by one with each start that the source knows of, and with each jump of the
+            stamps (:data:`JUMP_S`).
     """
 
     frame: HandFrame
@@ -66,27 +75,36 @@ class Mailbox:
         self._newest: dict[Side, Arrival] = {}
         self._latest: dict[Side, float] = {}
         self._gaps: dict[Side, deque[float]] = {}
+        self._sessions: dict[Side, _Sessions] = {}
         self._woken = False
         self._arrived = threading.Condition()
 
-    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> None:
+    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> Arrival:
         """Put in a frame.
 
         Args:
             frame: the hand.
             received: when it was received; now if left out.
-            session: see :class:`Arrival`.
+            session: which start of the tracker, as far as the source knows.
+
+        Returns:
+            it, as it waits now.
         """
         at = self.clock() if received is None else received
         with self._arrived:
             self.received += 1
             self.overwritten += frame.side in self._newest
-            self._newest[frame.side] = Arrival(frame, at, session)
+            sessions = self._sessions.setdefault(frame.side, _Sessions())
+            arrival = Arrival(
+                frame, at, sessions.of(at if frame.stamp is None else frame.stamp, at, session)
+            )
+            self._newest[frame.side] = arrival
             if frame.side in self._latest:
                 gaps = self._gaps.setdefault(frame.side, deque(maxlen=_GAPS))
                 gaps.append(at - self._latest[frame.side])
             self._latest[frame.side] = at
             self._arrived.notify_all()
+        return arrival
 
     def take(self, side: Side) -> Arrival | None:
         """The newest frame of a hand, once; None if none came since the last call."""
@@ -138,6 +156,31 @@ class Mailbox:
 
     def _has(self, sides: Collection[Side]) -> bool:
         return any(side in self._newest for side in sides)
+
+
+class _Sessions:
+    """Starts of the tracker of one hand: those that its source tells, and jumps of the stamps."""
+
+    def __init__(self) -> None:
+        self._told: int | None = None
+        self._jumps = 0
+        # The newest, so that one late frame does not make the next one look like a restart.
+        self._stamp = self._received = 0.0
+
+    def of(self, stamp: float, received: float, told: int) -> int:
+        """The session of a frame."""
+        if not abs(stamp) < LATEST_STAMP_S:
+            return told + self._jumps  # it is refused, and nothing follows from it
+        ahead = stamp - self._stamp
+        jumped = ahead < -JUMP_S or ahead - (received - self._received) > JUMP_S
+        if told != self._told:
+            self._told = told
+        elif jumped:
+            self._jumps += 1
+        elif ahead < 0:
+            return told + self._jumps
+        self._stamp, self._received = stamp, received
+        return told + self._jumps
 
 
 @dataclass(frozen=True)

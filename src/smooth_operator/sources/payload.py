@@ -25,13 +25,11 @@ from jaxtyping import Float
 from smooth_operator import landmarks as schema
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.recording.checks import PALM_RANGE_M, check_units
+from smooth_operator.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
 
 MAX_BYTES: Final = 65_536
 """Longest message that is read. Both hands of the wordiest bridge need a third of it."""
-
-LATEST_STAMP_S: Final = 1e11
-"""Stamps from here on are no seconds: as seconds since 1970 they lie in the year 5138."""
 
 # Points -> indices of the 21 landmarks and of the four metacarpal bases among them.
 _LAYOUTS: Final[dict[int, tuple[np.ndarray, np.ndarray | None]]] = {

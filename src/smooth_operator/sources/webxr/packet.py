@@ -27,6 +27,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
+from smooth_operator.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side
 
 MAGIC: Final = b"XRH1"
@@ -67,8 +68,8 @@ def read_packet(message: bytes) -> Packet:
     if len(message) < HEADER.size or message[:4] != MAGIC:
         raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
     _, number, stamp, hands, _ = HEADER.unpack_from(message)
-    if not np.isfinite(stamp):
-        raise RecordingError(f"the stamp must be finite, not {stamp}")
+    if not abs(stamp) < LATEST_STAMP_S:
+        raise RecordingError(f"the stamp must be a finite number of seconds, not {stamp:.6g}")
     sides = [side for bit, side in _SIDES if hands & bit]
     if hands > 3 or len(message) != HEADER.size + len(sides) * _HAND_BYTES:
         raise RecordingError(
