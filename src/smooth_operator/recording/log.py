@@ -24,6 +24,7 @@ from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.recording.atomic import output_error
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.recording.loop_state import LoopState
+from smooth_operator.recording.messages import hand_message, number
 from smooth_operator.recording.schemas import (
     COMMAND,
     CONFIG,
@@ -143,18 +144,7 @@ class LogWriter:
                 f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
                 f"{frame.side} one; write each hand to its own log"
             )
-        assert frame.valid is not None  # filled in by HandFrame
-        message: dict[str, Any] = {
-            "stamp": frame.stamp,
-            "side": frame.side,
-            "landmarks": _points(frame.landmarks),
-            "valid": frame.valid.tolist(),
-        }
-        if frame.metacarpals is not None:
-            message["metacarpals"] = _points(frame.metacarpals)
-        if frame.orientations is not None:
-            message["orientations"] = _quaternions(frame.orientations)
-        self._append((HAND, message))
+        self._append((HAND, hand_message(frame)))
         self._hand_stamp = frame.time
         self._side = frame.side
 
@@ -197,15 +187,15 @@ class LogWriter:
             raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
         timing = {
             "stamp": stamp,
-            "latency_ms": _number(latency_ms),
-            "stages": [{"name": k, "ms": _number(v)} for k, v in (stages or {}).items()],
+            "latency_ms": number(latency_ms),
+            "stages": [{"name": k, "ms": number(v)} for k, v in (stages or {}).items()],
         }
         status = Status(status)
         why = {"stamp": stamp, "status": int(status), "reason": status.reason}
         message = {
             "stamp": stamp,
             "names": names,
-            "positions": [_number(x) for x in positions.tolist()],
+            "positions": [number(x) for x in positions.tolist()],
         }
         # The command last, so that in a log that is cut off it never lacks its timing and status.
         beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
@@ -389,22 +379,3 @@ class LogWriter:
                 os.ftruncate(file, self._whole_bytes)
             finally:
                 os.close(file)
-
-
-def _points(array: np.ndarray) -> list[dict[str, float | None]]:
-    """Rows x, y, z as objects, None for what is not finite."""
-    return [{"x": x, "y": y, "z": z} for x, y, z in _rows(array)]
-
-
-def _quaternions(array: np.ndarray) -> list[dict[str, float | None]]:
-    """Rows w, x, y, z as objects, None for what is not finite."""
-    return [{"w": w, "x": x, "y": y, "z": z} for w, x, y, z in _rows(array)]
-
-
-def _rows(array: np.ndarray) -> list[list[float | None]]:
-    rows: list[list[float | None]] = array.tolist()
-    return rows if np.isfinite(array).all() else [[_number(x) for x in row] for row in rows]
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from smooth_operator.recording.messages import number
+
 
 @dataclass(frozen=True)
 class LoopState:
@@ -48,12 +50,12 @@ class LoopState:
             "stamp": stamp,
             "number": self.number,
             "mode": self.mode,
-            "time": _number(self.time),
-            "received": _number(self.received),
-            "tracker_stamp": _number(self.tracker_stamp),
+            "time": number(self.time),
+            "received": number(self.received),
+            "tracker_stamp": number(self.tracker_stamp),
             "session": self.session,
-            "tracking_loss": _number(self.tracking_loss),
-            "scale": _number(self.scale),
+            "tracking_loss": number(self.tracking_loss),
+            "scale": number(self.scale),
             "events": list(self.events),
         }
 
@@ -125,7 +127,3 @@ def read_loop_track(
             if m is not None and m["events"]
         },
     )
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)

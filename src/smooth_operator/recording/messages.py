@@ -1,0 +1,47 @@
+"""Values as the log's messages have them: JSON, in which what is not finite is null."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.types import HandFrame
+
+
+def hand_message(frame: HandFrame) -> dict[str, Any]:
+    """A hand frame as a message of ``/hand``."""
+    assert frame.valid is not None  # filled in by HandFrame
+    message: dict[str, Any] = {
+        "stamp": frame.stamp,
+        "side": frame.side,
+        "landmarks": points(frame.landmarks),
+        "valid": frame.valid.tolist(),
+    }
+    if frame.metacarpals is not None:
+        message["metacarpals"] = points(frame.metacarpals)
+    if frame.orientations is not None:
+        message["orientations"] = quaternions(frame.orientations)
+    return message
+
+
+def points(array: Float[np.ndarray, "N 3"]) -> list[dict[str, float | None]]:
+    """Rows x, y, z as objects."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in _rows(array)]
+
+
+def quaternions(array: Float[np.ndarray, "N 4"]) -> list[dict[str, float | None]]:
+    """Rows w, x, y, z as objects."""
+    return [{"w": w, "x": x, "y": y, "z": z} for w, x, y, z in _rows(array)]
+
+
+def number(value: float | None) -> float | None:
+    """A number, None where it is not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _rows(array: Float[np.ndarray, "N K"]) -> list[list[float | None]]:
+    rows: list[list[float | None]] = array.tolist()
+    return rows if np.isfinite(array).all() else [[number(x) for x in row] for row in rows]
