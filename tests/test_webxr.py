@@ -25,11 +25,12 @@ from smooth_operator.landmarks import BONES, FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.recording.checks import check_units
 from smooth_operator.sources.catalogue import build_source
 from smooth_operator.sources.live import Arrival, Mailbox
-from smooth_operator.sources.webxr import WebXr, addresses
+from smooth_operator.sources.webxr import WebXr, addresses, server
 from smooth_operator.sources.webxr.certificate import SWITCH, VALID, get_certificate
 from smooth_operator.sources.webxr.packet import HEADER, MAX_BYTES, read_packet
 from smooth_operator.sources.webxr.pairing import IN_ALL, PER_ADDRESS, WINDOW, Pairing
 from smooth_operator.types import Side
+from smooth_operator.web.listening import LimitedListener, listen
 
 pytest.importorskip("cryptography", reason="the extra webxr is not installed")
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -484,6 +485,68 @@ def test_a_plain_http_browser_and_noise_do_not_disturb(
     link, _ = host.welcome()
     link.close()
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Connections that never finish TLS cost memory each: beyond a few they are closed unread."""
+    monkeypatch.setattr(server, "_HANDSHAKE_S", 1.0)
+    started = Host()
+    port = int(started.address.rsplit(":", 1)[1])
+    flood: list[socket.socket] = []
+    try:
+        link, session = started.welcome()
+        flood += [socket.create_connection(("127.0.0.1", port), timeout=5) for _ in range(150)]
+        refused = sum(is_closed(raw) for raw in flood[server.MOST_OF_ONE_ADDRESS :])
+        assert refused == len(flood) - server.MOST_OF_ONE_ADDRESS
+        kept = [raw for raw in flood if not is_closed(raw, 0.0)]
+        assert len(kept) < server.MOST_OF_ONE_ADDRESS
+        # the paired headset goes on meanwhile
+        link.send(message(joints(-1), joints(), stamp=3.5))
+        arrival = started.arrival("right")
+        assert (arrival.frame.stamp, arrival.session) == (3.5, session)
+        # none of them stays: each has a second for its TLS
+        assert all(is_closed(raw, 5.0) for raw in kept)
+        newer, _ = started.welcome()
+        newer.close()
+        link.close()
+    finally:
+        for raw in flood:
+            raw.close()
+        started.source.stop()
+
+
+def is_closed(raw: socket.socket, seconds: float = 5.0) -> bool:
+    """Whether the other end has closed a connection, or does within a time."""
+    raw.settimeout(seconds)
+    try:
+        return raw.recv(1) == b""
+    except (TimeoutError, BlockingIOError):
+        return False
+    except ConnectionResetError:
+        return True
+
+
+def test_a_listener_has_room_again_when_a_connection_ends() -> None:
+    with LimitedListener(listen("127.0.0.1", 0), most=3, most_of_one=2) as door:
+        door.settimeout(0.2)
+        where = door.getsockname()
+        clients = [socket.create_connection(where) for _ in range(3)]
+        inside = [door.accept()[0] for _ in range(2)]
+        with pytest.raises(TimeoutError):
+            door.accept()
+        assert is_closed(clients[2])
+        assert not is_closed(clients[0], 0.05)
+        inside[0].close()
+        inside[0].close()  # counts once
+        clients.append(socket.create_connection(where))
+        inside.append(door.accept()[0])
+        clients.append(socket.create_connection(where))
+        with pytest.raises(TimeoutError):
+            door.accept()
+        for end in (*clients, *inside):
+            end.close()
 
 
 def test_stopping_tells_the_headset_and_frees_the_port(cache: Path) -> None:

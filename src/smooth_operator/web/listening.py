@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 import socket
+import threading
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+_REFUSED_IN_A_ROW: Final = 100
+"""Connections that one call of accept may refuse, so that a flood leaves time for the others."""
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -23,3 +31,66 @@ def listen(host: str, port: int) -> socket.socket:
         family=family,
         dualstack_ipv6=host == "::" and socket.has_dualstack_ipv6(),
     )
+
+
+class LimitedListener(socket.socket):
+    """A listening socket that accepts so many connections and no more.
+
+    Those beyond the limits are closed before anything is read or allocated for them, TLS included.
+    What counts is what is open at a time; it makes no difference what a connection is used for.
+
+    Args:
+        listening: a socket that listens; it is taken over.
+        most: connections at a time.
+        most_of_one: the same from one address, so that it can't take the place of all others.
+    """
+
+    def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:
+        timeout = listening.gettimeout()
+        super().__init__(
+            listening.family, listening.type, listening.proto, fileno=listening.detach()
+        )
+        self.settimeout(timeout)
+        self._most, self._most_of_one = most, most_of_one
+        self._open: Counter[str] = Counter()
+        self._change = threading.Lock()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection for which there is room.
+
+        Raises:
+            BlockingIOError: there is none now.
+        """
+        for _ in range(_REFUSED_IN_A_ROW):
+            connection, address = super().accept()
+            host = str(address[0])
+            with self._change:
+                room = self._open.total() < self._most and self._open[host] < self._most_of_one
+                if room:
+                    self._open[host] += 1
+            if room:
+                return _Counted(connection, partial(self._leave, host)), address
+            connection.close()
+        raise BlockingIOError
+
+    def _leave(self, host: str) -> None:
+        with self._change:
+            self._open[host] -= 1
+            if not self._open[host]:
+                del self._open[host]
+
+
+class _Counted(socket.socket):
+    """A connection that tells when it is closed."""
+
+    def __init__(self, connection: socket.socket, closed: Callable[[], None]) -> None:
+        super().__init__(
+            connection.family, connection.type, connection.proto, fileno=connection.detach()
+        )
+        self._when_closed: Callable[[], None] | None = closed
+
+    def close(self) -> None:
+        super().close()
+        closed, self._when_closed = self._when_closed, None
+        if closed is not None:
+            closed()

@@ -16,6 +16,7 @@ from smooth_operator.sources.webxr.certificate import Certificate
 from smooth_operator.sources.webxr.link import Link
 from smooth_operator.sources.webxr.packet import MAX_BYTES
 from smooth_operator.web.files import answer_with, page_files, shielded
+from smooth_operator.web.listening import LimitedListener
 from smooth_operator.web.listening import listen as web_listen
 from smooth_operator.web.origin import same_origin
 
@@ -24,7 +25,11 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 SOCKET_PATH: Final = "/link"
-_MOST_CONNECTIONS: Final = 32
+MOST_CONNECTIONS: Final = 64
+MOST_OF_ONE_ADDRESS: Final = 24
+"""A page takes seven at most, and a connection whose TLS is not yet agreed on 0.3 MB."""
+_HANDSHAKE_S: Final = 5.0
+"""How long each of TLS, the request and the greeting may take [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
 
 # Browsers try, give up, and come with plain HTTP; none of that is the operator's concern.
@@ -39,7 +44,7 @@ def listen(host: str, port: int) -> socket.socket:
         SourceError: the address is not one of this machine's, or the port is taken.
     """
     try:
-        return web_listen(host, port)
+        return LimitedListener(web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS)
     except OSError as error:
         raise SourceError(
             f"can't listen on {host!r} port {port}: {error.strerror or error}; name another port "
@@ -70,37 +75,27 @@ async def serve(
     site = page_files(__package__)
     site["/"] = site["/index.html"]
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
-    crowd: set[ServerConnection] = set()
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
         path = urlsplit(request.path).path
         if path == SOCKET_PATH:
             if not same_origin(request):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "not from this page\n")
-            if len(crowd) >= _MOST_CONNECTIONS:
-                return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "too many\n")
             return None
         if path not in site:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
         return answer_with(connection, *site[path])
 
-    async def talk(connection: ServerConnection) -> None:
-        crowd.add(connection)
-        try:
-            await link.serve(connection)
-        finally:
-            crowd.discard(connection)
-
     async with websockets(
-        talk,
+        link.serve,
         sock=listening,
         ssl=context,
         process_request=shielded(answer),
         server_header=None,
         compression=None,  # it would cost more time than the bytes that it saves
         max_size=MAX_BYTES + 64,
-        ssl_handshake_timeout=10.0,
-        open_timeout=5.0,
+        ssl_handshake_timeout=_HANDSHAKE_S,
+        open_timeout=_HANDSHAKE_S,
         close_timeout=1.0,
         ping_interval=2.0,
         ping_timeout=5.0,
