@@ -360,10 +360,14 @@ def test_view_finds_the_frames_and_refuses_another_recording(
     monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
     status, _, err = run("view", out, glove)
     assert status == 0, err
-    (page,) = pages
+    ((page,),) = pages
     np.testing.assert_array_equal(page.stamps, recording().stamps[7:19])
     np.testing.assert_array_equal(page.qpos, read_commands(out).joint_positions)
     assert "tiny" in page.title
+    assert run("view", out, out, glove)[0] == 0  # several, side by side
+    assert [one.label for one in pages[-1]] == ["sbr tiny (out)"] * 2
+    assert pages[-1][0].title == "mimic_p050 right"
+    assert "and then their recording" in run("view", glove)[2]
     out.with_suffix(".json").unlink()  # the commands alone will do
     assert run("view", out, glove)[0] == 0
 

@@ -31,7 +31,8 @@ from smooth_operator.ui.layout import FOV, plan, view_axes
 from smooth_operator.ui.markup import plain
 from smooth_operator.ui.meshes import body_meshes, finger_of_body, geom_mesh
 from smooth_operator.ui.palette import FINGER_COLORS, HIGHLIGHT, linear
-from smooth_operator.ui.readout import WINDOW, GapPlot, metrics_table, status_line
+from smooth_operator.ui.readout import metrics_table, status_line
+from smooth_operator.ui.timeline import GapCurves
 from smooth_operator.web import browser
 
 FINGERS = ("thumb", "index", "pinky")
@@ -111,7 +112,7 @@ def make_playback(frames: int = 60, rate: float = 100.0, sign: int = 1, **change
         "latency_ms": np.full(frames, 0.8),
         "human_tips": TIPS,
         "fingers": FINGERS,
-        "metrics": {"cosine_thumb": 0.99, "latency_ms": {"p50": 0.81}},
+        "metrics": {"cosine_similarity": 0.99, "latency_ms": {"p50": 0.81}},
     }
     return Playback(**(fields | changes))
 
@@ -292,7 +293,7 @@ def test_the_camera_sees_both_hands_from_the_palm_side(
     low, high = [], []
     for points, shift in (
         (playback.human.reshape(-1, 3), layout.human_shift),
-        (playback.robot_tips.reshape(-1, 3), layout.robot_shift),
+        (playback.robot_tips.reshape(-1, 3), layout.robot_shifts[0]),
     ):
         x, y, depth = ((points + shift - position) @ view.T).T
         assert depth.min() > 0
@@ -332,30 +333,37 @@ def test_the_status_line_says_frame_time_reason_and_latency() -> None:
     latency = np.full(60, 1.25)
     latency[8] = np.nan
     playback = make_playback(status=status, latency_ms=latency)
-    line = status_line(playback, 7)
+    line = status_line([playback], 7)
     assert 'data-frame="7"' in line
     assert "0.07" in line
     assert "1.25 ms" in line
     assert Status.DEGENERATE_PALM.reason in line
-    assert "status 99" in status_line(playback, 8)
-    assert "no latency" in status_line(playback, 8)
+    assert "status 99" in status_line([playback], 8)
+    assert "no latency" in status_line([playback], 8)
 
 
-def test_the_metrics_table_flattens_and_cannot_be_broken_by_its_content() -> None:
-    table = metrics_table(
-        {"scale_ratio": 0.93712345, "latency_ms": {"p50": 1}, "q|": "<b>{x}|", "n": None,
-         "curve": np.zeros(100), "pair": (1.5, 2)}
-    )  # fmt: skip
-    rows = table.splitlines()
-    assert rows[0] == "| metric | value |"
-    assert "| scale ratio | 0.9371 |" in rows
-    assert "| latency ms p50 | 1 |" in rows
-    assert "| pair | 1.5, 2 |" in rows
-    assert "| n | – |" in rows
-    assert not any("curve" in row for row in rows)
-    assert all(row.count("|") == 3 for row in rows)
+def test_the_metrics_come_in_groups_with_unit_direction_and_meaning() -> None:
+    figures = {"scale_ratio": 0.93712345, "self_collision": {"share": 0.25},
+               "latency_ms": {"p50": 1}, "pinch_error_per_finger_mm": {"index": 4.5},
+               "q<": "<b>{x}|", "n": None, "curve": np.zeros(100), "pair": (1.5, 2)}  # fmt: skip
+    table = metrics_table([make_playback(metrics=figures)])
+    shown = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", table))
+    order = ["Accuracy", "scale ratio", "robot over human; best at 1", "0.9371", "Grasping",
+             "self collision share", "less is better", "0.25", "pinch error per finger mm index",
+             "4.5", "Latency", "latency ms p50 [ms]", "Other", "q&lt;", "&lt;b&gt;{x}|",
+             "1.5, 2"]  # fmt: skip
+    places = [shown.index(words) for words in order]
+    assert places == sorted(places)
+    assert "curve" not in shown
     assert "<b>" not in table
-    assert "{" not in table
+
+
+def test_the_metrics_of_several_runs_stand_in_columns() -> None:
+    runs = [make_playback(metrics={"scale_ratio": v}, label=f"m{v}<") for v in (0.5, 0.75)]
+    rows = re.findall(r"<tr>(.*?)</tr>", metrics_table(runs))
+    cells = [[re.sub(r"<[^>]*>", "", c) for c in re.findall(r"<t[hd].*?</t[hd]>", r)] for r in rows]
+    assert cells[0] == ["", "m0.5&lt;", "m0.75&lt;"]
+    assert cells[1][1:] == ["0.5", "0.75"]
 
 
 @pytest.mark.parametrize(
@@ -377,17 +385,67 @@ def test_text_from_elsewhere_is_never_markup(text: str) -> None:
     assert "\n" not in plain("export\nconst")
 
 
-def test_the_plot_is_a_short_window_that_ends_now() -> None:
+def test_the_timeline_holds_the_whole_recording_and_a_cursor_at_the_frame() -> None:
     playback = make_playback(1000, rate=100.0)
-    plot = GapPlot(playback)
-    times, *curves = plot.window(900)
-    assert len(curves) == 4  # index and pinky, human and robot
-    assert times[0] >= -WINDOW
-    assert times[-1] == 0.0
-    assert len(times) <= 402
-    assert curves[2][-1] == pytest.approx(1e3 * playback.robot_gaps()[900, 0], rel=1e-5)
-    assert max(curve.max() for curve in curves) <= plot.top
-    assert [len(part) for part in plot.window(0)] == [1] * 5
+    curves = GapCurves([playback])
+    for frame in (0, 437, 999):
+        times, *gaps, cursor = curves.at(frame)
+        assert len(gaps) == 4  # index and pinky, human and robot
+        assert len(curves.series) == 6
+        assert (times[0], times[-1]) == (0.0, playback.times[-1])
+        assert (np.diff(times) >= 0).all()
+        assert len(times) <= 602
+        upright = np.isfinite(cursor).nonzero()[0]
+        np.testing.assert_allclose(times[upright], playback.times[frame])
+        assert cursor[upright].tolist() == [0.0, curves.top]
+        expected = 1e3 * playback.robot_gaps()[frame, 0]
+        np.testing.assert_allclose(gaps[2][upright], expected, rtol=1e-2)
+        assert max(gap.max() for gap in gaps) <= curves.top
+
+
+def test_several_runs_are_compared_by_one_finger() -> None:
+    shift = np.array([[0.0], [0.01], [0.02]])
+    first = make_playback(label="a")
+    second = make_playback(label="b", robot_tips=first.robot_tips + shift)
+    curves = GapCurves([first, second])
+    labels = [series["label"] for series in curves.series]
+    assert labels == ["time", "human", "a", "b", "now"]
+    colors = [series["stroke"] for series in curves.series[2:4]]
+    assert len(set(colors)) == 2
+    fingers = ["#{:02x}{:02x}{:02x}".format(*color) for color in FINGER_COLORS]
+    assert not set(colors) & set(fingers)  # a colour means one thing
+    for finger in (0, 1):
+        curves.show(finger)
+        _, human, one, other, _ = curves.at(30)
+        for values, run in ((one, first), (other, second)):
+            expected = 1e3 * run.robot_gaps()[:, finger]
+            np.testing.assert_allclose(np.delete(values, [30, 31]), expected, rtol=1e-5)
+        np.testing.assert_allclose(np.delete(human, [30, 31]), 1e3 * first.human_gaps()[:, finger],
+                                   rtol=1e-5)  # fmt: skip
+
+
+def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side() -> None:
+    with pytest.raises(RecordingError, match="retarget the same frames"):
+        PlaybackServer([make_playback(60), make_playback(61)])
+    with pytest.raises(RecordingError, match="of the same fingers"):
+        PlaybackServer([make_playback(), make_playback(fingers=("thumb", "index", "ring"))])
+    with pytest.raises(RecordingError, match="nothing to play"):
+        PlaybackServer([])
+
+
+def test_several_robots_stand_apart_and_all_fit_the_picture() -> None:
+    playback = make_playback()
+    points = playback.robot_tips.reshape(-1, 3)
+    layout = plan(playback, points, points, points)
+    right = layout.right
+    shifts = [float(shift @ right) for shift in layout.robot_shifts]
+    width = float(np.ptp(points @ right))
+    assert len(shifts) == 3
+    assert min(np.diff(shifts)) > width
+    lows = [float((playback.human.reshape(-1, 3) @ right).min() + layout.human_shift @ right)]
+    ends = [*lows, *((points @ right).max() + shift for shift in shifts)]
+    middle = float(layout.centre @ right)
+    assert max(abs(end - middle) for end in ends) <= layout.half[0] + 1e-9
 
 
 def test_linear_light_keeps_the_ends_and_darkens_the_middle() -> None:
@@ -424,13 +482,13 @@ def test_finger_colors_differ_for_the_colour_blind() -> None:
 def test_the_scene_shows_the_kinematics_of_its_frame(
     server: PlaybackServer, playback: Playback
 ) -> None:
-    robot, joints = server._scene._robot, server._scene._human._joints
+    robot, joints = server._scene._robots[0], server._scene._human._joints
     server.set_frame(40)
     eventually(lambda: np.allclose(robot._tips.batched_positions, playback.robot_tips[40]))
     data = mujoco.MjData(playback.model)
     data.qpos[:] = playback.qpos[40]
     mujoco.mj_kinematics(playback.model, data)
-    eventually(lambda: server._panel._slider.value == 40)
+    eventually(lambda: server._panel._timeline.slider.value == 40)
     for body, node in robot._bodies.items():
         np.testing.assert_allclose(node.position, data.xpos[body], atol=1e-5)
         np.testing.assert_allclose(node.wxyz, data.xquat[body], atol=1e-4)
@@ -445,13 +503,13 @@ def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
         hand, lines = server._scene._human, server._scene._lines
         for frame in (1, 2):
             server.set_frame(frame)
-            eventually(lambda frame=frame: server._panel._slider.value == frame)
+            eventually(lambda frame=frame: server._panel._timeline.slider.value == frame)
             scales = hand._joints.batched_scales
             assert np.isfinite(hand._joints.batched_positions).all()
             assert (scales == 0).nonzero()[0].tolist() == ([6] if frame == 1 else [])
             lit = np.all(hand._joints.batched_colors == linear(np.array(HIGHLIGHT)), axis=-1)
             assert lit.nonzero()[0].tolist() == ([] if frame == 1 else [4, 8])
-            shown = np.all(lines["robot"].colors[:, 0] == linear(np.array(HIGHLIGHT)), axis=-1)
+            shown = np.all(lines["robot_0"].colors[:, 0] == linear(np.array(HIGHLIGHT)), axis=-1)
             assert shown.tolist() == [frame == 2, False]
 
 
@@ -641,7 +699,7 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
         assert page.get_by_text(label, exact=True).is_visible(), label
     assert page.get_by_text("test hand").first.is_visible()
     page.get_by_label("Keyvectors").uncheck()  # they move, too: what is compared is the hands
-    eventually(lambda: not server._scene._lines["robot"].visible)
+    eventually(lambda: not server._scene._lines["robot_0"].visible)
     # nothing pinches at the start
     colors = {color: color != HIGHLIGHT for color in (*FINGER_COLORS[:2], HIGHLIGHT)}
     start = settled(page, 470, 600, lambda p: all(has(p, c) == w for c, w in colors.items()))
@@ -655,7 +713,7 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
     page.wait_for_timeout(400)
     assert server.frame == held == int(page.evaluate(FRAME))
 
-    page.get_by_role("slider").first.press("End")
+    page.locator('[role=slider][aria-valuemax="299"]').press("End")
     page.wait_for_function(f"{FRAME} == 299")
     assert server.frame == 299
     for left, right in ((0, 235), (235, 470)):  # the human hand has moved, and the robot
@@ -668,9 +726,9 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
     server.pause()
 
     page.get_by_label("Overlay").check()
-    eventually(lambda: np.allclose(server._scene._roots["robot"].position, 0))
+    eventually(lambda: np.allclose(server._scene._roots["robot_0"].position, 0))
     page.get_by_role("tab", name="Metrics").click()
-    page.get_by_role("cell", name="cosine thumb").wait_for()
+    page.get_by_role("cell", name="cosine similarity").first.wait_for()
     assert problems == []
 
 

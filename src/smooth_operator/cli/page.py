@@ -15,7 +15,12 @@ from smooth_operator.ui import Playback
 
 
 def playback(
-    title: str, hand: Hand, trace: Trace, metrics: Mapping[str, Any], drawn: Hand | None = None
+    title: str,
+    hand: Hand,
+    trace: Trace,
+    metrics: Mapping[str, Any],
+    drawn: Hand | None = None,
+    label: str = "robot",
 ) -> Playback:
     """What the page plays.
 
@@ -26,6 +31,7 @@ def playback(
         metrics: for the page's table.
         drawn: the same hand on the model to draw, with the same joints by name, in any order; see
             :func:`smooth_operator.hands.published.on_model`. The hand itself if left out.
+        label: what stands above the robot.
     """
     drawn = drawn or hand
     model = drawn.model
@@ -49,4 +55,5 @@ def playback(
         fingers=trace.fingers,
         metrics=metrics,
         bodies=drawn.bodies,
+        label=label,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +12,13 @@ import numpy as np
 from smooth_operator.cli.outputs import read_configuration
 from smooth_operator.cli.page import playback
 from smooth_operator.cli.view_options import View
-from smooth_operator.errors import HandModelError, RecordingError
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.selection import FingerChoice, parse_fingers
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.metrics import evaluate
+from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.recording import config_path, read_commands, read_recording
 from smooth_operator.types import CommandTrajectory, HandRecording
@@ -27,31 +30,72 @@ def view(options: View) -> None:
 
     Raises:
         RecordingError: a file can't be read, or the commands do not belong to the recording.
-        HandModelError: the commands are not of this hand.
-        ConfigError: the page can't be served there.
+        HandModelError: the commands are not of this hand, or of different hands.
+        ConfigError: too few files are named, or the page can't be served there.
     """
-    commands = read_commands(options.commands)
-    config = read_configuration(config_path(options.commands)) or {}
+    *outs, source = options.files
+    if not outs:
+        raise ConfigError(
+            "view takes commands and then their recording, such as out.npz glove.npz; only "
+            f"{str(source)!r} is named"
+        )
+    runs = [_run(options, out, source) for out in outs]
+    hands = {run.hand.name: run.out for run in runs}
+    if len(hands) > 1:
+        (one, first), (other, second) = list(hands.items())[:2]
+        raise HandModelError(
+            f"{first} is of the hand {one!r} and {second} of {other!r}; side by side stand results "
+            "of one hand"
+        )
+    labels = ["robot"] if len(runs) == 1 else _labels(runs)
+    hand = runs[0].hand
+    drawn = None if options.model is None else drawn_on(hand, options.model)
+    title = f"{hand.name} {hand.spec.side}"
+    if len(runs) == 1 and runs[0].made_by:
+        title += f": {runs[0].made_by}"
+    pages = [
+        playback(title, run.hand, run.trace, evaluate(run.trace), drawn, label)
+        for run, label in zip(runs, labels, strict=True)
+    ]
+    serve(pages, host=options.host, port=options.port, open_browser=not options.no_browser)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One file of commands with what it answers."""
+
+    out: Path
+    hand: Hand
+    trace: Trace
+    made_by: str
+
+
+def _run(options: View, out: Path, source: Path) -> _Run:
+    commands = read_commands(out)
+    config = read_configuration(config_path(out)) or {}
     rate = options.rate if options.rate is not None else config.get("rate")
-    recording = read_recording(
-        options.recording, rate=rate, side=options.side or config.get("side")
-    )
-    recording = _answered(commands, recording, options.commands, options.recording)
+    recording = read_recording(source, rate=rate, side=options.side or config.get("side"))
+    recording = _answered(commands, recording, out, source)
     name = options.hand or config.get("hand", "mimic_p050")
     hand = load_hand(name, recording.side, fingers=_fingers(options, config))
     if commands.joint_names != hand.joint_names:
         raise HandModelError(
-            f"{options.commands} holds commands for the joints {', '.join(commands.joint_names)}, "
+            f"{out} holds commands for the joints {', '.join(commands.joint_names)}, "
             f"but the hand {hand.name!r} has {', '.join(hand.joint_names)}; name the right hand "
             "with --hand"
         )
-    drawn = None if options.model is None else drawn_on(hand, options.model)
     trace = assemble_trace(recording, commands, hand, _alignment(config))
-    metrics = evaluate(trace)
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)
-    title = f"{hand.name} {hand.spec.side}" + (made_by and f": {made_by}")
-    page = playback(title, hand, trace, metrics, drawn)
-    serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
+    return _Run(out, hand, trace, made_by)
+
+
+def _labels(runs: Sequence[_Run]) -> list[str]:
+    """What each is called: its method, or its file where that is not known or two share one."""
+    said = [run.made_by or run.out.stem for run in runs]
+    return [
+        name if said.count(name) == 1 else f"{name} ({run.out.stem})"
+        for name, run in zip(said, runs, strict=True)
+    ]
 
 
 def _answered(

@@ -15,19 +15,22 @@ from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
 class View(Common, Page, Meshes):
     """Play joint commands beside the hand that they came from, in the browser."""
 
-    details: ClassVar[str] = """Commands and frames are matched by their time stamps.
+    details: ClassVar[
+        str
+    ] = """Commands and frames are matched by their time stamps. Several files of
+commands, of the same frames on the same hand, stand side by side, each under its method's name; the
+human hand is aligned as the first method saw it.
 
 Examples:
   smooth-operator view out.npz glove.npz
+  smooth-operator view smooth.npz dexpilot.npz glove.npz
   smooth-operator view out.npz glove.npz --model vendor/right_hand.xml
   smooth-operator view smooth-operator-demo/commands.npz smooth-operator-demo/log.mcap
 """
 
-    commands: Annotated[Positional[Path], arg(metavar="OUT.npz")]
-    """Commands, as retarget writes them."""
-
-    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
-    """The recording that they answer."""
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="OUT.npz... RECORDING")]
+    """Commands, as retarget writes them, of one method or of several; then the recording that they
+    answer."""
 
     hand: Annotated[str | None, arg(metavar="NAME")] = None
     """Robot hand; as OUT.json says if left out."""

@@ -12,6 +12,7 @@ from smooth_operator.ui.layout import FOV, camera_for
 
 _PHONE = 0.75  # below this width / height, the panel is a sheet over the canvas's lower part
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first
+_MOST = 0.6  # share of a canvas that a panel may take from the picture
 
 _Aim = tuple[tuple[int, int], np.ndarray]  # canvas size [px], camera position [m]
 
@@ -24,6 +25,7 @@ class Aiming:
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
         centre: its middle [m].
         half: its half width and half height [m].
+        below: height of a panel that covers the lower edge of a desktop's canvas [px].
     """
 
     def __init__(
@@ -32,8 +34,9 @@ class Aiming:
         axes: Float[np.ndarray, "3 3"],
         centre: Float[np.ndarray, "3"],
         half: tuple[float, float],
+        below: float = 0.0,
     ) -> None:
-        self._axes, self.centre, self.half = axes, centre, half
+        self._axes, self.centre, self.half, self._below = axes, centre, half, below
         self._aims: dict[int, deque[_Aim]] = {}
         up = axes[1]
         server.scene.set_up_direction(up)
@@ -46,7 +49,8 @@ class Aiming:
     def aim(self, client: viser.ClientHandle) -> None:
         """Point one browser's camera at both hands, whatever the shape of its window."""
         camera = client.camera
-        covered = _SHEET if camera.aspect < _PHONE else 0.0
+        panel = min(self._below / max(camera.image_height, 1), _MOST)
+        covered = _SHEET if camera.aspect < _PHONE else panel
         position, target = self._camera(camera.aspect, covered)
         with client.atomic():
             camera.up_direction = self._axes[1]

@@ -30,9 +30,10 @@ class Layout:
     Attributes:
         right, up, toward: orthonormal axes in the model's world frame: the screen's right, the
             fingers' direction, and the palm normal, toward the viewer.
-        human_shift, robot_shift: offsets of the two hands, side by side [m].
+        human_shift: offset of the human hand, side by side [m].
+        robot_shifts: offset of each robot hand, side by side [m].
         centre: middle of the whole picture, side by side [m].
-        tops: points above the human and the robot hand, for labels, before the shifts [m].
+        tops: points above the human and each robot hand, for labels, before the shifts [m].
         half: half width and half height of the whole picture [m].
     """
 
@@ -40,9 +41,9 @@ class Layout:
     up: Float[np.ndarray, "3"]
     toward: Float[np.ndarray, "3"]
     human_shift: Float[np.ndarray, "3"]
-    robot_shift: Float[np.ndarray, "3"]
+    robot_shifts: tuple[Float[np.ndarray, "3"], ...]
     centre: Float[np.ndarray, "3"]
-    tops: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
+    tops: tuple[Float[np.ndarray, "3"], ...]
     half: tuple[float, float]
 
     def camera(
@@ -88,42 +89,56 @@ def camera_for(
     return target + distance * direction / np.linalg.norm(direction), target
 
 
-def plan(playback: Playback, robot_points: Float[np.ndarray, "N 3"]) -> Layout:
-    """Lay out the scene for a recording.
+def plan(playback: Playback, *robots: Float[np.ndarray, "_ 3"]) -> Layout:
+    """Lay out the scene for a recording: the human hand, and each robot hand to its right.
 
     Args:
-        playback: what is played.
-        robot_points: (N, 3) points that bound the robot hand over the recording, world frame [m].
+        playback: what is played, by one of the robots.
+        robots: (N, 3) points that bound a robot hand over the recording, world frame [m].
 
     Returns:
         The layout; without any valid human frame it stands on the robot's fingertips.
     """
     right, up, toward = view_axes(playback)
     human = playback.human[np.isfinite(playback.human).all(axis=-1)]
-    human = human if len(human) else robot_points
+    human = human if len(human) else robots[0]
     axes = np.stack([right, up, toward])
     low_h, high_h = _bounds(human @ axes.T, pad=0.01)
-    robot = robot_points @ axes.T
-    # a forearm may run out of the picture below; framed whole, it would leave the hand small
     floor = min(low_h[1], float(axes[1] @ playback.robot_wrist)) - _FOREARM
-    low_r, high_r = _bounds(robot[robot[:, 1] > floor])
-    low_r[1] = max(robot[:, 1].min(), floor)
-
-    low, high = np.minimum(low_h, low_r), np.maximum(high_h, high_r)
+    boxes = [(low_h, high_h), *(_above(points @ axes.T, floor) for points in robots)]
+    low = np.min([box[0] for box in boxes], axis=0)
+    high = np.max([box[1] for box in boxes], axis=0)
     high[1] += _LABEL
     middle = (low + high) / 2
-    width = (high_h - low_h)[0] + GAP + (high_r - low_r)[0]
+    widths = [(box[1] - box[0])[0] for box in boxes]
+    width = sum(widths) + GAP * len(robots)
     left = middle[0] - width / 2
+    shifts = []
+    for box, own in zip(boxes, widths, strict=True):
+        shifts.append((left - box[0][0]) * right)
+        left += own + GAP
     return Layout(
         right=right,
         up=up,
         toward=toward,
-        human_shift=(left - low_h[0]) * right,
-        robot_shift=(left + (high_h - low_h)[0] + GAP - low_r[0]) * right,
+        human_shift=shifts[0],
+        robot_shifts=tuple(shifts[1:]),
         centre=middle @ axes,
-        tops=(_top(low_h, high_h, high[1]) @ axes, _top(low_r, high_r, high[1]) @ axes),
+        tops=tuple(_top(*box, high[1]) @ axes for box in boxes),
         half=(width / 2, float(high[1] - low[1]) / 2),
     )
+
+
+def _above(
+    points: Float[np.ndarray, "N 3"], floor: float
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Bounds of a robot hand in the view's axes, without what is below the floor.
+
+    A forearm may run out of the picture below; framed whole, it would leave the hand small.
+    """
+    low, high = _bounds(points[points[:, 1] > floor])
+    low[1] = max(points[:, 1].min(), floor)
+    return low, high
 
 
 def view_axes(

@@ -22,6 +22,14 @@ FINGER_COLORS: Final[tuple[Rgb, ...]] = (
     (0, 114, 178),  # blue: pinky
 )
 """One colour per finger, thumb first."""
+RUN_COLORS: Final[tuple[Rgb, ...]] = (
+    (255, 255, 255),
+    (178, 150, 255),
+    (188, 220, 90),
+    (255, 150, 170),
+    (120, 230, 220),
+)
+"""Of runs that are compared, in plots and tables; no finger has any of them."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """A pinching fingertip."""
 PALM: Final[Rgb] = (205, 205, 212)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import viser
-from viser import uplot
 
 from smooth_operator.ui.callbacks import asked
-from smooth_operator.ui.palette import css, finger_colors
 from smooth_operator.ui.playback import Playback
-from smooth_operator.ui.readout import WINDOW, GapPlot, legend, metrics_table, status_line
+from smooth_operator.ui.readout import legend, metrics_table, status_line
+from smooth_operator.ui.timeline import Timeline
 
 SPEEDS = (0.1, 4.0)
 """Slowest and fastest playback, as a multiple of real time."""
@@ -49,36 +49,31 @@ class Panel:
 
     Args:
         gui: where to build.
-        playback: what is played.
-        controls: who is told.
+        runs: what is played.
+        controls: what carries out what is asked for.
         loop: initial state of the loop box.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, playback: Playback, controls: Controls, loop: bool
+        self, gui: viser.GuiApi, runs: Sequence[Playback], controls: Controls, loop: bool
     ) -> None:
-        self._playback = playback
-        gui.set_panel_label(playback.title)
+        self._runs = runs
+        gui.set_panel_label(runs[0].title)
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        self._status = gui.add_html(status_line(playback, 0))
+        self._status = gui.add_html(status_line(runs, 0))
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
-        last = max(len(playback) - 1, 1)
-        self._slider = gui.add_slider(
-            "Frame", min=0, max=last, step=1, initial_value=0, disabled=len(playback) == 1
-        )
         step = gui.add_button_group("Step", ("-1", "+1"), hint="keys J and L")
         speed = gui.add_slider(
             "Speed", min=SPEEDS[0], max=SPEEDS[1], step=0.1, initial_value=1.0,
             hint="times real time",
         )  # fmt: skip
         looping = gui.add_checkbox("Loop", loop)
-        overlay = gui.add_checkbox("Overlay", False, hint="human inside robot")
+        overlay = gui.add_checkbox("Overlay", False, hint="all hands in one place")
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
-        gui.add_html(legend(playback))
+        gui.add_html(legend(runs))
 
         self._play.on_click(asked(lambda _: controls.toggle()))
-        self._slider.on_update(asked(lambda event: controls.scrub(event.target.value)))
         step.on_click(asked(lambda event: controls.step(int(event.target.value))))
         speed.on_update(asked(lambda event: controls.set_speed(event.target.value)))
         looping.on_update(asked(lambda event: controls.set_loop(event.target.value)))
@@ -89,13 +84,17 @@ class Panel:
         gui.add_command("Play / pause", hotkey="K").on_trigger(asked(lambda _: controls.toggle()))
         gui.add_command("Step back", hotkey="J").on_trigger(asked(lambda _: controls.step(-1)))
         gui.add_command("Step forward", hotkey="L").on_trigger(asked(lambda _: controls.step(1)))
+        self._timeline = Timeline(gui, runs, controls.scrub)
         self._build_side_panel(gui)
 
     def show_frame(self, frame: int) -> None:
-        """Move slider, status line and plot to a frame."""
-        self._slider.value = frame  # type: ignore[misc]  # it has a setter; mypy loses sight of it
-        self._status.content = status_line(self._playback, frame)
-        self._plot.data = self._gaps.window(frame)
+        """Move status line and timeline to a frame."""
+        self._status.content = status_line(self._runs, frame)
+        self._timeline.show(frame)
+
+    def fit(self, client: int, canvas_width: float | None) -> None:
+        """Fit the timeline to a browser's canvas [px]; None once the browser has left."""
+        self._timeline.fit(client, canvas_width)
 
     def show_playing(self, playing: bool) -> None:
         """Make the button say what it would do."""
@@ -103,42 +102,10 @@ class Panel:
         self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
     def _build_side_panel(self, gui: viser.GuiApi) -> None:
-        # A panel of its own: on a phone it starts folded, so that the hands stay visible.
-        panel = gui.add_panel()
-        with panel.add_tab("Distances", icon=viser.Icon.CHART_LINE):
-            gui.add_html(
-                '<div style="padding:0.4em 0.8em 0;font-size:0.8em">thumb to finger [mm], '
-                "last seconds<br>— robot &nbsp; - - human</div>"
-            )
-            self._gaps = GapPlot(self._playback)
-            self._plot = gui.add_uplot(
-                self._gaps.window(0),
-                self._series(),
-                scales={
-                    "x": uplot.Scale(time=False, range=(-WINDOW, 0.0)),
-                    "y": uplot.Scale(range=(0.0, self._gaps.top)),
-                },
-                legend=uplot.Legend(show=False),
-                height=190,
-                padding=(10, 14, 0, 0),
-            )
-        if self._playback.metrics:
-            with panel.add_tab("Metrics", icon=viser.Icon.TABLE):
-                gui.add_markdown(metrics_table(self._playback.metrics))
         gui.main_panel.dock_right()
-        panel.dock_below(gui.main_panel)
-
-    def _series(self) -> tuple[uplot.Series, ...]:
-        fingers = self._playback.fingers
-        colors = [css(color) for color in finger_colors(len(fingers))]
-        human = [
-            uplot.Series(label=f"{name} human", stroke=color, width=1.5, dash=(5.0, 4.0),
-                         points=uplot.Series_Points(show=False))
-            for name, color in list(zip(fingers, colors, strict=True))[1:]
-        ]  # fmt: skip
-        robot = [
-            uplot.Series(label=f"{name} robot", stroke=color, width=2.0,
-                         points=uplot.Series_Points(show=False))
-            for name, color in list(zip(fingers, colors, strict=True))[1:]
-        ]  # fmt: skip
-        return (uplot.Series(label="time"), *human, *robot)
+        if any(run.metrics for run in self._runs):
+            # A panel of its own: on a phone it starts folded, so that the hands stay visible.
+            panel = gui.add_panel()
+            with panel.add_tab("Metrics", icon=viser.Icon.TABLE):
+                gui.add_html(metrics_table(self._runs))
+            panel.dock_below(gui.main_panel)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +38,7 @@ class Playback:
         metrics: figures for the page's table; nested mappings are flattened. None: no table.
         bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
             if None.
+        label: what stands above the robot; where several are shown, what made its motion.
 
     Raises:
         RecordingError: if an array about the human has the wrong shape, or the stamps don't
@@ -58,6 +59,7 @@ class Playback:
     fingers: tuple[str, ...] = FINGERS
     metrics: Mapping[str, Any] | None = None
     bodies: Bool[np.ndarray, " nbody"] | None = None
+    label: str = "robot"
 
     def __post_init__(self) -> None:
         stamps = np.asarray(self.stamps, np.float64)
@@ -124,3 +126,25 @@ class Playback:
         """(T, F-1) True where the human pinches: gap under :data:`PINCH_DISTANCE`."""
         # NaN compares False: a lost hand never pinches
         return np.asarray(self.human_gaps() < PINCH_DISTANCE)
+
+
+def check_runs(runs: Sequence[Playback]) -> None:
+    """Looks whether runs can be shown side by side.
+
+    Raises:
+        RecordingError: there is none, or they are not of the same frames and fingers.
+    """
+    if not runs:
+        raise RecordingError("there is nothing to play: give one run or more")
+    first = runs[0]
+    for run in runs[1:]:
+        if not np.array_equal(run.stamps, first.stamps):
+            raise RecordingError(
+                f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or their "
+                "time stamps differ: retarget the same frames of one recording with both"
+            )
+        if run.fingers != first.fingers:
+            raise RecordingError(
+                f"{run.label!r} drives {', '.join(run.fingers)}, but {first.label!r} "
+                f"{', '.join(first.fingers)}: give runs of the same fingers"
+            )

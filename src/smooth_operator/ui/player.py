@@ -7,15 +7,16 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import viser
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.panel import SPEEDS, Panel
-from smooth_operator.ui.playback import Playback
+from smooth_operator.ui.playback import Playback, check_runs
 from smooth_operator.ui.scene import Scene
+from smooth_operator.ui.timeline import HEIGHT
 from smooth_operator.ui.viser_server import close_server, open_server, page_url
 from smooth_operator.web.browser import open_page
 
@@ -30,7 +31,7 @@ class PlaybackServer:
     Use as a context manager, or call :meth:`start` and :meth:`stop`.
 
     Args:
-        playback: what to show.
+        playback: what to show; several runs over the same frames stand side by side.
         host: address to listen on. The default is reachable from this machine only; any other
             wants the token that is in :attr:`url`.
         port: first port to try; the next free one is taken, see :attr:`url`. 0: any free one.
@@ -38,11 +39,17 @@ class PlaybackServer:
     """
 
     def __init__(
-        self, playback: Playback, host: str = "127.0.0.1", port: int = 8080, loop: bool = True
+        self,
+        playback: Playback | Sequence[Playback],
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        loop: bool = True,
     ) -> None:
-        self.playback = playback
+        self.runs = (playback,) if isinstance(playback, Playback) else tuple(playback)
+        check_runs(self.runs)
+        self.playback = self.runs[0]
         self._host, self._wanted_port = host, port
-        self._clock = PlaybackClock(playback.times, loop=loop)
+        self._clock = PlaybackClock(self.playback.times, loop=loop)
         self._changed = threading.Condition()
         self._frame = 0
         self._playing = False
@@ -70,8 +77,8 @@ class PlaybackServer:
         self._server = open_server(self._host, self._wanted_port)
         atexit.register(self.stop)
         with self._server.atomic():
-            self._scene = Scene(self._server, self.playback)
-            self._panel = Panel(self._server.gui, self.playback, self, self._clock.loop)
+            self._scene = Scene(self._server, self.runs, below=HEIGHT)
+            self._panel = Panel(self._server.gui, self.runs, self, self._clock.loop)
             self._scene.draw(0)
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
@@ -196,7 +203,7 @@ class PlaybackServer:
             self._clock.loop = loop
 
     def set_overlay(self, overlay: bool) -> None:
-        """Put both hands in one place, or side by side."""
+        """Put all hands in one place, or side by side."""
         with self._change():
             self._jobs.append(lambda: self._scene.set_overlay(overlay))
 
@@ -224,11 +231,22 @@ class PlaybackServer:
 
     async def _greet(self, client: viser.ClientHandle) -> None:
         self._scene.greet(client)
+        self._fit(client.client_id, client.camera.image_width)
+
+        async def fit(camera: viser.CameraHandle) -> None:
+            self._fit(client.client_id, camera.image_width)
+
+        client.camera.on_update(fit)
         with self._change():  # while nobody watched, nothing was drawn
             pass
 
     async def _forget(self, client: viser.ClientHandle) -> None:
         self._scene.forget(client)
+        self._fit(client.client_id, None)
+
+    def _fit(self, client: int, canvas_width: float | None) -> None:
+        with self._change():  # browsers come and go on threads of their own
+            self._jobs.append(lambda: self._panel.fit(client, canvas_width))
 
     def _run(self) -> None:
         assert self._server is not None
@@ -282,7 +300,7 @@ class PlaybackServer:
 
 
 def serve(
-    playback: Playback,
+    playback: Playback | Sequence[Playback],
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -292,7 +310,7 @@ def serve(
     """Show a recording in the browser.
 
     Args:
-        playback: what to show.
+        playback: what to show; several runs over the same frames stand side by side.
         host: address to listen on; this machine only by default.
         port: first port to try; the one that was free is printed.
         open_browser: open the page, where there is a desktop to open it on.
@@ -303,6 +321,7 @@ def serve(
 
     Raises:
         ConfigError: if the address is not one of this machine's, or no port is free.
+        RecordingError: if several runs are not of the same frames and fingers.
     """
     server = PlaybackServer(playback, host=host, port=port).start()
     # standard error: standard output may be a result that a program reads

@@ -1,6 +1,8 @@
-"""The three-dimensional part of the page: two hands, their keyvectors, their places."""
+"""The three-dimensional part of the page: the hands, their keyvectors, their places."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import viser
@@ -19,18 +21,26 @@ class Scene:
 
     Args:
         server: the viser server to draw on.
-        playback: what to draw.
+        runs: what to draw: the human of the first, the robot of each.
+        below: height of a panel that covers the lower edge of the canvas [px].
     """
 
-    def __init__(self, server: viser.ViserServer, playback: Playback) -> None:
-        self._playback = playback
-        self._pinches = playback.pinches()
+    def __init__(
+        self, server: viser.ViserServer, runs: Sequence[Playback], below: float = 0.0
+    ) -> None:
+        self._runs = tuple(runs)
+        first = self._runs[0]
+        self._pinches = first.pinches()
         scene = server.scene
-        self._roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in _HANDS}
-        self._human = HumanView(scene, playback.human_tips, "/human")
-        self._robot = RobotView(scene, playback, "/robot")
-        self._layout = plan(playback, self._robot.bounds())
-        count = len(playback.fingers)
+        self._names = ("human", *(f"robot_{i}" for i in range(len(self._runs))))
+        self._roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in self._names}
+        self._human = HumanView(scene, first.human_tips, "/human")
+        self._robots = [
+            RobotView(scene, run, f"/{name}")
+            for run, name in zip(self._runs, self._names[1:], strict=True)
+        ]
+        self._layout = plan(first, *(robot.bounds() for robot in self._robots))
+        count = len(first.fingers)
         none = np.zeros(count - 1, bool)
         self._lines = {
             name: scene.add_line_segments(
@@ -39,39 +49,41 @@ class Scene:
                 keyvector_colors(count, none),
                 thickness=_LINE,
             )
-            for name in _HANDS
+            for name in self._names
         }
+        words = ("human", *(run.label for run in self._runs))
         self._labels = [
-            scene.add_label(f"/{name}/label", name, position=top, anchor="bottom-center")
-            for name, top in zip(_HANDS, self._layout.tops, strict=True)
+            scene.add_label(f"/{name}/label", word, position=top, anchor="bottom-center")
+            for name, word, top in zip(self._names, words, self._layout.tops, strict=True)
         ]
         layout = self._layout
         axes = np.stack([layout.right, layout.up, layout.toward])
-        self._aiming = Aiming(server, axes, layout.centre, layout.half)
+        self._aiming = Aiming(server, axes, layout.centre, layout.half, below)
         self.set_overlay(False)
 
     def draw(self, frame: int) -> None:
-        """Show one frame of both hands."""
+        """Show one frame of all hands."""
         pinched = self._pinches[frame]
-        self._human.draw(self._playback.human[frame], pinched)
-        self._robot.draw(frame, pinched)
-        tips = {
-            "human": self._playback.human[frame, list(self._playback.human_tips)],
-            "robot": self._playback.robot_tips[frame],
-        }
-        colors = keyvector_colors(len(self._playback.fingers), pinched)
-        for name, points in tips.items():
-            self._lines[name].points = thumb_lines(points)
-            self._lines[name].colors = colors
+        first = self._runs[0]
+        self._human.draw(first.human[frame], pinched)
+        tips = [first.human[frame, list(first.human_tips)]]
+        for run, robot in zip(self._runs, self._robots, strict=True):
+            robot.draw(frame, pinched)
+            tips.append(run.robot_tips[frame])
+        colors = keyvector_colors(len(first.fingers), pinched)
+        for lines, points in zip(self._lines.values(), tips, strict=True):
+            lines.points = thumb_lines(points)
+            lines.colors = colors
 
     def set_overlay(self, overlay: bool) -> None:
-        """Put both hands in one place, or side by side."""
-        shifts = (self._layout.human_shift, self._layout.robot_shift)
+        """Put all hands in one place, or side by side."""
+        shifts = (self._layout.human_shift, *self._layout.robot_shifts)
         for root, shift in zip(self._roots.values(), shifts, strict=True):
             root.position = np.zeros(3) if overlay else shift
         for label in self._labels:
             label.visible = not overlay
-        self._robot.set_ghost(overlay)
+        for robot in self._robots:
+            robot.set_ghost(overlay)
 
     def set_keyvectors(self, visible: bool) -> None:
         """Show or hide the thumb-to-tip lines."""
@@ -89,6 +101,3 @@ class Scene:
     def forget(self, client: viser.ClientHandle) -> None:
         """Drop what was kept for a browser that has left."""
         self._aiming.forget(client)
-
-
-_HANDS = ("human", "robot")
