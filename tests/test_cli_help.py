@@ -51,8 +51,9 @@ def ragged(text: str, width: int) -> Iterator[str]:
         elif not line or line[0] in EDGES or not after or after[0] in EDGES:
             continue
         words = after.split()
-        example = words[:1] == ["smooth-operator"] or "  " in after.strip()  # kept as written
-        if words and not example and len(line) + 1 + len(words[0]) < room:
+        nested = line.startswith(" " * 10) and "  " in line.strip()
+        written = words[:1] == ["smooth-operator"] or "  " in after.strip() or nested
+        if words and not written and len(line) + 1 + len(words[0]) < room:
             yield f"{line} | {words[0]}"
 
 
