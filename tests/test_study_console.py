@@ -8,6 +8,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from datetime import timedelta
 from importlib import resources
 from pathlib import Path
@@ -382,6 +383,29 @@ def test_each_block_switches_the_hand(store: StudyStore) -> None:
     blocks = store.plan.blocks("P01")
     known = {"sbr": {"method": "sbr", "preset": "realtime"}, "dexpilot": {"method": "dexpilot"}}
     assert teleop.switched == [known[block.condition.method] for block in blocks]
+
+
+def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path: Path) -> None:
+    class Paced(FakeTeleop):
+        rate = 100.0
+
+        def request(self, do: str, **fields: Any) -> dict[str, Any]:
+            if do == "rate":
+                self.rate = fields["rate"]
+            return {**super().request(do, **fields), "rate": self.rate}
+
+    plan = console_plan()
+    plan = replace(plan, protocol=replace(plan.protocol, rate_hz=30.0))
+    with open_study(tmp_path, plan) as store:
+        teleop = Paced()
+        desk = Desk(store, operator="P01", teleop=teleop)
+        walk(desk, store, "trial")
+        assert teleop.rate == 30.0
+        assert [do for do, _ in teleop.asked].count("rate") == 1
+        teleop.rate = 100.0  # it was started again
+        desk.watch()
+        assert teleop.rate == 30.0
+        assert desk.look()[0]["study"]["rate_hz"] == 30.0
 
 
 def test_no_block_starts_on_a_hand_that_was_not_switched(store: StudyStore) -> None:

@@ -17,6 +17,7 @@ from rich.console import Console
 from smooth_operator.cli import main
 from smooth_operator.cli.study_questions import ask_protocol
 from smooth_operator.errors import SmoothOperatorError, StudyError, UnknownNameError
+from smooth_operator.retargeters.presets import live_presets
 from smooth_operator.study.design.enrolment import spread_of_rows
 from smooth_operator.study.design.latin import balance, balanced_rows
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
@@ -25,6 +26,7 @@ from smooth_operator.study.design.protocol import Condition, Protocol, RubricLin
 from smooth_operator.study.design.rubrics import PAPER_TASKS
 from smooth_operator.study.design.schedule import imbalances, schedule_csv, schedule_text
 
+PAPERS = ("sbr=sbr:paper", "dexpilot=dexpilot:published", "geort", "hybrid=hybrid:published")
 METHODS = ("sbr", "dexpilot", "geort", "hybrid")
 
 
@@ -331,7 +333,24 @@ def test_study_new_writes_plan_and_schedule(
 
 def test_study_new_alone_is_the_papers(tmp_path: Path) -> None:
     assert run("new", str(tmp_path / "p")) == 0
-    assert read_plan(tmp_path / "p") == make_plan(protocol(name="p"))
+    plan = read_plan(tmp_path / "p")
+    conditions = tuple(map(Condition.of, PAPERS))
+    assert plan == make_plan(protocol(name="p", conditions=conditions, rate_hz=30.0))
+    for condition in plan.protocol.conditions:  # they exist, and are not our own defaults
+        named = live_presets()[condition.method]
+        assert condition.method == "geort" or condition.preset in named[1:]
+
+
+def test_a_condition_is_typed_and_shown_alike() -> None:
+    for text in (*PAPERS, "mine=ako", "a=ako:slsqp"):
+        assert Condition.of(text).text == text
+    assert Condition.of("sbr=sbr") == Condition("sbr")
+
+
+def test_enter_takes_the_papers_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    draft = protocol(conditions=tuple(map(Condition.of, PAPERS)), rate_hz=30.0)
+    monkeypatch.setattr("rich.console.Console.input", lambda *_, **__: "")
+    assert ask_protocol(draft, Console(quiet=True)) == draft
 
 
 @pytest.mark.parametrize(
@@ -354,7 +373,8 @@ def test_study_new_refuses(
 def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = iter([
         "hands", "sbr", "sbr ako=ako:slsqp", "", "many", "6", "A X", "8", "4", "5", "0", "3",
-        "grip", "", "60", "initial lunch", "initial final", "y", "4",
+        "grip", "", "60", "initial lunch", "initial final", "y",
+        "fast", "50", "4",
         # 4 and 3 operators are 7, enough for 6; all fits, so nothing is asked again
     ])  # fmt: skip
     monkeypatch.setattr("rich.console.Console.input", lambda *_, **__: next(answers))
@@ -368,6 +388,7 @@ def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPat
     assert made.baseline == "sbr"
     assert [(t.name, t.trials, t.operators) for t in made.tasks] == [("A", 8, 4), ("X", 5, 3)]
     assert (made.operators, made.familiarisation_s, made.seed) == (6, 60.0, 4)
+    assert made.rate_hz == 50.0
     assert made.questionnaires == ("initial", "final")
     assert made.weights
     with pytest.raises(UnknownNameError):

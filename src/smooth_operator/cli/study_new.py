@@ -25,7 +25,14 @@ from smooth_operator.study.design.schedule import (
     schedule_table,
 )
 
-PAPER_CONDITIONS: Final = ("sbr", "dexpilot", "geort", "hybrid")
+PAPER_CONDITIONS: Final = (
+    Condition("sbr", preset="paper"),
+    Condition("dexpilot", preset="published"),
+    Condition("geort"),  # a model that is trained for the hand and the operator
+    Condition("hybrid", preset="published"),
+)
+"""Methods with the settings of the authors' code, which the defaults here differ from."""
+PAPER_RATE_HZ: Final = 30.0
 PAPER_OPERATORS: Final = 18
 _STORE: Final = "study.db"
 
@@ -98,12 +105,14 @@ def _given(options: New) -> bool:
             options.questionnaires,
             options.weights,
             options.seed is not None,
+            options.rate is not None,
         )
     )
 
 
 def _protocol(options: New) -> Protocol:
-    conditions = tuple(_condition(text) for text in options.conditions or PAPER_CONDITIONS)
+    conditions = tuple(map(Condition.of, options.conditions)) or PAPER_CONDITIONS
+    rate = options.rate if options.conditions or options.rate is not None else PAPER_RATE_HZ
     names = [condition.name for condition in conditions]
     known = {task.name: task for task in PAPER_TASKS}
     operators = options.operators
@@ -130,13 +139,8 @@ def _protocol(options: New) -> Protocol:
         questionnaires=tuple(point for point in POINTS if point in asked),
         weights=options.weights,
         seed=options.seed or 0,
+        rate_hz=rate,
     )
-
-
-def _condition(text: str) -> Condition:
-    name, _, what = text.partition("=")
-    method, _, preset = what.partition(":")
-    return Condition(name, method or name, preset or None)
 
 
 def _task(text: str, known: dict[str, Task]) -> Task:
@@ -168,5 +172,8 @@ def _print(plan: Plan) -> None:
     console.print(table)
     labels = ", ".join(f"{c.label} = {c.name}" for c in protocol.conditions)
     console.print(f"labels for operators: {labels}", markup=False, soft_wrap=True)
+    run = ", ".join(" ".join(filter(None, (c.method, c.preset))) for c in protocol.conditions)
+    rate = "" if protocol.rate_hz is None else f"; {protocol.rate_hz:g} commands a second"
+    console.print(f"what is run: {run}{rate}", markup=False, soft_wrap=True)
     for note in imbalances(plan):
         console.print(f"note: {note}", markup=False, soft_wrap=True)

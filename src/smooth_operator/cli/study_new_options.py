@@ -18,7 +18,7 @@ class New(Common):
     details: ClassVar[str] = """Written are study.toml (the plan, to read and mend), schedule.csv
 (with the conditions, for the experimenter) and schedule.txt (with labels only, for the wall).
 Without options a terminal asks; elsewhere, and with --no-wizard, what is left out is as in the
-paper: four retargeters, three tasks, 18 operators.
+paper: four retargeters as their authors run them, 30 commands a second, three tasks, 18 operators.
 
 Examples:
   smooth-operator study new my-study
@@ -33,7 +33,8 @@ Examples:
     """Name of the study; the folder's if left out."""
 
     conditions: Annotated[tuple[str, ...], arg(metavar="NAME[=METHOD[:PRESET]] ...")] = ()
-    """What is compared; the name alone if the method is called so."""
+    """What is compared; the name alone if the method is called so. If left out, the paper's four
+    with the settings of its authors' code."""
 
     baseline: Annotated[str | None, arg(metavar="NAME")] = None
     """Condition that the others are compared with; dexpilot, or the first."""
@@ -58,6 +59,10 @@ Examples:
 
     seed: Annotated[int | None, arg(metavar="INT")] = None
     """Of all that is drawn: orders, rows, labels; 0 if left out."""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Commands a second that the hand is sent in every condition [Hz]. If left out, 30 with the
+    paper's conditions, else those that the teleoperation was started with."""
 
     from_: Annotated[Path | None, arg(name="from", metavar="TOML")] = None
     """A file to take the plan from, as study.toml; its orders are drawn if they are missing."""

@@ -18,7 +18,7 @@ from smooth_operator.cli.study_power_options import Power
 from smooth_operator.errors import ConfigError
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
-from smooth_operator.study.design.protocol import Condition, Protocol
+from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.study.design.rubrics import PAPER_TASKS
 from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.report import TITLES, Tallies, found, power_json, write_power
@@ -63,9 +63,8 @@ def _home(study: Path | None) -> Path:
 
 def _settings(options: Power) -> PowerSettings:
     if options.study is None:
-        conditions = tuple(Condition(name) for name in PAPER_CONDITIONS)
         protocol = Protocol(
-            "the paper's design", conditions, PAPER_TASKS, "dexpilot", PAPER_OPERATORS
+            "the paper's design", PAPER_CONDITIONS, PAPER_TASKS, "dexpilot", PAPER_OPERATORS
         )
     else:
         protocol = read_plan(options.study).protocol

@@ -37,7 +37,7 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
     name = ask("Name of the study", draft.name, lambda text: replace(draft, name=text).name)
     conditions = ask(
         "Conditions, separated by spaces (NAME, or NAME=METHOD:PRESET)",
-        " ".join(draft.condition_names),
+        " ".join(condition.text for condition in draft.conditions),
         _conditions,
     )
     names = [condition.name for condition in conditions]
@@ -69,6 +69,11 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
         _points,
     )
     weights = bool(asked) and ask("The 15 pairs of NASA-TLX as well? (y/n)", "n", _yes)
+    rate = ask(
+        "Commands a second in every condition (or any: as teleop was started)",
+        "any" if draft.rate_hz is None else f"{draft.rate_hz:g}",
+        _rate,
+    )
     seed = ask("Seed of all that is drawn", str(draft.seed), lambda text: _whole(text, 0))
     try:
         return replace(
@@ -82,6 +87,7 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
             questionnaires=asked,
             weights=weights,
             seed=seed,
+            rate_hz=rate,
         )
     except StudyError as error:  # answers that don't go together
         console.print(f"  {error}; once more", markup=False, soft_wrap=True)
@@ -90,11 +96,7 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
 
 
 def _conditions(text: str) -> tuple[Condition, ...]:
-    made = []
-    for word in text.split():
-        name, _, what = word.partition("=")
-        method, _, preset = what.partition(":")
-        made.append(Condition(name, method or name, preset or None))
+    made = [Condition.of(word) for word in text.split()]
     names = [condition.name for condition in made]
     if len(made) < 2 or len(set(names)) < len(names):
         raise StudyError("two or more, all different, are needed")
@@ -122,6 +124,18 @@ def _seconds(text: str) -> float:
         value = -1.0
     if not 0 <= value <= 86_400:
         raise StudyError("seconds are needed, 0 or more")
+    return value
+
+
+def _rate(text: str) -> float | None:
+    if text == "any":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1 <= value <= 1000:
+        raise StudyError("1 to 1000 Hz are needed, or any")
     return value
 
 

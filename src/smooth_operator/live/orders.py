@@ -8,6 +8,8 @@ Beside those of :mod:`smooth_operator.runtime.remote`:
     {"do": "calibration", "path": "operator.json"}
         an operator's calibration, of the hand of its side; without a path none for all hands:
         {"ok": true, "method": ..., "preset": ..., "side": "right", "hand": "mimic_p050"}.
+    {"do": "rate", "rate": 30}
+        commands a second from now on, until the run ends: {"ok": true, "rate": 30.0}.
     {"do": "task", "task": "card"}
         the scene of a task, by its name or the paper's (A, B, C); without a task the hand alone:
         {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}.
@@ -23,9 +25,10 @@ Beside those of :mod:`smooth_operator.runtime.remote`:
         the one reset of a trial that runs; where none does the object is just put back. The answer
         is that of "trial".
 
-"status" tells "method", "preset", "sides", "hand", "blind", "building" (what is being compiled),
-"source" {"label", "state", "detail"}, "sinks", "operators" {side: where the calibration is from},
-"task" and "trial" (None without one) beside the loop's own "modes" and "rate_hz".
+"status" tells "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
+"building" (what is being compiled), "source" {"label", "state", "detail"}, "sinks", "operators"
+{side: where the calibration is from}, "task" and "trial" (None without
+one) beside the loop's own "modes" and "rate_hz".
 """
 
 from __future__ import annotations
@@ -77,6 +80,7 @@ class Orders:
         return {
             "method": self._method,
             "calibration": self._calibration,
+            "rate": self._rate,
             "task": self._task,
             "trial": self._trial,
             "reset": self._reset,
@@ -96,6 +100,7 @@ class Orders:
         return {
             "method": used.method,
             "preset": used.preset,
+            "rate": loop.config.rate,
             "building": workshop.building,
             "blind": self._blind,
             "sides": list(loop.pipelines),
@@ -124,6 +129,13 @@ class Orders:
         operator = read_operator(Path(path))
         choice = self._await(self._workshop.operate({operator.side: operator}))
         return {**_driven(choice), "side": operator.side, "hand": operator.hand}
+
+    def _rate(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        rate = fields.get("rate")
+        if isinstance(rate, bool) or not isinstance(rate, int | float):
+            raise ConfigError(f"rate: expected commands a second, not {rate!r}")
+        self._loop.pace(float(rate))
+        return {"rate": self._loop.config.rate}
 
     def _task(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         loaded = self._open_desk().change(_text(fields, "task"))

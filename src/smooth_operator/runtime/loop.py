@@ -107,6 +107,22 @@ class TeleopLoop:
         self.config = config
         self.controls.change(lambda hand: hand.configure(config))
 
+    def pace(self, rate: float) -> None:
+        """Go on at another rate, before the next command.
+
+        Args:
+            rate: commands per second and hand [Hz].
+
+        Raises:
+            ConfigError: it is out of its range.
+        """
+        self.config = replace(self.config, rate=rate)
+        config = self.config
+        self.controls.change(lambda hand: hand.configure(replace(hand.config, rate=rate)))
+        self.statistics.period = config.period
+        for turns in self._turns.values():
+            turns.period = config.period
+
     @property
     def silent_s(self) -> float:
         """How long ago the last command left [s]; since it was built before the first one."""

@@ -42,7 +42,7 @@ class LoopStatistics:
     """
 
     def __init__(self, period: float) -> None:
-        self._period = period
+        self.period = period
         self._added = _Times()
         self._stages: dict[str, _Times] = defaultdict(_Times)
         self._commands: dict[Side, int] = defaultdict(int)
@@ -68,7 +68,7 @@ class LoopStatistics:
         self._commands[tick.side] += 1
         self._modes[tick.mode] += 1
         self._due += 1
-        self._missed += sent - due > self._period
+        self._missed += sent - due > self.period
         if tick.status is not None:
             self._answered += tick.status == Status.OK
             if tick.status != Status.OK:

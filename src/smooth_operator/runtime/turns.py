@@ -32,22 +32,22 @@ class Turns:
     All times are by one clock [s]. Nothing here has a clock or sleeps.
 
     Args:
-        period: time between two commands [s].
+        period: time between two commands [s]; may be changed at any time.
     """
 
     def __init__(self, period: float) -> None:
-        self._period = period
+        self.period = period
         self._last = -math.inf  # when the latest command left
         self._turn = -math.inf  # when the next one does, at an even pace
 
     def begin(self, now: float) -> None:
         """The loop starts: a frame may be answered now."""
-        self._turn = now + BORROWED * self._period
+        self._turn = now + BORROWED * self.period
 
     @property
     def opens(self) -> float:
         """Until when nothing may leave, but for an emergency stop [s]."""
-        period = self._period
+        period = self.period
         return max(self._turn - BORROWED * period, self._last + SHORTEST * period)
 
     def answers(self, received: float, following: float | None) -> float:
@@ -61,10 +61,10 @@ class Turns:
             received: when it came [s].
             following: when the next frame is expected [s]; None if nobody knows.
         """
-        opens, latest = self.opens, self._last + LONGEST * self._period
+        opens, latest = self.opens, self._last + LONGEST * self.period
         if received >= opens:
             return received
-        if following is None or not 0 <= following - opens <= KEPT * self._period:
+        if following is None or not 0 <= following - opens <= KEPT * self.period:
             return opens
         patience = SHORTEST * (following - received)  # trackers are uneven
         return following + patience if following <= latest else opens
@@ -76,7 +76,7 @@ class Turns:
             following: when the next frame is expected [s]; None if nobody knows. If that is about
                 now the command waits for it a little, rather than leave just before it.
         """
-        period, at = self._period, self._turn
+        period, at = self.period, self._turn
         if following is not None and at - SHORTEST * period <= following <= at + KEPT * period:
             latest = max(at, self._last + LONGEST * period)
             at = min(following + SHORTEST * period, latest)
@@ -84,7 +84,7 @@ class Turns:
 
     def take(self, now: float) -> None:
         """A command leaves now [s]."""
-        period = self._period
+        period = self.period
         turn = max(self._turn, now - KEPT * period) + period
         # An emergency stop, which waits for no turn, delays what comes after it only so far.
         self._turn, self._last = min(turn, now + LONGEST * period), now

@@ -65,6 +65,7 @@ class Hand:
                 self.switch.to(block.condition)
             else:
                 self.switch.keep(block.condition)
+            self._pace(progress)
             self._calibrate(calibration(progress, block))
         except StudyError as error:
             self._complain(error)
@@ -82,6 +83,14 @@ class Hand:
         self.switch.ask("calibration", path=file)
         self.switch.look()
         self._loaded = (file, self.switch.heard.calibrations)
+
+    def _pace(self, progress: Progress) -> None:
+        """Has the hand be sent as many commands a second as the plan says; not where it is."""
+        rate = progress.plan.protocol.rate_hz
+        if rate is None or self.switch.heard.rate_hz == rate:
+            return
+        self.switch.ask("rate", rate=rate)
+        self.switch.look()
 
     def _ready_scene(self, command: Command, progress: Progress, block: Block) -> None:
         if command.do == "start_block":
@@ -139,6 +148,7 @@ class Hand:
             if not self.switch.runs(block.condition) and self.switch.heard.state != "refused":
                 self.switch.to(block.condition)  # refused is tried again when somebody asks for it
                 switched = True
+            self._pace(progress)
             if switched or self._loaded is not None:
                 self._calibrate(calibration(progress, block))
         except StudyError as error:

@@ -57,6 +57,7 @@ class Heard:
         task: name of the scene, where it drives a simulation with one.
         trial: in that scene.
         calibrations: of its hands, as it names them.
+        rate_hz: commands a second that it sends; None if it does not say.
     """
 
     state: State = "unknown"
@@ -65,6 +66,7 @@ class Heard:
     task: str | None = None
     trial: Standing | None = None
     calibrations: tuple[tuple[str, str], ...] = ()
+    rate_hz: float | None = None
 
 
 class Switch:
@@ -197,6 +199,7 @@ def _running(answer: Mapping[str, Any]) -> tuple[str, str | None]:
 def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
     task, operators = status.get("task"), status.get("operators")
     known = operators.items() if isinstance(operators, Mapping) else ()
+    rate = status.get("rate")
     return Heard(
         state,
         detail,
@@ -204,4 +207,5 @@ def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
         None if task is None else str(task),
         standing(status.get("trial")),
         tuple(sorted((str(side), str(source)) for side, source in known)),
+        float(rate) if isinstance(rate, int | float) else None,
     )

@@ -26,6 +26,7 @@ def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
         "familiarisation_s": protocol.familiarisation_s,
         "break_s": protocol.break_s,
         "resets": protocol.resets,
+        "rate_hz": protocol.rate_hz,
     }
 
 

@@ -163,7 +163,8 @@ def _parse(path: Path) -> dict[str, Any]:
 def _protocol(entries: Entries) -> Protocol:
     entries.only(
         "format", "name", "baseline", "operators", "familiarisation_s", "break_s",
-        "questionnaires", "weights", "resets", "reset_cap", "task_order", "seed", "conditions",
+        "questionnaires", "weights", "resets", "reset_cap", "task_order", "seed", "rate_hz",
+        "conditions",
         "tasks", "orders", "enrolled",
     )  # fmt: skip
     conditions = entries.table("conditions")
@@ -189,6 +190,7 @@ def _protocol(entries: Entries) -> Protocol:
         break_s=entries.number("break_s", 120.0),
         task_order="balanced" if order == "balanced" else "listed",
         seed=entries.whole("seed", 0),
+        rate_hz=entries.number("rate_hz") if "rate_hz" in entries.names else None,
     )
 
 
@@ -255,6 +257,8 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f"reset_cap = {protocol.reset_cap!r}  # best score after that"
     yield f"task_order = {_text(protocol.task_order)}"
     yield f"seed = {protocol.seed}"
+    if protocol.rate_hz is not None:
+        yield f"rate_hz = {float(protocol.rate_hz)!r}  # commands a second, in every condition"
     for condition in protocol.conditions:
         yield ""
         yield f"[conditions.{_key(condition.name)}]"

@@ -42,6 +42,20 @@ class Condition:
         if not self.method:
             object.__setattr__(self, "method", self.name)
 
+    @classmethod
+    def of(cls, text: str) -> Condition:
+        """From what a person types: ``NAME``, ``NAME=METHOD`` or ``NAME=METHOD:PRESET``."""
+        name, _, what = text.partition("=")
+        method, _, preset = what.partition(":")
+        return cls(name, method or name, preset or None)
+
+    @property
+    def text(self) -> str:
+        """The same back, as short as it can be."""
+        if self.preset is not None:
+            return f"{self.name}={self.method}:{self.preset}"
+        return self.name if self.method == self.name else f"{self.name}={self.method}"
+
 
 @dataclass(frozen=True)
 class RubricLine:
@@ -140,6 +154,8 @@ class Protocol:
         break_s: offered between blocks [s].
         task_order: whether operators with several tasks do them in balanced orders or as listed.
         seed: of everything that is drawn: square, orders, labels.
+        rate_hz: commands a second that the hand is sent, whatever the condition [Hz]; None for
+            those that the teleoperation was started with.
     """
 
     name: str
@@ -155,6 +171,7 @@ class Protocol:
     break_s: float = 120.0
     task_order: Literal["balanced", "listed"] = "balanced"
     seed: int = 0
+    rate_hz: float | None = None
     _by_name: Mapping[str, Condition] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -183,6 +200,8 @@ class Protocol:
             raise StudyError(f"task order must be balanced or listed, not {self.task_order!r}")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
             raise StudyError(f"the seed must be a whole number, 0 or more, not {self.seed!r}")
+        if self.rate_hz is not None and not 1.0 <= self.rate_hz <= 1000.0:
+            raise StudyError(f"the rate of commands must be 1 to 1000 Hz, not {self.rate_hz}")
         self._check_enrolment()
         for task in self.tasks:
             self.questionnaire_trials(task)

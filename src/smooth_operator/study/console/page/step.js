@@ -40,7 +40,8 @@ const STEPS = {
       h('h2', {}, `Block ${now.block} of ${now.blocks}`),
       h('p', { class: 'condition' }, now.condition),
       h('p', {}, state.teleop ? 'Starting the block switches the running hand to this.'
-        : 'Switch the hand to this, then start the block.'),
+        : 'Switch the hand to this, then start the block.',
+        state.study.rate_hz && ` It is sent ${state.study.rate_hz} commands a second.`),
       h('div', { class: 'row' }, main('Start block', 'Space', blocked,
         () => desk.send('start_block', desk.place('task', 'block')))),
     ];
