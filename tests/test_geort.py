@@ -156,7 +156,10 @@ class Mapped(GeortLoss):
 
 
 def judged(
-    how: Callable[[jnp.ndarray], jnp.ndarray], reach_shift: float = 0.0, ramp: float = 1.0
+    how: Callable[[jnp.ndarray], jnp.ndarray],
+    reach_shift: float = 0.0,
+    ramp: float = 1.0,
+    settings: GeortTraining | None = None,
 ) -> tuple[float, dict[str, float]]:
     rng = np.random.default_rng(0)
     # a lattice, so that the nearest of a shifted copy is the point itself
@@ -166,7 +169,7 @@ def judged(
     pinches = points.at[1].set(points[0] + jnp.array([[0.0], [0.003], [0.004]]))
     pinched = jnp.arange(points.shape[-1])[None] < 5
     batch = Batch(points, points, steps, points + reach_shift, pinches, pinched)
-    settings = GeortTraining(direction=2.0, coverage=3.0, curvature=5.0, pinch=7.0)
+    settings = settings or GeortTraining(direction=2.0, coverage=3.0, curvature=5.0, pinch=7.0)
     object.__setattr__(settings, "how", how)
     loss = Mapped(load_hand(), settings, np.zeros((2, 3)), np.ones(2))
     total, each = loss(None, batch, ramp)  # type: ignore[arg-type]
@@ -203,6 +206,17 @@ def test_the_ramp_holds_coverage_back_and_nothing_else() -> None:
     full, each = judged(lambda p: p, reach_shift=0.01)
     none, _ = judged(lambda p: p, reach_shift=0.01, ramp=0.0)
     assert full - none == pytest.approx(3 * each["coverage"], rel=1e-3)
+
+
+def test_training_prices_faults_as_published() -> None:
+    """What a fault costs with the settings that training uses: 80 a square metre by which the reach
+    is missed, 1 for a direction that is turned round."""
+    copy, _ = judged(lambda p: p, settings=GeortTraining())
+    shifted, _ = judged(lambda p: p, reach_shift=0.01, settings=GeortTraining())
+    assert shifted - copy == pytest.approx(80 * 2 * 2 * 3 * 0.01**2, rel=1e-3)
+    mirrored, each = judged(lambda p: -p, settings=GeortTraining())
+    rest = 80 * each["coverage"] + 0.1 * each["curvature"] + 200 * each["pinch"]
+    assert mirrored - rest == pytest.approx(2, abs=1e-3)
 
 
 # The data

@@ -178,6 +178,11 @@ def test_rounding_at_a_limit_is_no_violation() -> None:
     result = evaluate(trace)
     assert 0 < result["limit_violation_rad"] < 1e-6  # type: ignore[operator]
     assert result["limit_violation_share"] == 0
+    joints[:2] += 1e-4  # a hundredth of a degree is a violation
+    beyond = evaluate(
+        make_trace(human_motion(6), joints=joints, joint_limits=np.array([[-1, 1.1]]))
+    )
+    assert beyond["limit_violation_share"] == pytest.approx(2 / 6)
 
 
 def test_self_collision() -> None:

@@ -490,6 +490,13 @@ def test_a_scale_is_calibrated_once(frames: np.ndarray) -> None:
         calibrate_scale(recording[:2], hand)
 
 
+def test_a_few_wrong_frames_do_not_move_the_calibrated_scale(frames: np.ndarray) -> None:
+    landmarks = frames.copy()
+    landmarks[::4] *= 3.0  # a tracker that took the hand for one three times as large
+    recording = HandRecording(landmarks, np.arange(30.0))
+    assert calibrate_scale(recording, load_hand()) == pytest.approx(1 / 1.15, rel=1e-3)
+
+
 def test_two_fingers_are_aligned_by_their_bases_and_the_wrist(tmp_path: Path) -> None:
     hand = load_hand(pincer(tmp_path))
     rng = np.random.default_rng(3)

@@ -309,9 +309,9 @@ def test_fixed_normals(kind: Literal["quasi", "pseudo"]) -> None:
     assert np.isfinite(base).all()
     np.testing.assert_array_equal(base, fixed_normals(16, 1024, kind, 0))
     assert (base != fixed_normals(16, 1024, kind, 1)).any()
-    worst = 0.04 if kind == "quasi" else 0.15  # what quasi-random points are for
-    assert abs(base.mean(axis=1)).max() < worst
-    assert abs(base.var(axis=1) - 1).max() < 0.2
+    # with no direction preferred: the same set serves every frame, and a lean would last
+    np.testing.assert_allclose(base.mean(axis=1), 0, atol=1e-5)
+    np.testing.assert_allclose(base @ base.T / 1024, np.eye(16), atol=1e-5)
     assert fixed_normals(3, 100, kind, 0).shape == (3, 100)  # not a power of two
     with pytest.raises(ConfigError, match="'quasi' or 'pseudo', not 'halton'"):
         fixed_normals(3, 8, "halton", 0)  # type: ignore[arg-type]

@@ -198,6 +198,26 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
         assert cost < smooth.values(jnp.asarray(hand.neutral, float)[None], goal)[0]
 
 
+def test_the_cost_never_rises() -> None:
+    """Newton's undamped step on sqrt(1 + x^2) goes from x to -x^3, and beyond 1 the cost rises."""
+
+    def values(q: jax.Array) -> jax.Array:
+        return jnp.sqrt(1 + q**2).sum(axis=-1)
+
+    def derivatives(q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        root = jnp.sqrt(1 + q**2)
+        return root.sum(), q / root, jnp.diag(root**-3)
+
+    limits = np.array([[-100.0, 100.0]] * 2)
+    for iterations in (1, 5):
+        bare = NewtonConfig(iterations=iterations, damping=(0.0,))
+        held = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, bare)
+        np.testing.assert_array_equal(held, np.float32([1.5, 1.2]))
+    helped = NewtonConfig(iterations=20, damping=(0.0, 1.0))
+    found = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, helped)
+    np.testing.assert_allclose(found, 0, atol=1e-3)
+
+
 # Targets
 
 
