@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
 from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 WIDE = np.tile([-3.0, 3.0], (4, 1))
@@ -146,3 +147,42 @@ def test_a_line_search_that_fails_gives_the_best_so_far(
     found = slsqp_minimise(bowl, np.full(4, 2.5), WIDE, SlsqpConfig())
     assert found.stopped_by == "rounding"
     np.testing.assert_allclose(found.x, CENTRE, atol=0.01)
+
+
+# SciPy's
+
+
+def test_scipys_finds_the_minimum_within_bounds() -> None:
+    tight = ScipySlsqpConfig(tolerance=1e-12, max_iterations=200)
+    found = scipy_slsqp_minimise(bowl, np.full(4, 2.5), WIDE, tight)
+    np.testing.assert_allclose(found.x, CENTRE, atol=1e-5)
+    assert found.stopped_by == "tolerance"
+    limits = np.array([[1.0, 2.0], [-3.0, -2.0], [-1.0, 1.0], [0.25, 3.0]])
+    held = scipy_slsqp_minimise(bowl, np.zeros(4), limits, tight)
+    np.testing.assert_allclose(held.x, [1.0, -2.0, 1.0, 0.25], atol=1e-9)
+
+
+def test_scipys_ends_at_its_limit_of_iterations_short_of_the_minimum() -> None:
+    start = np.array([-1.2, 1.0])
+    few = scipy_slsqp_minimise(rosenbrock, start, WIDE[:2], ScipySlsqpConfig(max_iterations=3))
+    assert few.stopped_by == "evaluations"
+    assert 0.1 < few.value < rosenbrock(start)[0]
+    assert few.value == rosenbrock(few.x)[0]  # the value is that of the answer
+    many = scipy_slsqp_minimise(
+        rosenbrock, start, WIDE[:2], ScipySlsqpConfig(tolerance=1e-12, max_iterations=100)
+    )
+    assert many.evaluations > few.evaluations
+    np.testing.assert_allclose(many.x, [1, 1], atol=1e-4)
+
+
+def test_scipys_says_that_an_objective_is_not_finite() -> None:
+    found = scipy_slsqp_minimise(
+        lambda x: np.full(5, np.nan), np.zeros(4), WIDE, ScipySlsqpConfig()
+    )
+    assert np.isnan(found.value)
+
+
+@pytest.mark.parametrize("changes", [{"tolerance": 0.0}, {"max_iterations": 0}])
+def test_scipys_settings_that_can_not_be(changes: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="tolerance > 0 and max_iterations >= 1"):
+        ScipySlsqpConfig(**changes)  # type: ignore[arg-type]

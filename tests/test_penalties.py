@@ -1,0 +1,98 @@
+"""Penalties of Eq. (1) and their derivatives, against plain NumPy and automatic differentiation."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from trees import float64
+
+from smooth_operator import load_hand
+from smooth_operator.errors import ConfigError
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.penalties import Loss, vector_price, vector_slopes
+
+TRANSITION = 0.02
+
+
+def errors() -> tuple[np.ndarray, np.ndarray]:
+    """Six errors, some beyond the transition, and weights."""
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(6, 3)) * 0.004 * 2.0 ** np.arange(6)[:, None], rng.uniform(0.5, 10, 6)
+
+
+def written_out(error: np.ndarray, weight: float, loss: Loss) -> float:
+    def smooth_l1(x: float) -> float:
+        return x**2 / (2 * TRANSITION) if abs(x) < TRANSITION else abs(x) - TRANSITION / 2
+
+    if loss == "squared":
+        return float(weight * (error**2).sum())
+    if loss == "smooth_l1":
+        return float(weight * sum(map(smooth_l1, error)))
+    return smooth_l1(float(weight * np.linalg.norm(error)))
+
+
+@pytest.mark.parametrize("loss", get_args(Loss))
+def test_price_and_slopes(loss: Loss) -> None:
+    with float64():
+        vectors, weights = map(jnp.asarray, errors())
+
+        def price(e: jax.Array, weight: jax.Array) -> jax.Array:
+            return vector_price([e[0], e[1], e[2]], weight, loss, TRANSITION)
+
+        found = jax.vmap(price)(vectors, weights)
+        expected = [written_out(e, w, loss) for e, w in zip(*errors(), strict=True)]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+        force, bend = vector_slopes(vectors, weights, loss, TRANSITION)
+        np.testing.assert_allclose(force, jax.vmap(jax.grad(price))(vectors, weights), rtol=1e-9)
+        full = bend if bend.ndim == 3 else jax.vmap(jnp.diag)(bend)
+        second = jax.vmap(jax.hessian(price))(vectors, weights)
+        np.testing.assert_allclose(full, second, rtol=1e-9, atol=1e-9)
+
+
+def test_the_length_of_an_error_counts_and_not_its_components() -> None:
+    """3, 4 and 5 mm: with components of their own, the parts would add up to 7."""
+    error = [jnp.asarray(0.03), jnp.asarray(0.04), jnp.asarray(0.0)]
+    found = vector_price(error, jnp.asarray(2.0), "smooth_l1_norm", TRANSITION)
+    assert float(found) == pytest.approx(2 * 0.05 - TRANSITION / 2, rel=1e-5)
+
+
+@pytest.mark.parametrize("centre", ["neutral", "zero"])
+@pytest.mark.parametrize("velocity", ["squared", "smooth_l1"])
+def test_regularisation(centre: str, velocity: str) -> None:
+    hand = load_hand()
+    config = ObjectiveConfig(pose_centre=centre, velocity_loss=velocity)  # type: ignore[arg-type]
+    objective = Objective(hand, config)
+    rng = np.random.default_rng(1)
+    q = rng.uniform(*hand.limits.T)
+    before = q + rng.normal(size=len(q)) * 0.4  # beyond 0.2 rad smooth-L1 of 0.1 dq is linear
+    pose = ((q - (hand.neutral if centre == "neutral" else 0)) ** 2).sum()
+    change, size = 0.1 * (q - before) ** 2, np.abs(q - before)
+    if velocity == "smooth_l1":
+        change = np.where(size < 0.2, 0.25 * size**2, 0.1 * size - 0.01)
+        assert 0 < (size < 0.2).sum() < len(q)
+    expected = 0.05 * pose + change.sum()
+    assert objective.regularisation(q, before, 0.1) == pytest.approx(expected, rel=1e-9)
+    with float64():
+        at, previous = jnp.asarray(q), jnp.asarray(before)
+
+        def cost(x: jax.Array) -> jax.Array:
+            return objective.regularisation(x, previous, 0.1)
+
+        slope, bend = objective.regularisation_slopes(at, previous, 0.1)
+        np.testing.assert_allclose(slope, jax.grad(cost)(at), rtol=1e-9)
+        np.testing.assert_allclose(
+            bend * np.eye(len(q)), jax.hessian(cost)(at), rtol=1e-9, atol=1e-12
+        )
+
+
+def test_unknown_words_are_refused() -> None:
+    with pytest.raises(ConfigError, match="'smooth_l1_norm', not 'l2'"):
+        ObjectiveConfig(loss="l2")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="'neutral' or 'zero', not 'middle'"):
+        ObjectiveConfig(pose_centre="middle")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="'squared' or 'smooth_l1', not 'l2'"):
+        ObjectiveConfig(velocity_loss="l2")  # type: ignore[arg-type]
