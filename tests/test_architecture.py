@@ -23,6 +23,7 @@ LEVELS = {
     "recording": 1,
     "parallel": 1,
     "web": 1,
+    "terminal": 1,
     "sources": 2,
     "human": 2,
     "hands": 2,

@@ -24,6 +24,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.offline.cache import enable_cache, healing
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
+from smooth_operator.terminal import open_console
 
 _WIDTH_OF_A_FILE = 160
 
@@ -35,7 +36,7 @@ def ablate(options: Experimenting, names: Sequence[str], recordings: Sequence[st
         SmoothOperatorError: what was asked for can't be; nothing was computed then.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
-    console = Console(stderr=True, highlight=False)
+    console = open_console(stderr=True)
     dispatch_here()  # before anything starts JAX
     if options.quick and options.published:
         raise ConfigError("--quick and --published ask for different sizes: give one of them")
@@ -97,12 +98,12 @@ def _track(console: Console, quiet: bool) -> Track:
     @contextlib.contextmanager
     def phase(name: str, work: float) -> Iterator[Advance]:
         bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[cell]}", style="dim"),
+            TextColumn("{task.fields[cell]}", style="dim", markup=False),
             console=console,
             disable=quiet or not console.is_terminal,
             refresh_per_second=2,  # drawing takes a core now and then, and frames are timed
@@ -124,7 +125,7 @@ def _track(console: Console, quiet: bool) -> Track:
 
 
 def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]], warning: str) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width
         console.width = _WIDTH_OF_A_FILE
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)

@@ -15,6 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from smooth_operator.cli.options import Command, parse
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.terminal import print_note
 
 OK = 0
 USER_ERROR = 2
@@ -135,7 +136,7 @@ def _debugging(command: Command | None) -> bool:
 
 def _complain(message: str) -> None:
     with contextlib.suppress(OSError):
-        print(f"smooth-operator: {message}", file=sys.stderr, flush=True)
+        print_note(f"smooth-operator: {message}")
 
 
 def _never_fail_on_a_character() -> None:

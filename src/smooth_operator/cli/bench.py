@@ -33,6 +33,7 @@ from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
+from smooth_operator.terminal import open_console
 
 SOME_FAILED = 1
 """Exit status where everything was done, but some cells have a reason in place of figures."""
@@ -46,7 +47,7 @@ def bench(options: Bench) -> None:
         SystemExit: with :data:`SOME_FAILED`.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
-    console = Console(stderr=True, highlight=False)
+    console = open_console(stderr=True)
     dispatch_here()  # before planning, which may start JAX
     # What a user can get wrong comes before what takes long.
     settings = Settings(
@@ -158,7 +159,7 @@ def _track(
 
 def _bar(console: Console, quiet: bool) -> Progress:
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("cells"),

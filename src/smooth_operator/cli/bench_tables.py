@@ -26,6 +26,7 @@ from smooth_operator.benchmark.ranking import (
 from smooth_operator.benchmark.results import Row
 from smooth_operator.benchmark.uses import verdict as verdict_of
 from smooth_operator.metrics import Metric
+from smooth_operator.terminal import open_console
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
@@ -141,7 +142,7 @@ def _columns(console: Console) -> list[Metric]:
 
 
 def _console() -> Console:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     return console

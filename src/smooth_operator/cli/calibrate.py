@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from smooth_operator.cli.calibrate_options import Calibrate
@@ -26,6 +25,7 @@ from smooth_operator.offline.environment import environment
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import atomic_write, frame_slice, read_recording, to_json
 from smooth_operator.sources.catalogue import build_source
+from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
 
 _WIDTH_OF_A_FILE = 120
@@ -120,7 +120,7 @@ def _components(text: str | None) -> tuple[Component, ...]:
 
 
 def _print(content: dict[str, Any]) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:
         console.width = _WIDTH_OF_A_FILE
     console.print(

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final
 
 from rich import box
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -18,6 +17,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.terminal import open_console
 
 _REDRAW_S: Final = 0.1
 _GOALS: Final = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
@@ -35,7 +37,7 @@ class Progressing:
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._console = Console(stderr=True, highlight=False)
+        self._console = open_console(stderr=True)
 
     def note(self, text: str, *, matters: bool = False) -> None:
         """A line; shown in spite of ``quiet`` if it ``matters``."""
@@ -69,7 +71,9 @@ class Progressing:
 
             yield note
             return
-        bar = Progress(BarColumn(), TextColumn("{task.description}"), console=self._console)
+        bar = Progress(
+            BarColumn(), TextColumn("{task.description}", markup=False), console=self._console
+        )
         with bar:
             task = bar.add_task(text, total=1.0)
             yield lambda now, done: bar.update(task, description=now, completed=done)
@@ -86,7 +90,7 @@ class Progressing:
                 return
             steps = list(steps)
             bar = Progress(
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TextColumn("frames"),
@@ -119,7 +123,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
     """
     from smooth_operator.metrics import GROUPS, METRICS
 
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     explained = console.width >= _WIDTH_TO_EXPLAIN
@@ -143,7 +147,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
 
     known = {metric.name.split(".")[0] for metric in METRICS}
     for group, question in GROUPS.items():
-        table.add_row(f"[bold]{question.split(':')[0]}[/bold]")
+        table.add_row(Text(question.split(":")[0], "bold"))
         for metric in METRICS:
             if metric.group == group:
                 goal = _GOALS[metric.goal]

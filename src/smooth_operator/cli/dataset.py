@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from rich import box
-from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -26,6 +24,7 @@ from smooth_operator.offline.finished import claimed, read_configuration
 from smooth_operator.offline.jobs import Entry, checked
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import atomic_write, to_json
+from smooth_operator.terminal import open_console, printable
 
 _SHOWN_FAILURES = 40
 
@@ -86,7 +85,7 @@ def retarget_folder(options: Retarget) -> None:
         with atomic_write(account) as file:
             file.write(text.encode() + b"\n")
     if options.json:
-        print(text)
+        print(printable(text))
     else:
         _print_summary(summary, output)
     if summary["failed"]:
@@ -139,12 +138,12 @@ def _watched(results: Iterable[Entry], todo: Survey, quiet: bool) -> list[Entry]
     expected = {job.found.name: job.found.frames for job in todo.jobs}
     bar = Progress(
         BarColumn(bar_width=16),
-        TextColumn("{task.fields[done]}/{task.fields[count]} recordings"),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} frames"),
-        TextColumn("{task.fields[failed]} failed"),
+        TextColumn("{task.fields[done]}/{task.fields[count]} recordings", markup=False),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} frames", markup=False),
+        TextColumn("{task.fields[failed]} failed", markup=False),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True, highlight=False),
+        console=open_console(stderr=True),
         disable=quiet or not todo.jobs,
         redirect_stdout=False,
         redirect_stderr=False,
@@ -167,7 +166,7 @@ def _watched(results: Iterable[Entry], todo: Survey, quiet: bool) -> list[Entry]
 
 
 def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and reasons are long
         console.width = 250
     speed = summary["frames_per_s"]
@@ -182,7 +181,7 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
         table.add_column("recording", overflow="fold")
         table.add_column("reason", overflow="fold")
         for entry in failures[:_SHOWN_FAILURES]:
-            table.add_row(escape(entry["name"]), escape(entry["reason"] or ""))
+            table.add_row(entry["name"], entry["reason"] or "")
         console.print(table)
         if len(failures) > _SHOWN_FAILURES:
             left = len(failures) - _SHOWN_FAILURES

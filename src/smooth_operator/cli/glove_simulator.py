@@ -5,6 +5,7 @@ from __future__ import annotations
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.sources.glove_faults import GloveFaults
 from smooth_operator.sources.glove_simulator import LATE_S, GloveSimulator
+from smooth_operator.terminal import printable
 
 
 def simulate(options: GloveSimulate) -> None:
@@ -37,7 +38,10 @@ def simulate(options: GloveSimulate) -> None:
         if not options.quiet:
             hands = "both hands" if options.side == "both" else f"the {options.side} hand"
             # At once, for a script that waits for the address.
-            print(f"publishing {hands} at {glove.rate:.4g} Hz on {glove.address}", flush=True)
+            print(
+                printable(f"publishing {hands} at {glove.rate:.4g} Hz on {glove.address}"),
+                flush=True,
+            )
         glove.run()
     finally:
         glove.close()

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -15,6 +14,7 @@ from smooth_operator.cli.hands_options import List
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import Entry, catalogue, find_hand, load_hand
 from smooth_operator.hands.user_folder import user_hands_folder
+from smooth_operator.terminal import open_console
 from smooth_operator.types import Side
 
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")
@@ -59,7 +59,7 @@ def list_hands(options: List) -> None:
     if options.json:
         print(json.dumps({"folder": str(folder), "hands": [row.as_json() for row in rows]}))
         return
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)

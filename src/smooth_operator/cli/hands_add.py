@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Final
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -24,6 +23,7 @@ from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
 from smooth_operator.hands.user_folder import spec_name, user_hands_folder
+from smooth_operator.terminal import open_console
 
 _WIDTH_OF_A_FILE: Final = 160
 
@@ -149,7 +149,7 @@ def _comment(found: Discovery) -> str:
 
 
 def _print(found: Discovery, file: Path) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     table = Table(

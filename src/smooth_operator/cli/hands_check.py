@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from rich import box
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -23,6 +22,7 @@ from smooth_operator.checkup import Checkup, check_hand
 from smooth_operator.checkup.checks import Verdict
 from smooth_operator.cli.hands_check_options import Check
 from smooth_operator.offline.cache import enable_cache, healing
+from smooth_operator.terminal import open_console
 
 FAILED: Final = 1
 """Exit status when a check failed."""
@@ -45,12 +45,12 @@ def check_hand_command(options: Check) -> None:
         SystemExit: with :data:`FAILED`, if a check failed.
     """
     bar = Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("poses"),
         TimeElapsedColumn(),
-        console=Console(stderr=True, highlight=False),
+        console=open_console(stderr=True),
         disable=options.quiet,
         transient=True,
     )
@@ -79,7 +79,7 @@ def check_hand_command(options: Check) -> None:
 
 
 def _print(found: Checkup) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     table = Table(

@@ -8,7 +8,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -18,6 +17,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import POINTS
+from smooth_operator.terminal import open_console, printable
 
 _WIDTH_OF_A_FILE: Final = 120
 
@@ -54,7 +54,7 @@ def render_hand(options: Render) -> None:
     hand = _hand(options)
     output = options.output or Path(f"{hand.name}_{hand.spec.side}.png")
     save_hand_picture(hand, output)
-    print(output)
+    print(printable(str(output)))
 
 
 def describe(hand: Hand) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def _print_tables(hand: Hand) -> None:
     from smooth_operator.ui.hand_view import joint_rows
 
     spec = hand.spec
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:
         console.width = _WIDTH_OF_A_FILE
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from smooth_operator.cli.latency_options import Latency
@@ -16,6 +15,7 @@ from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.recording import read_log, to_json
 from smooth_operator.recording.log_reader import Log
 from smooth_operator.runtime.log_timing import added_latency, log_timing
+from smooth_operator.terminal import open_console
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,7 +49,7 @@ def latency(options: Latency) -> None:
 
 
 def _print(path: Path, timing: Mapping[str, Any]) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     table = Table(title=str(path), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("[ms]")
     for name in _SHOWN:

@@ -22,6 +22,7 @@ from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
 from smooth_operator.study.data.workload import with_workload
+from smooth_operator.terminal import open_console
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""
@@ -44,7 +45,7 @@ def analyze_command(options: Analyze) -> None:
         OutputError: the folder can't be written to.
         SystemExit: with :data:`SOME_REFUSED`.
     """
-    console = Console(stderr=True, highlight=False)
+    console = open_console(stderr=True)
     if not options.study:
         raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")
     stored, files = _split(options.study)
@@ -122,7 +123,7 @@ def _with_metrics(paths: Sequence[Path]) -> list[Path]:
 
 
 def _print(analysis: Analysis) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     for outcome in OUTCOMES:

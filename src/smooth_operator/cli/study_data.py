@@ -11,6 +11,7 @@ from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
 from smooth_operator.study.store.export import export_study
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.tables import FILE
+from smooth_operator.terminal import printable
 
 
 def export_data(options: Export) -> None:
@@ -23,7 +24,7 @@ def export_data(options: Export) -> None:
     _check_there(options.study)
     with open_study(options.study, name=options.name) as store:
         files = export_study(store, options.output, operators=options.operator or None)
-    print(f"written: {', '.join(str(path) for path in files)}")
+    print(printable(f"written: {', '.join(str(path) for path in files)}"))
 
 
 def erase_data(options: Erase) -> None:
@@ -53,7 +54,11 @@ def erase_data(options: Erase) -> None:
         plan = read_plan(file)
         if options.operator in plan.codes:
             write_plan(plan.withdraw(options.operator), file)
-    print(f"deleted: {gone} events of {options.operator}; exported copies are yours to delete")
+    print(
+        printable(
+            f"deleted: {gone} events of {options.operator}; exported copies are yours to delete"
+        )
+    )
 
 
 def _check_there(study: str) -> None:

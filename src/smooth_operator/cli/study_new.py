@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Final
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -24,6 +23,7 @@ from smooth_operator.study.design.schedule import (
     imbalances,
     schedule_table,
 )
+from smooth_operator.terminal import open_console, printable
 
 PAPER_CONDITIONS: Final = (
     Condition("sbr", preset="paper"),
@@ -64,12 +64,12 @@ def new_study(options: New) -> None:
         protocol = _protocol(options)
         asking = sys.stdin.isatty() and sys.stdout.isatty()
         if asking and not options.no_wizard and not _given(options):
-            protocol = ask_protocol(protocol, Console(highlight=False))
+            protocol = ask_protocol(protocol, open_console())
         plan = make_plan(protocol)
     with folder_for(folder):
         files = write_plan_files(plan, folder)
     _print(plan)
-    print(f"written: {', '.join(str(path) for path in files)}")
+    print(printable(f"written: {', '.join(str(path) for path in files)}"))
 
 
 def enrol_operator(options: Enrol) -> None:
@@ -90,7 +90,7 @@ def enrol_operator(options: Enrol) -> None:
     write_plan_files(plan, folder)
     for task in plan.enrolment(options.operator).rows:
         order = " → ".join(b.condition.label for b in plan.blocks(options.operator, task))
-        print(f"{options.operator}, task {task}: {order}")
+        print(printable(f"{options.operator}, task {task}: {order}"))
 
 
 def _given(options: New) -> bool:
@@ -158,7 +158,7 @@ def _task(text: str, known: dict[str, Task]) -> Task:
 
 
 def _print(plan: Plan) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:
         console.width = 140
     protocol = plan.protocol

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from smooth_operator.cli.console import Progressing
@@ -24,6 +23,7 @@ from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.report import TITLES, Tallies, found, power_json, write_power
 from smooth_operator.study.power.run import PowerSettings, run_power
 from smooth_operator.study.power.tally import Rate
+from smooth_operator.terminal import open_console, printable
 
 _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
 _WIDTH_OF_A_FILE: Final = 140
@@ -52,7 +52,7 @@ def simulate_power(options: Power) -> None:
         return
     for scope in settings.scopes:
         _print(settings, tallies, scope)
-    print(f"written: {', '.join(str(path) for path in files)}")
+    print(printable(f"written: {', '.join(str(path) for path in files)}"))
 
 
 def _home(study: Path | None) -> Path:
@@ -100,7 +100,7 @@ def _values(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
     baseline = settings.protocol.baseline

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import signal
 import socket
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.study_store import StudyStore
 from smooth_operator.study.store.tables import FILE
+from smooth_operator.terminal import print_note
 from smooth_operator.web.browser import open_page
 from smooth_operator.web.listening import listen
 
@@ -140,4 +140,4 @@ def _teleop(address: str | None) -> Teleop | None:
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    print_note(text)

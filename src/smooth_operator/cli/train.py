@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -26,6 +25,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.offline.cache import enable_cache, healing
 from smooth_operator.recording import frame_slice, read_recording
+from smooth_operator.terminal import open_console
 from smooth_operator.training import (
     LOSSES,
     GeortTrainer,
@@ -130,10 +130,10 @@ def _bar(options: Train, epochs: int) -> Iterator[Callable[[TrainingState], None
         TextColumn("training"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("epochs  {task.fields[losses]}"),
+        TextColumn("epochs  {task.fields[losses]}", markup=False),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True, highlight=False),
+        console=open_console(stderr=True),
         redirect_stdout=False,
         redirect_stderr=False,
     )

@@ -24,6 +24,7 @@ from smooth_operator.cli.tune_options import Tune
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
+from smooth_operator.terminal import open_console
 from smooth_operator.tuning.score import Bound, figure
 from smooth_operator.tuning.tune import KEPT
 
@@ -37,7 +38,7 @@ def tune(options: Tune) -> None:
         SmoothOperatorError: what was asked for can't be; nothing was tried then.
         KeyboardInterrupt: stopped; what was tried is kept, and the best of it written.
     """
-    console = Console(stderr=True, highlight=False)
+    console = open_console(stderr=True)
     dispatch_here()  # before planning, which may start JAX
     settings = tuning.TuningSettings(
         output=options.output,
@@ -93,7 +94,7 @@ def _bar(console: Console, quiet: bool, trials: int) -> Iterator[Callable[..., N
         TextColumn("tuning"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("trials  score {task.fields[score]}"),
+        TextColumn("trials  score {task.fields[score]}", markup=False),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
@@ -118,7 +119,7 @@ def _bar(console: Console, quiet: bool, trials: int) -> Iterator[Callable[..., N
 
 
 def _print(todo: tuning.Tuning, tuned: tuning.Tuned) -> None:
-    console = Console(highlight=False)
+    console = open_console()
     if not console.is_terminal:  # a pipe or file has no width
         console.width = _WIDTH_OF_A_FILE
     values = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"score {tuned.score:.4f}",

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import contextlib
 import queue
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
@@ -32,6 +31,7 @@ from typing import Any, Final
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.switchboard import Reply, Switchboard, Word
+from smooth_operator.terminal import print_note
 
 _TURN_MS: Final = 20
 _SOON_MS: Final = 1  # while an answer waits for the loop
@@ -119,7 +119,7 @@ def remote(
                     board.turn()
                     send_all()
                 except Exception as error:  # nothing that is sent may end the listening
-                    print(f"note: {address}: {type(error).__name__}: {error}", file=sys.stderr)
+                    print_note(f"note: {address}: {type(error).__name__}: {error}")
             board.finish()
             send_all()
         finally:

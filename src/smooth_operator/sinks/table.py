@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections import deque
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ import numpy as np
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.terminal import open_console
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
@@ -58,10 +58,8 @@ class TableSink:
         """Begin to draw; see :class:`~smooth_operator.sinks.sink.Sink`."""
         if self._thread is not None:
             raise SinkError("table: it is open already")
-        from rich.console import Console
-
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
-        drawing = _Drawing(panels, Console(file=sys.stderr), self.rate)
+        drawing = _Drawing(panels, open_console(stderr=True), self.rate)
         object.__setattr__(self, "_thread", drawing)
         drawing.start()
 

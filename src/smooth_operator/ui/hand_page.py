@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import sys
 import threading
 from typing import Any, Final
 
@@ -14,6 +13,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.terminal import print_note
 from smooth_operator.ui.hand_view import HandView, JointRow, joint_rows
 from smooth_operator.ui.markup import plain
 from smooth_operator.ui.palette import PALM, finger_colors, linear
@@ -278,7 +278,7 @@ def serve_hand(
     """
     page = HandPage(hand, notes, host=host, port=port).start()
     hint = "; Ctrl-C ends" if block else ""
-    print(f"showing {hand.name} at {page.url}{hint}", file=sys.stderr, flush=True)
+    print_note(f"showing {hand.name} at {page.url}{hint}")
     if open_browser:
         open_page(page.url)
     if block:

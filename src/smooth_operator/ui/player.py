@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import viser
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.terminal import print_note
 from smooth_operator.ui.clock import PlaybackClock
 from smooth_operator.ui.panel import SPEEDS, Panel
 from smooth_operator.ui.playback import Playback, check_runs
@@ -327,7 +327,7 @@ def serve(
     # standard error: standard output may be a result that a program reads
     taken = "" if port in (0, server.port) else f" (port {port} was taken)"
     hint = "; Ctrl-C ends" if block else ""
-    print(f"playing at {server.url}{taken}{hint}", file=sys.stderr, flush=True)
+    print_note(f"playing at {server.url}{taken}{hint}")
     if open_browser:
         open_page(server.url)
     server.play()

@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, Any, Final
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 from smooth_operator.ui.live.session import LiveSession
 
@@ -136,7 +137,7 @@ class LivePage:
                 self._say(answer)
         if not self._ending:
             self.trouble = "the process of the page ended; the loop goes on without it"
-            print(f"note: {self.trouble}", file=sys.stderr, flush=True)
+            print_note(f"note: {self.trouble}")
 
     def _hear(self) -> dict[str, Any] | None:
         """The next message; None at the end."""

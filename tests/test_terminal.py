@@ -1,0 +1,76 @@
+"""What comes from elsewhere is printed as text: no control characters, no markup."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.cli import main
+from smooth_operator.cli.console import Progressing
+from smooth_operator.errors import RecordingError
+from smooth_operator.recording import LogWriter
+from smooth_operator.sources.manus_message import read_manus
+from smooth_operator.terminal import open_console, printable
+from smooth_operator.types import JointCommand, Status
+
+HOSTILE = "\x1b]0;title\x07\x1b[2J\x9b31m\r\u202e[/x][bold]:warning:"
+
+
+def harmless(text: str) -> bool:
+    """Whether a terminal would take nothing of a text for a command."""
+    return not any((ord(c) < 32 and c not in "\n\t") or 127 <= ord(c) < 160 for c in text)
+
+
+def test_control_characters_become_escapes_and_the_rest_stays() -> None:
+    assert printable("m² → 3 µs\n\tß 手") == "m² → 3 µs\n\tß 手"
+    assert printable(HOSTILE) == (r"\x1b]0;title\x07\x1b[2J\x9b31m\x0d\u202e[/x][bold]:warning:")
+    assert printable("\udc80") == r"\udc80"  # of a file name that is no UTF-8
+
+
+def test_tables_take_no_text_for_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    table = Table(title=HOSTILE)
+    table.add_column(HOSTILE)
+    table.add_row(HOSTILE)
+    open_console().print(table, HOSTILE, Text(HOSTILE), width=200)
+    out = capsys.readouterr().out
+    assert harmless(out)
+    assert out.count("[/x][bold]:warning:") == 5
+
+
+def test_errors_name_hostile_files_as_text(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["retarget", f"/nowhere/{HOSTILE}.npz", "--output", str(tmp_path / "o.npz")]) == 2
+    told = capsys.readouterr()
+    assert harmless(told.err)
+    assert r"\x1b[2J" in told.err.replace("\\\\", "\\")
+
+
+def test_latency_shows_hostile_names_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    path = tmp_path / "q[red]x[] [\x1b[2J.mcap"
+    with LogWriter(path) as log:
+        command = JointCommand(np.zeros(1), ("joint",), 1.0)
+        log.write_command(command, Status.OK, 1.0, {HOSTILE: 2.0})
+    assert main(["latency", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert harmless(out)
+    assert "[/x][bold]:warning:" in out
+    assert "q[red]x[]" in out.replace("\n", "")
+
+
+def test_keys_of_a_message_are_told_as_text(capsys: pytest.CaptureFixture[str]) -> None:
+    message = json.dumps({HOSTILE: 1}).encode()
+    with pytest.raises(RecordingError) as caught:
+        read_manus(message, gloves={}, side="right", received=0.0)
+    Progressing().note(f"manus: {caught.value}", matters=True)
+    err = capsys.readouterr().err
+    assert harmless(err)
+    assert "[/x][bold]:warning:" in err.replace("\n", "")
