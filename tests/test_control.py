@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ import pytest
 from live_time import until
 
 from smooth_operator import Retargeter, load_hand
+from smooth_operator.cli.teleop_keys import keyboard
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.pipeline import HandPipeline
 from smooth_operator.runtime.remote import remote
@@ -264,3 +267,95 @@ def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running: Running
         time.sleep(0.0005)
     at = np.array([tick.time for tick in running.ticks[first:]])
     assert len(at) <= (at[-1] - at[0]) * RATE + EXTRA + 2
+
+
+# -- the terminal -----------------------------------------------------------------------------
+
+
+class Terminal:
+    """A terminal to press keys on, and what it showed."""
+
+    def __init__(self, master: int) -> None:
+        self._master = master
+        self.said: list[str] = []
+
+    def note(self, text: str, *, matters: bool = False) -> None:
+        self.said.append(text)
+
+    def press(self, keys: bytes) -> str:
+        """Press keys; returns what is said of it."""
+        before = len(self.said)
+        os.write(self._master, keys)
+        until(lambda: len(self.said) > before, LONG)
+        return self.said[before]
+
+
+@pytest.fixture
+def terminal(running: Running, monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    pty = pytest.importorskip("pty", reason="a POSIX terminal")
+    master, slave = pty.openpty()
+    built = Terminal(master)
+    with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdin", stdin)
+        with keyboard(running.loop, built):  # type: ignore[arg-type]
+            assert "EMERGENCY STOP" in built.said[0]
+            yield built
+    os.close(master)
+
+
+def stays(running: Running, mode: Mode) -> None:
+    """The mode is so now, and some commands later."""
+    until(lambda: running.mode() is mode, LONG)
+    first = len(running.ticks)
+    until(lambda: len(running.ticks) > first + 5, LONG)
+    assert {tick.mode for tick in running.ticks[first:]} == {mode}
+
+
+@pytest.mark.parametrize("key", [b" ", b"\x1b", b"x", b"X", b"\x1b[A", b"\x1bu"])
+def test_a_stop_key_stops_whoever_released_last(
+    running: Running, terminal: Terminal, key: bytes
+) -> None:
+    assert "STOPPED" in terminal.press(key)
+    stays(running, Mode.STOPPED)
+    running.loop.controls.release()  # on the page, or by another program
+    stays(running, Mode.WAITING)
+    assert "STOPPED" in terminal.press(key)
+    stays(running, Mode.STOPPED)
+    terminal.press(key)  # again: it does not release
+    stays(running, Mode.STOPPED)
+    assert terminal.press(b"p") == "STOPPED, which p does not change; u releases"
+    stays(running, Mode.STOPPED)
+    assert terminal.press(b"u") == "released"
+    stays(running, Mode.WAITING)
+    assert "not stopped" in terminal.press(b"u")
+
+
+def test_pause_asks_what_the_robot_does(running: Running, terminal: Terminal) -> None:
+    assert "paused" in terminal.press(b"p")
+    stays(running, Mode.PAUSED)
+    running.loop.controls.resume()  # on the page
+    stays(running, Mode.WAITING)
+    assert "paused" in terminal.press(b"p")
+    stays(running, Mode.PAUSED)
+    terminal.press(b"x")
+    stays(running, Mode.STOPPED)
+    terminal.press(b"u")
+    stays(running, Mode.PAUSED)  # the clutch is as it was
+    assert terminal.press(b"p") == "resumed"
+    stays(running, Mode.WAITING)
+
+
+def test_a_key_that_goes_wrong_is_not_the_last(
+    running: Running, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pty = pytest.importorskip("pty", reason="a POSIX terminal")
+    master, slave = pty.openpty()
+    built = Terminal(master)
+    with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdin", stdin)
+        with keyboard(running.loop, built, {"g": lambda: [][1]}, "   g: go"):  # type: ignore[arg-type]
+            os.write(master, b"g")
+            built.press(b" ")
+            stays(running, Mode.STOPPED)
+    assert "IndexError" in capfd.readouterr().err
+    os.close(master)

@@ -13,8 +13,12 @@ from collections.abc import Callable, Iterator, Mapping
 def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
     """Runs actions as keys are pressed, without waiting for a line.
 
+    Arrows and other keys that send several characters count as Esc on POSIX systems, where they
+    begin with it; what comes with it is dropped.
+
     Args:
-        actions: key -> what to do, on a thread of this function's.
+        actions: key -> what to do, on a thread of this function's. One that raises is told on
+            standard error, and the listening goes on.
 
     Yields:
         whether there is a terminal to press keys on; the terminal is put back at the end.
@@ -26,9 +30,11 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
 
     def listen(read: Callable[[float], str]) -> None:
         while not done.is_set():
-            action = actions.get(read(0.1))
-            if action is not None:
-                action()
+            for key in read(0.1):
+                try:
+                    actions.get(key, _nothing)()
+                except Exception as error:  # the next key may be a stop
+                    print(f"error: {type(error).__name__}: {error}", file=sys.stderr)
 
     with _reader() as read:
         thread = threading.Thread(target=listen, args=(read,), name="keys", daemon=True)
@@ -40,9 +46,13 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
             thread.join(1.0)
 
 
+def _nothing() -> None:
+    """What a key does that means nothing."""
+
+
 @contextlib.contextmanager
 def _reader() -> Iterator[Callable[[float], str]]:
-    """How to wait a while for a key; the terminal hands them over one by one meanwhile."""
+    """How to wait a while for keys; the terminal hands them over one by one meanwhile."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -50,7 +60,10 @@ def _reader() -> Iterator[Callable[[float], str]]:
             end = time.monotonic() + seconds
             while time.monotonic() < end:
                 if msvcrt.kbhit():
-                    return msvcrt.getwch()
+                    key = msvcrt.getwch()
+                    if key not in ("\x00", "\xe0"):
+                        return key
+                    msvcrt.getwch()  # of an arrow, whose second character is no key of its own
                 time.sleep(0.01)
             return ""
 
@@ -66,7 +79,9 @@ def _reader() -> Iterator[Callable[[float], str]]:
 
         def read(seconds: float) -> str:
             ready, _, _ = select.select([terminal], [], [], seconds)
-            return os.read(terminal, 1).decode(errors="ignore") if ready else ""
+            pressed = os.read(terminal, 64).decode(errors="ignore") if ready else ""
+            before_escape, escape, _ = pressed.partition("\x1b")
+            return before_escape + escape
 
         try:
             tty.setcbreak(terminal)  # Ctrl-C stays a signal

@@ -14,7 +14,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.keys import keys
+from smooth_operator.cli.teleop_keys import keyboard
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.teleop_page import begun_page, show_page
 from smooth_operator.cli.teleop_task import TaskTrials, with_task
@@ -123,7 +123,7 @@ def _drive(
         contextlib.closing(workshop),
         _attentive(),
         _interrupts(loop.controls) as interrupted,
-        _keyboard(loop.controls, progress, trials),
+        keyboard(loop, progress, trials.keys, trials.words),
         _remote(loop, options.control, orders, progress),
         contextlib.ExitStack() as first,
     ):
@@ -256,26 +256,4 @@ def _remote(
 
     with remote(loop, address, orders.words, orders.status) as bound:
         progress.note(f"switches at {bound}")
-        yield
-
-
-@contextlib.contextmanager
-def _keyboard(controls: Controls, progress: Progressing, trials: TaskTrials) -> Iterator[None]:
-    stopped, paused = False, False
-
-    def stop() -> None:
-        nonlocal stopped
-        stopped = not stopped
-        (controls.stop if stopped else controls.release)()
-        progress.note("STOPPED; space releases" if stopped else "released", matters=True)
-
-    def pause() -> None:
-        nonlocal paused
-        paused = not paused
-        (controls.pause if paused else controls.resume)()
-        progress.note("paused; p resumes" if paused else "resumed", matters=True)
-
-    with keys({" ": stop, "p": pause, "q": controls.quit, **trials.keys}) as there:
-        if there:
-            progress.note("space: emergency stop   p: pause   q: end" + trials.words)
         yield

@@ -33,8 +33,9 @@ When the tracker falls silent the hand is held, then goes to its neutral pose; w
 is back it goes over to them smoothly. Joint ranges, velocities and accelerations are limited
 whatever the method asks for.
 
-Keys in the terminal: space stops the robot at once (again: releases it), p pauses and resumes,
-q ends. Ctrl-C ends too; what was recorded is whole.
+Keys in the terminal: space, Esc and x always stop the robot at once, and no other key does; u
+releases an emergency stop, p pauses and resumes, q ends. They are the same on the page. Ctrl-C
+ends too; what was recorded is whole.
 
 Exit status: 0 done, 1 a sink failed on the way (it is said which), 2 something can't be opened,
 130 stopped by Ctrl-C.

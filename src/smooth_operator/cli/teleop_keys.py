@@ -1,0 +1,78 @@
+"""Keys of ``smooth-operator teleop`` in the terminal: stop, release, pause, end, trials."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final
+
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.keys import keys
+from smooth_operator.runtime.loop import TeleopLoop
+
+STOP_KEYS: Final = (" ", "\x1b", "x", "X")
+"""Each always stops, whatever the robot does; no other key does."""
+WORDS: Final = "space, Esc or x: EMERGENCY STOP   u: release it   p: pause / resume   q: end"
+
+
+def actions(
+    loop: TeleopLoop, say: Callable[[str], None], more: Mapping[str, Callable[[], None]] = {}
+) -> dict[str, Callable[[], None]]:
+    """Key -> what it does.
+
+    What the robot does may be changed from the page or by another program, too, so nothing is
+    remembered here: a stop is always asked for, and the rest asks the supervisors.
+
+    Args:
+        loop: the running loop.
+        say: takes a line for the person at the keys.
+        more: other keys.
+    """
+    controls = loop.controls
+    supervisors = [pipeline.supervisor for pipeline in loop.pipelines.values()]
+
+    def stop() -> None:
+        controls.stop()
+        say("STOPPED; u releases")
+
+    def release() -> None:
+        if any(supervisor.stopped for supervisor in supervisors):
+            controls.release()
+            say("released")
+        else:
+            say("not stopped: there is nothing to release")
+
+    def pause() -> None:
+        if any(supervisor.stopped for supervisor in supervisors):
+            say("STOPPED, which p does not change; u releases")
+        elif any(supervisor.paused for supervisor in supervisors):
+            controls.resume()
+            say("resumed")
+        else:
+            controls.pause()
+            say("paused; p resumes")
+
+    own = {**dict.fromkeys(STOP_KEYS, stop), "u": release, "p": pause, "q": controls.quit}
+    assert not set(own) & set(more)
+    return {**more, **own}
+
+
+@contextlib.contextmanager
+def keyboard(
+    loop: TeleopLoop,
+    progress: Progressing,
+    more: Mapping[str, Callable[[], None]] = {},
+    words: str = "",
+) -> Iterator[None]:
+    """Listens to the keys while the loop runs, where there is a terminal.
+
+    Args:
+        loop: the running loop.
+        progress: where lines for the person at the keys go.
+        more: other keys.
+        words: what those do.
+    """
+    with keys(actions(loop, lambda text: progress.note(text, matters=True), more)) as there:
+        if there:
+            progress.note(WORDS + words)
+        yield
