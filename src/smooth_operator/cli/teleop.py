@@ -14,10 +14,12 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.teleop_checks import checked
 from smooth_operator.cli.teleop_keys import keyboard
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.teleop_page import begun_page, show_page
 from smooth_operator.cli.teleop_task import TaskTrials, with_task
+from smooth_operator.hands.hand import Hand
 from smooth_operator.live.orders import Orders
 from smooth_operator.live.workshop import Workshop
 from smooth_operator.offline import (
@@ -25,9 +27,9 @@ from smooth_operator.offline import (
     build_retargeter,
     live_configuration,
     request,
-    settle,
 )
 from smooth_operator.recording import to_json
+from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.runtime.controls import Controls
 from smooth_operator.runtime.loop import TeleopLoop
@@ -59,7 +61,7 @@ def teleop(options: Teleop) -> None:
         SystemExit: 1, a sink failed on the way.
         KeyboardInterrupt: Ctrl-C; everything is closed and what it came to is printed.
     """
-    LoopConfig(options.rate)  # a mistake is said before anything is opened
+    config = LoopConfig(options.rate, options.safety, options.limits)
     source = build_source(options.source, options.side)
     acting = [build_sink(text) for text in with_task(options.sink, options.task)]
     asked = request(
@@ -72,25 +74,26 @@ def teleop(options: Teleop) -> None:
         operator=options.operator,
     )
     sides: tuple[Side, ...] = ("right", "left") if options.side == "both" else (options.side,)
+    sinks = SinkRunner(acting)
+    settled = checked(options, asked, config, sides, source, sinks)
     with begun_page(options, asked, sides, acting) as page:
-        _drive(options, asked, sides, source, acting, page)
+        _drive(options, asked, config, settled, source, acting, sinks, page)
 
 
 def _drive(
     options: Teleop,
     asked: Request,
-    sides: tuple[Side, ...],
+    config: LoopConfig,
+    settled: Mapping[Side, tuple[Hand, MethodConfig]],
     source: LiveSource,
     acting: Sequence[Sink],
+    sinks: SinkRunner,
     page: LivePage | None,
 ) -> None:
     """Compiles, and runs the loop until told to end."""
     progress = Progressing(options.quiet)
-    config = LoopConfig(options.rate, options.safety, options.limits)
-    sinks = SinkRunner(acting)
     retargeters: dict[Side, Retargeter] = {}
-    for side in sides:
-        hand, method = settle(asked, side)
+    for side, (hand, method) in settled.items():
         what = "the method" if options.blind else asked.method
         with progress.waiting(f"compiling {what} for {hand.name} {side}"):
             retargeters[side], _ = build_retargeter(hand, method, options.seed)
@@ -113,7 +116,7 @@ def _drive(
     def note(side: Side, text: str) -> None:
         loop.controls.change(lambda hand: hand.note(text) if hand.side == side else None)
 
-    trials = TaskTrials(options, acting, sides, progress, lambda: workshop.used, note)
+    trials = TaskTrials(options, acting, tuple(settled), progress, lambda: workshop.used, note)
     orders = Orders(loop, workshop, lambda: trials.desk, blind=options.blind)
     facts = {"priority": "normal"}
     started = time.perf_counter()

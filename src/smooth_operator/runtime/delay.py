@@ -14,7 +14,8 @@ class TrackerDelay:
 
     Two clocks that were never compared tell only how the delay varies: the difference of arrival
     and stamp is the delay and a constant, whose smallest value lately stands for the fastest way.
-    The window is short enough to follow clocks that drift apart.
+    The window is short enough to follow clocks that drift apart. Stamps of a recording that is
+    played at another speed are scaled to ours.
     """
 
     def __init__(self) -> None:
@@ -26,7 +27,7 @@ class TrackerDelay:
         if arrival.session != self._session:
             self._session = arrival.session
             self._lowest.clear()
-        difference = arrival.received - arrival.stamp
+        difference = _difference(arrival)
         while self._lowest and self._lowest[-1][1] >= difference:
             self._lowest.pop()
         self._lowest.append((arrival.received, difference))
@@ -35,4 +36,9 @@ class TrackerDelay:
 
     def above_fastest(self, arrival: Arrival) -> float:
         """[s]; of a frame that was seen."""
-        return arrival.received - arrival.stamp - self._lowest[0][1]
+        return _difference(arrival) - self._lowest[0][1]
+
+
+def _difference(arrival: Arrival) -> float:
+    """Of the two clocks at an arrival, and the delay [s]."""
+    return arrival.received - arrival.stamp / arrival.speed

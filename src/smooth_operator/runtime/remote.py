@@ -66,25 +66,8 @@ def remote(
         MissingExtraError: pyzmq is not installed.
         SourceError: the address can't be listened on.
     """
-    try:
-        import zmq
-    except ImportError:
-        raise MissingExtraError("listening for switches (--control)", "zmq") from None
-    context = zmq.Context()
-    # Not REP, which would have a stop wait for the answer to whatever was asked before.
-    socket = context.socket(zmq.ROUTER)
-    socket.setsockopt(zmq.LINGER, 200)
-    socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
-    try:
-        socket.bind(address)
-    except zmq.ZMQError as error:
-        socket.close()
-        context.term()
-        raise SourceError(
-            f"can't listen for switches on {address!r} ({error}); an address looks like "
-            "tcp://127.0.0.1:5558"
-        ) from error
-    bound = str(socket.getsockopt_string(zmq.LAST_ENDPOINT)).rstrip("\0")
+    context, socket = _listening(address)
+    bound = str(socket.last_endpoint.decode()).rstrip("\0")
     board = Switchboard(loop, words, status)
     answers: queue.SimpleQueue[list[bytes]] = queue.SimpleQueue()
     done = threading.Event()
@@ -134,3 +117,37 @@ def remote(
         thread.join(_END_S)
         if not thread.is_alive():  # the context waits for its sockets to be closed
             context.term()
+
+
+def check_address(address: str) -> None:
+    """Find out whether :func:`remote` can listen there, before anything slow is done.
+
+    Raises:
+        MissingExtraError, SourceError: as :func:`remote`.
+    """
+    context, socket = _listening(address)
+    socket.close(0)
+    context.term()
+
+
+def _listening(address: str) -> tuple[Any, Any]:
+    """A ZeroMQ context and its socket, which listens."""
+    try:
+        import zmq
+    except ImportError:
+        raise MissingExtraError("listening for switches (--control)", "zmq") from None
+    context = zmq.Context()
+    # Not REP, which would have a stop wait for the answer to whatever was asked before.
+    socket = context.socket(zmq.ROUTER)
+    socket.setsockopt(zmq.LINGER, 200)
+    socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        socket.close()
+        context.term()
+        raise SourceError(
+            f"can't listen for switches on {address!r} ({error}); an address looks like "
+            "tcp://127.0.0.1:5558"
+        ) from error
+    return context, socket

@@ -45,6 +45,11 @@ class CourierSink(ABC):
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
         """Open the way to the far side; errors reach whoever opens the sink."""
 
+    def check(self, hands: Mapping[Side, Hand]) -> None:
+        """Open the way to the far side and close it again; see
+        :meth:`~smooth_operator.sinks.runner.SinkRunner.check`."""
+        self.connect(hands, {}).close()
+
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Get ready; see :class:`~smooth_operator.sinks.sink.Sink`."""
         if self._courier() is not None:

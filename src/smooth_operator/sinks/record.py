@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any, ClassVar
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.recording.atomic import output_error
 from smooth_operator.sinks.recorder import Recorder
 from smooth_operator.sinks.take_names import is_folder, next_part, take_paths
 from smooth_operator.sinks.tick import Tick
@@ -79,6 +82,14 @@ class RecordSink:
             return ""
         told = "1 tick is" if lost == 1 else f"{lost} ticks are"
         return f"{told} not recorded: the disk was too slow, or failed"
+
+    def check(self, hands: Mapping[Side, Hand]) -> None:
+        """Refuse a file that stands there, or a folder that can't be made; see
+        :meth:`~smooth_operator.sinks.runner.SinkRunner.check`."""
+        for file in take_paths(self.path, list(hands), overwrite=self.overwrite).values():
+            if not os.access(file.parent, os.W_OK):
+                why = errno.EACCES if file.parent.is_dir() else errno.ENOENT
+                raise output_error(file, OSError(why, os.strerror(why)))
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Create the files; see :class:`~smooth_operator.sinks.sink.Sink`."""

@@ -78,6 +78,20 @@ class SinkRunner:
         self._changed = threading.Condition()
         self._mender: threading.Thread | None = None
 
+    def check(self, hands: Mapping[Side, Hand]) -> None:
+        """Find out what would keep a sink from opening, before anything slow is done.
+
+        A sink that has a method ``check`` with the argument of this one is asked; nothing stays
+        open.
+
+        Raises:
+            SmoothOperatorError: as :meth:`open`.
+        """
+        for entry in self._entries:
+            check = getattr(entry.sink, "check", None)
+            if check is not None:
+                check(hands)
+
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Open all sinks, or none.
 

@@ -44,11 +44,14 @@ class Arrival:
         session: which start of the tracker it belongs to; stamps of another session may begin anew.
             It goes up by one with each start that the source knows of, and with each jump of the
             stamps (:data:`JUMP_S`).
+        speed: seconds of its stamps in a second of the loop's clock; a recording may be played
+            slower or faster than it was made.
     """
 
     frame: HandFrame
     received: float
     session: int = 0
+    speed: float = 1.0
 
     def __post_init__(self) -> None:
         if self.frame.stamp is None:
@@ -79,13 +82,21 @@ class Mailbox:
         self._woken = False
         self._arrived = threading.Condition()
 
-    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> Arrival:
+    def post(
+        self,
+        frame: HandFrame,
+        *,
+        received: float | None = None,
+        session: int = 0,
+        speed: float = 1.0,
+    ) -> Arrival:
         """Put in a frame.
 
         Args:
             frame: the hand.
             received: when it was received; now if left out.
             session: which start of the tracker, as far as the source knows.
+            speed: see :class:`Arrival`.
 
         Returns:
             it, as it waits now.
@@ -95,9 +106,8 @@ class Mailbox:
             self.received += 1
             self.overwritten += frame.side in self._newest
             sessions = self._sessions.setdefault(frame.side, _Sessions())
-            arrival = Arrival(
-                frame, at, sessions.of(at if frame.stamp is None else frame.stamp, at, session)
-            )
+            stamp = at if frame.stamp is None else frame.stamp
+            arrival = Arrival(frame, at, sessions.of(stamp, at, session), speed)
             self._newest[frame.side] = arrival
             if frame.side in self._latest:
                 gaps = self._gaps.setdefault(frame.side, deque(maxlen=_GAPS))
@@ -204,6 +214,13 @@ class LiveSource(Protocol):
     def label(self) -> str:
         """What it is, in a few words."""
 
+    def prepare(self) -> None:
+        """Get hold of all that :meth:`start` needs, before anything slow is done; may be left out.
+
+        Raises:
+            SourceError, RecordingError, MissingExtraError, ConfigError: as :meth:`start`.
+        """
+
     def start(self, mailbox: Mailbox) -> None:
         """Begin to post frames, and return at once.
 
@@ -240,9 +257,15 @@ class ThreadedSource(ABC):
     def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
         """Get hold of what is needed, before the thread starts; errors reach the caller."""
 
+    def prepare(self) -> None:
+        """Open it ahead of :meth:`start`; see :class:`LiveSource`."""
+        self.open()
+        object.__setattr__(self, "_prepared", True)
+
     def start(self, mailbox: Mailbox) -> None:
         """Begin; see :class:`LiveSource`."""
-        self.open()
+        if not self.__dict__.pop("_prepared", False):
+            self.open()
         running = Running(mailbox, self.label)
         # The settings are frozen, but a source that runs is not its settings alone.
         object.__setattr__(self, "_running", running)

@@ -65,7 +65,7 @@ class Replay(ThreadedSource):
         running.health = SourceHealth("running", f"{len(recording)} frames of {self.path.name}")
         clock = running.mailbox.clock
         for _, (frame, session) in on_time(self._due(recording), clock, running.stopping):
-            running.mailbox.post(frame, session=session)
+            running.mailbox.post(frame, session=session, speed=self.speed)
 
     def _due(self, recording: HandRecording) -> Iterator[tuple[float, tuple[HandFrame, int]]]:
         """When each frame is due [s], the frame and its round."""

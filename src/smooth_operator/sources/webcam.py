@@ -210,7 +210,7 @@ class Video(_Pictures):
                 continue
             frames = tracker.frames(pixels, time)
             for frame in frames:
-                running.mailbox.post(frame, session=session)
+                running.mailbox.post(frame, session=session, speed=self.speed)
             counts.hands += bool(frames)
             _say(running, self.label, frames)
 

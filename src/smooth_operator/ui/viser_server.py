@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 import rich
 import viser
+from viser import _messages
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.sources.webxr.addresses import lan_addresses
@@ -48,6 +49,20 @@ def close_server(server: viser.ViserServer) -> None:
     """Closes the port."""
     with _quiet_viser():
         server.stop()
+
+
+def run_script(server: viser.ViserServer, source: str) -> None:
+    """Runs a script in every browser that opens the page, now or later.
+
+    viser does so for its plots and offers nothing of the kind to others; sent again to a browser
+    that has lost the connection, so a script has to look whether it has run.
+
+    Args:
+        server: of :func:`open_server`.
+        source: JavaScript.
+    """
+    interface: Any = server.gui
+    interface._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))
 
 
 def page_url(host: str, server: viser.ViserServer) -> str:

@@ -30,16 +30,12 @@ class Pace:
     def __init__(self, server: viser.ViserServer) -> None:
         self.period = _FASTEST_S
         self._server = server
-        self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pace", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """End, once the last question is answered or given up."""
-        self._ending.set()
-
     def _run(self) -> None:
-        while not self._ending.wait(_EVERY_S):
+        while True:
+            time.sleep(_EVERY_S)
             clients = list(self._server.get_clients().values())
             slowest = max((_round_trip(client) for client in clients), default=0.0)
             self.period = min(max(_FASTEST_S, slowest), _SLOWEST_S)

@@ -24,8 +24,8 @@ from smooth_operator.types import Side
 from smooth_operator.ui.live.session import LiveSession
 
 _MODULE: Final = "smooth_operator.ui.live.process"
-_END_S: Final = 10.0
-"""How long the page may take to end [s]."""
+_END_S: Final = 3.0
+"""How long the page may take to end by itself [s]; it has nothing to lose."""
 
 
 @dataclass(frozen=True)

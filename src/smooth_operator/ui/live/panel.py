@@ -17,11 +17,21 @@ from smooth_operator.ui.live.link import Link
 from smooth_operator.ui.live.scene import LiveScene
 
 _UNKNOWN: Final = -1
-_BIG: Final = (
-    "<style>button:has(.icon-tabler-hand-stop) {height: 3.2em !important; "
-    "font-size: 1.25em !important; font-weight: 700}</style>"
-)
-"""viser has buttons of one size; this one is told by its sign."""
+_STYLE: Final = """<style>
+button:has(.icon-tabler-hand-stop), button:has(.icon-tabler-lock-open) {
+  height: 3.2em !important; font-size: 1.25em !important; font-weight: 700}
+button:has(.icon-tabler-hand-stop) .mantine-Button-label {white-space: pre-line; line-height: 1.15}
+button:has(.icon-tabler-hand-stop) svg, button:has(.icon-tabler-lock-open) svg {margin-right: 0.5em}
+body:has([data-mode="stopped"])::after {
+  content: "\\25A0  STOPPED"; position: fixed; inset: 0; z-index: 1000; pointer-events: none;
+  box-sizing: border-box; padding: 0.3em 0.6em; border: 12px solid #ff2a2a;
+  background: rgba(255, 0, 0, 0.18); color: #ff4d4d; text-shadow: 0 0 0.2em #000;
+  font: 800 clamp(2rem, 6vw, 4.5rem) system-ui, sans-serif}
+</style>"""
+"""viser has buttons of one size; these two are told by their signs. An emergency stop tints the
+whole page, whatever else it shows."""
+_STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
+_STOPPED: Final = "STOPPED\nrelease it below"
 
 
 class LivePanel:
@@ -48,7 +58,7 @@ class LivePanel:
         self._link, self._scene, self._hands = link, scene, hands
         self.fields_number = _UNKNOWN
         self._operators: Mapping[str, Any] | None = None
-        self._paused = False
+        self._stopped = self._paused = False
         gui = server.gui
         hand = next(iter(hands.values()))
         gui.set_panel_label(hand.name)
@@ -81,18 +91,14 @@ class LivePanel:
 
     def _build_main(self, gui: viser.GuiApi, hand: Hand) -> None:
         do = self._link.do
-        self._stop = gui.add_button(
-            "EMERGENCY STOP", color="red", icon=viser.Icon.HAND_STOP, hint="key X"
-        )
+        self._stop = gui.add_button(_STOP, color="red", icon=viser.Icon.HAND_STOP)
         self._release = gui.add_button(
-            "Release the stop", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
+            "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
         )
-        gui.add_html(_BIG)
+        gui.add_html(_STYLE)
         self._modes = gui.add_html(words.modes({}))
-        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="key P")
-        self._record = gui.add_button(
-            "Record", color="gray", icon=viser.Icon.PLAYER_RECORD, hint="key R"
-        )
+        self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
+        self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
         self._summary = gui.add_html("")
         self._notice = gui.add_html("")
         gui.add_html(words.legend(hand.fingers, self._scene.simulated))
@@ -100,8 +106,9 @@ class LivePanel:
         self._release.on_click(asked(lambda _: do("release")))
         self._pause.on_click(asked(lambda _: self._toggle_pause()))
         self._record.on_click(asked(lambda _: do("record")))
-        # letters, not space: that also presses the button that has the focus
+        # Space and Esc come as X, from the script of the page (stop_keys.js)
         gui.add_command("Emergency stop", hotkey="X").on_trigger(asked(lambda _: do("stop")))
+        gui.add_command("Release the stop", hotkey="U").on_trigger(asked(lambda _: do("release")))
         gui.add_command("Pause / resume", hotkey="P").on_trigger(
             asked(lambda _: self._toggle_pause())
         )
@@ -170,15 +177,19 @@ class LivePanel:
         return lambda _: self._link.do(name, side)
 
     def _toggle_pause(self) -> None:
-        self._link.do("resume" if self._paused else "pause")
+        """What the button says; in an emergency stop nothing, which only a release ends."""
+        if not self._stopped:
+            self._link.do("resume" if self._paused else "pause")
 
     def _show_controls(self, controls: Mapping[str, Any]) -> None:
         self._notice.content = words.notice(controls)
-        self._release.visible = controls["stopped"]
-        self._paused = controls["paused"]
-        self._pause.label = "Resume" if self._paused else "Pause"
+        self._stopped, self._paused = controls["stopped"], controls["paused"]
+        self._stop.label = _STOPPED if self._stopped else _STOP
+        self._stop.color = "dark" if self._stopped else "red"
+        self._release.visible = self._pause.disabled = self._stopped
+        self._pause.label = "Resume (P)" if self._paused else "Pause (P)"
         self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
-        self._record.label = "End the recording" if controls["recording"] else "Record"
+        self._record.label = "End the recording (R)" if controls["recording"] else "Record (R)"
         if controls["operators"] != self._operators:
             self._operators = controls["operators"]
             self._scene.set_operators(controls["operators"])

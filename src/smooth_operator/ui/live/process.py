@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import warnings
+from importlib import resources
 from typing import Any, Final
 
 from smooth_operator.errors import SmoothOperatorError
@@ -17,7 +18,7 @@ from smooth_operator.ui.live.link import Link, LoopEnded
 from smooth_operator.ui.live.pace import Pace
 from smooth_operator.ui.live.panel import LivePanel
 from smooth_operator.ui.live.scene import LiveScene
-from smooth_operator.ui.viser_server import close_server, open_server, page_url
+from smooth_operator.ui.viser_server import open_server, page_url, run_script
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
@@ -43,10 +44,11 @@ def main() -> None:
         except SmoothOperatorError as error:
             link.say({"failed": str(error)})
             return
-        try:
+        with contextlib.suppress(LoopEnded):
             page.run()
-        finally:
-            page.close()
+        # The system closes the port now. viser would wait for its browsers and threads, for
+        # seconds on a busy machine, and whoever ended the run waits for this process.
+        os._exit(0)
 
 
 class _Page:
@@ -68,6 +70,8 @@ class _Page:
             self._panel = LivePanel(
                 self._server, hands, link, self._scene, None if setup["blind"] else self.download
             )
+        keys = resources.files(__package__).joinpath("stop_keys.js").read_text("utf-8")
+        run_script(self._server, keys)
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
         self._pace = Pace(self._server)
@@ -109,11 +113,6 @@ class _Page:
         """Have the configuration sent to whoever watches."""
         self._configuration_wanted = True
         self._wake.set()
-
-    def close(self) -> None:
-        """Close the port."""
-        self._pace.stop()
-        close_server(self._server)
 
     async def _greet(self, client: Any) -> None:
         self._scene.aiming.greet(client)

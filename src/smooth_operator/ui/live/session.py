@@ -19,7 +19,7 @@ from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.sinks.simulation import Simulation
 from smooth_operator.sinks.sink import Sink
-from smooth_operator.sinks.tick import Mode, Tick
+from smooth_operator.sinks.tick import Tick
 from smooth_operator.sources.live import Arrival
 from smooth_operator.types import Side
 from smooth_operator.ui.live.coach import Coach
@@ -206,15 +206,16 @@ class LiveSession:
         }
 
     def _controls(self, known: int) -> dict[str, Any]:
-        workshop, modes = self.workshop, {tick.mode for tick in self._ticks.values()}
+        workshop = self.workshop
+        supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
         shown, number = workshop.wanted, self.fields_number
         controls: dict[str, Any] = {
             "building": self._told(workshop.building, "getting ready"),
             "message": self._message
             or self._told(workshop.error, "that could not be done; the experimenter knows why")
             or self.takes.error,
-            "stopped": Mode.STOPPED in modes,
-            "paused": Mode.PAUSED in modes,
+            "stopped": any(supervisor.stopped for supervisor in supervisors),
+            "paused": any(supervisor.paused for supervisor in supervisors),
             "recording": self.takes.recording,
             "operators": {
                 side: None if operator is None else asdict(operator)

@@ -16,7 +16,7 @@ _MODES: Final[dict[str, tuple[str, str, str]]] = {
     "holding": ("❚❚", "holding: the tracker is late", "#e69f00"),
     "easing": ("↩", "tracker lost: easing to the safe pose", "#e69f00"),
     "paused": ("❚❚", "paused", "#cc79a7"),
-    "stopped": ("■", "STOPPED", "#d55e00"),
+    "stopped": ("■", "STOPPED", "#ff2a2a"),
 }
 _STATES: Final = {
     "running": "✓",

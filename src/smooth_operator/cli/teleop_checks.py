@@ -1,0 +1,48 @@
+"""What ``smooth-operator teleop`` finds out before it compiles anything or opens a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.hands.hand import Hand
+from smooth_operator.offline import Request, settle
+from smooth_operator.retargeters.method import MethodConfig
+from smooth_operator.runtime.limiter import Limiter
+from smooth_operator.runtime.settings import LoopConfig
+from smooth_operator.sinks.runner import SinkRunner
+from smooth_operator.sources.live import LiveSource
+from smooth_operator.types import Side
+
+
+def checked(
+    options: Teleop,
+    asked: Request,
+    config: LoopConfig,
+    sides: Sequence[Side],
+    source: LiveSource,
+    sinks: SinkRunner,
+) -> dict[Side, tuple[Hand, MethodConfig]]:
+    """The hands and their methods' settings, once all that a run needs is there.
+
+    Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
+    extras, files, models, addresses, ports. The source is open afterwards.
+
+    Raises:
+        SmoothOperatorError: what is wrong.
+    """
+    settled = {side: settle(asked, side) for side in sides}
+    hands = {side: hand for side, (hand, _) in settled.items()}
+    for hand in hands.values():
+        Limiter(hand, config.limits)
+    sinks.check(hands)
+    if options.control is not None:
+        from smooth_operator.runtime.remote import check_address
+
+        check_address(options.control)
+    if not options.no_view:
+        from smooth_operator.ui.ports import free_port
+
+        free_port(options.host, options.port)
+    source.prepare()
+    return settled

@@ -1,0 +1,46 @@
+// Keys of the live page. Space, Esc and X always stop, whatever has the focus; nothing else does.
+//
+// The page's library ignores its hotkeys in text fields and buttons take Space for a click, so the
+// stop keys are caught before either, and passed on as the hotkey X from the document itself.
+(() => {
+  if (window.smoothOperatorKeys) return; // sent again after a reconnection
+  window.smoothOperatorKeys = true;
+
+  const stops = (event) =>
+    event.key === " " ||
+    event.key === "Escape" ||
+    ((event.key === "x" || event.key === "X" || event.code === "KeyX") &&
+      !event.ctrlKey && !event.metaKey && !event.altKey); // Ctrl+X cuts
+
+  const types = (target) =>
+    target instanceof HTMLElement &&
+    (target.isContentEditable ||
+      (target.matches("input, textarea") && !target.readOnly &&
+        !["checkbox", "radio", "range", "button", "submit"].includes(target.type)));
+
+  const caught = (event) => {
+    if (!event.isTrusted || !stops(event)) return;
+    // In a text field the character is typed as well; elsewhere nothing else may come of the key.
+    if (event.key !== "Escape" && !types(event.target)) event.preventDefault();
+    if (event.key !== "Escape") event.stopPropagation();
+    if (event.type !== "keydown" || event.repeat) return;
+    if (event.key === "Escape") document.activeElement?.blur(); // out of text fields, for U and P
+    document.documentElement.dispatchEvent(
+      new KeyboardEvent("keydown", { key: "x", code: "KeyX", bubbles: true }),
+    );
+  };
+  window.addEventListener("keydown", caught, true);
+  window.addEventListener("keyup", caught, true); // Firefox clicks a button when Space comes up
+
+  // A button that was clicked would take the next Space or Enter for another click.
+  window.addEventListener("click", (event) => {
+    const button = event.target instanceof Element && event.target.closest("button");
+    if (button) setTimeout(() => button.blur());
+  }, true);
+
+  const title = document.title;
+  setInterval(() => {
+    const stopped = document.querySelector('[data-mode="stopped"]') !== null;
+    document.title = stopped ? "■ STOPPED" : title;
+  }, 200);
+})();
