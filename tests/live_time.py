@@ -16,9 +16,17 @@ class Kept(Mailbox):
         super().__init__(clock)
         self.all: list[Arrival] = []
 
-    def post(self, frame: HandFrame, *, received: float | None = None, session: int = 0) -> Arrival:
-        self.all.append(super().post(frame, received=received, session=session))
-        return self.all[-1]
+    def post(
+        self,
+        frame: HandFrame,
+        *,
+        received: float | None = None,
+        session: int = 0,
+        speed: float = 1.0,
+    ) -> Arrival:
+        arrival = super().post(frame, received=received, session=session, speed=speed)
+        self.all.append(arrival)
+        return arrival
 
 
 class Waits:
