@@ -19,6 +19,7 @@ LEVELS = {
     "landmarks": 0,
     "errors": 0,
     "components": 0,
+    "documents": 0,
     "geometry": 0,
     "recording": 1,
     "parallel": 1,

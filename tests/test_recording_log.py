@@ -473,7 +473,7 @@ def test_logs_of_others(
 
 def test_read_log_of_something_else(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros(3))
-    with pytest.raises(RecordingError, match="not a log; read it with read_recording"):
+    with pytest.raises(RecordingError, match="not a log, but a file of another format"):
         read_log(tmp_path / "a.npy")
     with pytest.raises(RecordingError, match="no such file"):
         read_log(tmp_path / "b.mcap")

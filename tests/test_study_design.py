@@ -290,7 +290,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match="study new"):
         read_plan(tmp_path)
     (tmp_path / "study.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(StudyError, match="not UTF-8"):
+    with pytest.raises(StudyError, match="not text in UTF-8"):
         read_plan(tmp_path)
 
 

@@ -31,6 +31,10 @@ class StudyError(SmoothOperatorError, ValueError):
     """The plan or the data of a user study can't be used, or do not carry an analysis."""
 
 
+class DocumentError(SmoothOperatorError, ValueError):
+    """A JSON or TOML text is not one, or is beyond the bounds of what is parsed."""
+
+
 class OutputError(SmoothOperatorError, OSError):
     """A result can't be written: no space, no permission, a folder where a file should be."""
 

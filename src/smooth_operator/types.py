@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
+from smooth_operator.documents import brief
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
 
@@ -31,8 +32,8 @@ def as_side(value: str) -> Side:
     sides = {label: name for name in get_args(Side) for label in (name, name[0])}
     try:
         return cast(Side, sides[value.strip().lower()])
-    except KeyError:
-        raise ConfigError(f"side must be 'right' or 'left', not {value!r}") from None
+    except (KeyError, AttributeError):  # AttributeError: a file had something else than text
+        raise ConfigError(f"side must be 'right' or 'left', not {brief(value)}") from None
 
 
 class Status(enum.IntEnum):

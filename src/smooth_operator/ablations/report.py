@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +24,7 @@ from smooth_operator.benchmark.page.html import (
     table,
 )
 from smooth_operator.benchmark.store import write_json
+from smooth_operator.documents import read_json
 from smooth_operator.recording import atomic_write
 
 REPORT: Final = "report.html"
@@ -123,7 +123,7 @@ def write_report(store: Store) -> Path:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

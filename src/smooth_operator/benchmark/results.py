@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -10,6 +9,7 @@ from typing import Any, Final, TypeAlias
 from smooth_operator.benchmark.settings import Settings, method_label
 from smooth_operator.benchmark.store import CELLS, RESULTS
 from smooth_operator.benchmark.suite import Finished
+from smooth_operator.documents import read_json
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.metrics import Metric
 
@@ -24,6 +24,9 @@ KEY: Final = ("recording", "hand", "side", "method", "preset")
 """What names a row; no two rows share all of them."""
 
 _HARDWARE: Final = ("platform", "cpu", "cpu_cores", "device")
+
+
+_MOST_BYTES = 100_000_000  # a row for each cell, with a few kB
 
 
 def make_rows(finished: Iterable[Finished], settings: Settings) -> list[Row]:
@@ -104,7 +107,7 @@ def read_results(path: Path) -> list[Row]:
         path = path / RESULTS
     expected = f"expected the {RESULTS} of `smooth-operator bench`"
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
+        rows = read_json(path, most_bytes=_MOST_BYTES)
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; {expected}") from None
     except OSError as error:

@@ -8,7 +8,6 @@ latency; ``results.json`` and ``report.html`` what all of it comes to. Files are
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from smooth_operator.benchmark.cells import Cell, fingerprint
 from smooth_operator.benchmark.latency import Latency
 from smooth_operator.benchmark.quality import Measured
 from smooth_operator.benchmark.settings import Settings
+from smooth_operator.documents import read_json
 from smooth_operator.errors import OutputError, SmoothOperatorError
 from smooth_operator.offline import environment
 from smooth_operator.offline.finished import read_configuration
@@ -211,7 +211,7 @@ def write_json(path: Path, content: object, indent: int | None = None) -> None:
 def _read_json(path: Path) -> dict[str, Any]:
     """An object in a JSON file; empty where there is none or it is something else."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
     except (OSError, ValueError):
         return {}
     return dict(content) if isinstance(content, Mapping) else {}

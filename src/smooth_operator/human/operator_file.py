@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.documents import brief, listed, read_json
+from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.recording.atomic import atomic_write
 from smooth_operator.recording.jsonable import to_json
@@ -18,6 +18,7 @@ from smooth_operator.types import as_side
 FORMAT: Final = "smooth-operator operator"
 VERSION: Final = 1
 
+_MOST_BYTES: Final = 1_000_000  # it has 3 kB
 _EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate`"
 
 
@@ -44,19 +45,19 @@ def read_operator(path: Path) -> OperatorProfile:
             a hand can be, or a newer version's file.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = read_json(Path(path), most_bytes=_MOST_BYTES)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; {_EXPECTED}") from None
     except OSError as error:
         raise ConfigError(f"{path}: can't be read: {error.strerror or error}") from error
-    except ValueError as error:
+    except DocumentError as error:
         raise ConfigError(f"{path}: damaged, or no JSON ({error}); {_EXPECTED}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ConfigError(f"{path}: it describes no operator; {_EXPECTED}")
     version = content.get("version")
     if version != VERSION:
         raise ConfigError(
-            f"{path}: version {version!r} of the format, but this program reads {VERSION}; "
+            f"{path}: version {brief(version)} of the format, but this program reads {VERSION}; "
             "calibrate again, or upgrade: python -m pip install --upgrade smooth-operator"
         )
     try:
@@ -112,7 +113,7 @@ def _check_names(kind: Any, content: Mapping[str, Any], where: str) -> None:
         raise ConfigError(
             f"{where} "
             + " and ".join(
-                f"{what} {', '.join(map(repr, words))}"
+                f"{what} {listed(map(repr, words))}"
                 for what, words in (("lacks", missing), ("has the unknown", unknown))
                 if words
             )
@@ -127,14 +128,14 @@ def _fields(value: Any) -> dict[str, Any]:
 def _text(content: Mapping[str, Any], name: str) -> str:
     value = content[name]
     if not isinstance(value, str):
-        raise ConfigError(f"{name} must be text, not {value!r}")
+        raise ConfigError(f"{name} must be text, not {brief(value)}")
     return value
 
 
 def _texts(content: Mapping[str, Any], name: str) -> Any:
     value = content[name]
     if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-        raise ConfigError(f"{name} must be a list of words, not {value!r}")
+        raise ConfigError(f"{name} must be a list of words, not {brief(value)}")
     return tuple(value)  # the profile knows which words there are
 
 
@@ -149,11 +150,11 @@ def _number_or_none(content: Mapping[str, Any], name: str) -> float | None:
 def _numbers(content: Mapping[str, Any], name: str, count: int) -> Any:
     value = content[name]
     if not isinstance(value, list) or len(value) != count:
-        raise ConfigError(f"{name} must be {count} numbers, not {value!r}")
+        raise ConfigError(f"{name} must be {count} numbers, not {brief(value)}")
     return tuple(_as_number(each, name) for each in value)
 
 
 def _as_number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ConfigError(f"{name} must be a finite number, not {value!r}")
+        raise ConfigError(f"{name} must be a finite number, not {brief(value)}")
     return float(value)

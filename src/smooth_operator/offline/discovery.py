@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-
 from smooth_operator.errors import RecordingError
 from smooth_operator.recording.arrays import StoredArrays, open_arrays
+from smooth_operator.recording.log_records import read_summary
 from smooth_operator.recording.schemas import HAND
 from smooth_operator.recording.sniff import file_kind
 
@@ -132,10 +130,8 @@ def _frames_of_arrays(arrays: StoredArrays) -> int:
 
 def _frames_of_log(path: Path) -> int | None:
     """From the summary at the end of the log; None where it was cut off."""
-    with contextlib.suppress(McapError, OSError, ValueError), path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-        if summary is not None and summary.statistics is not None:
-            counts = summary.statistics.channel_message_counts
-            ids = [c.id for c in summary.channels.values() if c.topic == HAND]
-            return sum(counts.get(channel, 0) for channel in ids)
-    return None
+    summary = read_summary(path)
+    if summary is None or summary.counts is None:
+        return None
+    channels = [number for number, topic in summary.topics.items() if topic == HAND]
+    return sum(summary.counts.get(channel, 0) for channel in channels)

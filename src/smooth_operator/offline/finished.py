@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.documents import read_json
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.offline.environment import package_version
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import config_path, output_error, read_commands
+
+_MOST_BYTES: Final = 64_000_000  # that of a folder of thousands of recordings lists them
 
 _LEFT_OVER: Final = re.compile(r"\..{1,32}\.[0-9a-f]{8}\.tmp", re.DOTALL)
 """Names that :func:`smooth_operator.recording.atomic_write` gives to what it works on."""
@@ -23,7 +25,7 @@ _LEFT_OVER: Final = re.compile(r"\..{1,32}\.[0-9a-f]{8}\.tmp", re.DOTALL)
 def read_configuration(path: Path) -> dict[str, Any] | None:
     """A configuration that this program wrote; None if there is none, or the file is another's."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path, most_bytes=_MOST_BYTES)
     except (OSError, ValueError):
         return None
     ours = isinstance(content, dict) and content.get("program") == PROGRAM

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
+from smooth_operator.documents import brief, listed
 from smooth_operator.errors import RecordingError
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
@@ -185,15 +186,14 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
                 f"{np.shape(getattr(commands, name))}"
             )
     if len(set(commands.joint_names)) != joints:
-        raise RecordingError(
-            f"{where}: a joint name comes twice: {', '.join(commands.joint_names)}"
-        )
+        raise RecordingError(f"{where}: a joint name comes twice: {listed(commands.joint_names)}")
     if not np.isfinite(commands.stamps).all():
         raise RecordingError(f"{where}: the stamps of the commands must be finite numbers [s]")
     known = {int(status) for status in Status}
     unknown = sorted(set(np.asarray(commands.status).tolist()) - known)
     if unknown:
         raise RecordingError(
-            f"{where}: status {unknown} is not one of {[f'{s.name}={int(s)}' for s in Status]}; if "
-            "a newer version wrote it, upgrade: python -m pip install --upgrade smooth-operator"
+            f"{where}: status {brief(unknown)} is not one of "
+            f"{[f'{s.name}={int(s)}' for s in Status]}; if a newer version "
+            "wrote it, upgrade: python -m pip install --upgrade smooth-operator"
         )

@@ -24,17 +24,14 @@ groups and arrays above that are not marked as optional; attributes may be missi
 
 from __future__ import annotations
 
-import contextlib
-import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import MissingExtraError, RecordingError, SmoothOperatorError
+from smooth_operator.documents import brief, parse_json
+from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.recording.arrays import damaged
 from smooth_operator.recording.checks import (
     check_rate,
     check_recording,
@@ -43,6 +40,7 @@ from smooth_operator.recording.checks import (
     stamps_from_rate,
 )
 from smooth_operator.recording.episode import Episode
+from smooth_operator.recording.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.recording.results import translate_status
 from smooth_operator.recording.staging import staged_file
@@ -51,8 +49,7 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 FORMAT: Final = "smooth-operator"
 VERSION: Final = 1
 
-# h5py comes without types.
-_Group = Any
+_Group = Any  # of h5py, which comes without types
 
 
 def write_hdf5_episode(path: Path, episode: Episode) -> None:
@@ -62,7 +59,7 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
         MissingExtraError: h5py is not installed.
         OutputError: it can't be written.
     """
-    h5py = _h5py()
+    h5py = h5py_of()
     with staged_file(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["format"] = FORMAT
         file.attrs["version"] = VERSION
@@ -87,50 +84,47 @@ def read_hdf5_episode(
         RecordingError: damaged, of another layout or a newer version; arrays of the wrong shape or
             type; a side or rate that contradicts the file.
     """
-    h5py = _h5py()
-    with _damage_named(path):
-        file = h5py.File(path, "r")
-    with file, _damage_named(path):
-        if file.attrs.get("format", FORMAT) == FORMAT:
-            version = file.attrs.get("version", VERSION)
-            if version != VERSION:
-                raise RecordingError(
-                    f"{path}: the file is of version {version}, this program reads version "
-                    f"{VERSION}; upgrade it: python -m pip install --upgrade smooth-operator"
-                )
-        hand, commands = (_group(file, name) for name in ("hand", "commands"))
-        if hand is None and commands is None:
+    tree = read_tree(path)
+    top = tree["/"]
+    if top.attributes.get("format", FORMAT) == FORMAT:
+        version = top.attributes.get("version", VERSION)
+        if version != VERSION:
             raise RecordingError(
-                f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', "
-                f"but {', '.join(file) or 'nothing'}. Save its landmarks with numpy.savez, or in a "
-                "group 'hand' as 'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
+                f"{path}: the file is of version {brief(version)}, this program reads version "
+                f"{VERSION}; upgrade it: python -m pip install --upgrade smooth-operator"
             )
-        name = _text(file.attrs.get("name")) or path.stem
-        recording: HandRecording | None = None
-        notes: tuple[str, ...] = ()
-        if hand is not None:
-            recording = _read_hand(hand, path, name, rate, side)
-            notes = _notes(recording, path)
-            if file.attrs.get("format") != FORMAT:  # ours are in metres, others say nothing
-                check_recording(recording, str(path))
-        trajectory: CommandTrajectory | None = None
-        stages: dict[str, np.ndarray] = {}
-        if commands is not None:
-            trajectory, stages = _read_commands(commands, path)
-        config = None
-        if "configuration" in file:
-            config = _object(_text(file["configuration"][()]), f"{path}: 'configuration'")
-        task = _text(file.attrs.get("task"))
+    hand, commands = tree.get("hand"), tree.get("commands")
+    if hand is None and commands is None:
+        raise RecordingError(
+            f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', "
+            f"but {top.describe()}. Save its landmarks with numpy.savez, or in a "
+            "group 'hand' as 'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
+        )
+    name = _text(top.attributes.get("name")) or path.stem
+    recording: HandRecording | None = None
+    notes: tuple[str, ...] = ()
+    if hand is not None:
+        recording = _read_hand(hand, path, name, rate, side)
+        notes = _notes(recording, path)
+        if top.attributes.get("format") != FORMAT:  # ours are in metres, others say nothing
+            check_recording(recording, str(path))
+    trajectory: CommandTrajectory | None = None
+    stages: dict[str, np.ndarray] = {}
+    if commands is not None:
+        trajectory, stages = _read_commands(commands, tree.get("commands/stages_ms"), path)
+    config = None
+    if "configuration" in top.arrays:
+        texts = top.arrays["configuration"].texts
+        config = _object(texts[0] if texts else None, f"{path}: 'configuration'")
+    task = _text(top.attributes.get("task"))
     return Episode(recording, trajectory, config, stages, task, name, notes)
 
 
 def is_own_hdf5(path: Path) -> bool:
     """Whether this program wrote the file."""
-    h5py = _h5py()
     try:
-        with h5py.File(path, "r") as file:
-            return bool(file.attrs.get("format") == FORMAT)
-    except (OSError, RuntimeError, ValueError, KeyError):
+        return bool(read_tree(path, head=True)["/"].attributes.get("format") == FORMAT)
+    except RecordingError:
         return False
 
 
@@ -152,7 +146,7 @@ def _write_hand(group: _Group, recording: HandRecording, meta: dict[str, Any]) -
 
 def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> None:
     _write(group, "joint_positions", np.asarray(commands.joint_positions, np.float64), "rad")
-    names = _h5py().string_dtype()
+    names = h5py_of().string_dtype()
     group.create_dataset("joint_names", data=list(commands.joint_names), dtype=names)
     _write(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
     _write(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
@@ -179,29 +173,31 @@ def _write(group: _Group, name: str, value: np.ndarray, units: str | None) -> No
 
 
 def _read_hand(
-    group: _Group, path: Path, name: str, rate: float | None, side: Side | None
+    group: Hdf5Group, path: Path, name: str, rate: float | None, side: Side | None
 ) -> HandRecording:
     landmarks = _numbers(group, "landmarks", (None, 21, 3), path)
     count = len(landmarks)
-    if "stamps" in group:
+    if "stamps" in group.arrays:
         stamps = _numbers(group, "stamps", (count,), path)
     else:
         stamps = stamps_from_rate(count, rate, str(path))
     check_stamps(stamps, str(path))
     check_rate(stamps, rate, str(path))
     optional = {
-        key: _numbers(group, key, (count, *shape), path) if key in group else None
+        key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
         for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4)))
     }
-    valid = _array(group, "valid", (count, 21), "b", path) if "valid" in group else None
-    label = _text(group.attrs.get("side"))
+    valid = _array(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
+    label = _text(group.attributes.get("side"))
     found, assumed = check_side([] if label is None else [label], side, str(path))
-    meta = _object(_text(group.attrs.get("meta")) or "{}", f"{path}: meta of 'hand'")
+    meta = _object(_text(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
     meta |= {"format": "hdf5", "side_assumed": assumed}
     return HandRecording(landmarks, stamps, found, valid=valid, name=name, meta=meta, **optional)
 
 
-def _read_commands(group: _Group, path: Path) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
+def _read_commands(
+    group: Hdf5Group, timed: Hdf5Group | None, path: Path
+) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
     positions = _numbers(group, "joint_positions", (None, None), path)
     count, joints = positions.shape
     names = _data(group, "joint_names", path)
@@ -210,74 +206,65 @@ def _read_commands(group: _Group, path: Path) -> tuple[CommandTrajectory, dict[s
             f"{path}: joint_names must have shape {(joints,)} to fit joint_positions "
             f"{positions.shape}, not {names.shape}"
         )
+    if names.texts is None or None in names.texts:
+        raise RecordingError(f"{path}: {names.name} must hold text, not {names.type[:80]}")
     status = _array(group, "status", (count,), "iu", path)
-    labels = group["status"].attrs.get("status_names")
+    labels = group.arrays["status"].attributes.get("status_names")
+    labels = [str(label) for label in labels] if isinstance(labels, list) else None
     commands = CommandTrajectory(
         joint_positions=positions,
-        joint_names=tuple(str(_text(item)) for item in names[()]),
+        joint_names=tuple(map(str, names.texts)),
         stamps=_numbers(group, "stamps", (count,), path),
         latency_ms=_numbers(group, "latency_ms", (count,), path),
-        status=translate_status(
-            status, None if labels is None else [str(_text(x)) for x in labels], str(path)
-        ),
+        status=translate_status(status, labels, str(path)),
     )
     stages: dict[str, np.ndarray] = {}
-    timed = _group(group, "stages_ms")
-    for key in () if timed is None else timed:
-        stage = _text(_data(timed, key, path).attrs.get("stage")) or key
+    for key in () if timed is None else timed.arrays:
+        assert timed is not None
+        stage = _text(timed.arrays[key].attributes.get("stage")) or key
         stages[stage] = _numbers(timed, key, (count,), path)
     return commands, stages
 
 
-def _numbers(group: _Group, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
-    return _array(group, name, shape, "fiu", path).astype(np.float64)
+def _numbers(group: Hdf5Group, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
+    return _array(group, name, shape, "fiu", path).astype(np.float64, copy=False)
 
 
 def _array(
-    group: _Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
+    group: Hdf5Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
 ) -> np.ndarray:
-    """An array of numbers; its shape and type are looked at before its data is read."""
-    data = _data(group, name, path)
-    fits = len(data.shape) == len(shape) and all(
-        asked in (None, found) for asked, found in zip(shape, data.shape, strict=True)
+    """An array of numbers of the shape and kinds that are expected."""
+    found = _data(group, name, path)
+    fits = len(found.shape) == len(shape) and all(
+        asked in (None, size) for asked, size in zip(shape, found.shape, strict=True)
     )
     if not fits:
         asked = ", ".join("any" if size is None else str(size) for size in shape)
         raise RecordingError(
-            f"{path}: {data.name} must have shape ({asked}), not {tuple(data.shape)}"
+            f"{path}: {found.name} must have shape ({asked}), not {tuple(found.shape)}"
         )
-    if data.dtype.kind not in kinds:
+    if found.kind not in kinds or found.data is None:
         what = "true or false" if kinds == "b" else "numbers"
-        raise RecordingError(f"{path}: {data.name} must hold {what}, not {data.dtype}")
-    return np.asarray(data[()])
+        raise RecordingError(f"{path}: {found.name} must hold {what}, not {found.type[:80]}")
+    return found.data
 
 
-def _data(group: _Group, name: str, path: Path) -> Any:
-    data = group.get(name)
-    if not isinstance(data, _h5py().Dataset):
+def _data(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
+    if name not in group.arrays:
         raise RecordingError(
-            f"{path}: it lacks the array {group.name}/{name}; the group holds "
-            f"{', '.join(group) or 'nothing'}"
+            f"{path}: it lacks the array {group.name}/{name}; the group holds {group.describe()}"
         )
-    return data
-
-
-def _group(parent: _Group, name: str) -> Any | None:
-    group = parent.get(name)
-    return group if isinstance(group, _h5py().Group) else None
+    return group.arrays[name]
 
 
 def _text(value: Any) -> str | None:
-    """Text of an attribute or array, which h5py gives as bytes or as text."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
     return value if isinstance(value, str) else None
 
 
 def _object(text: str | None, what: str) -> dict[str, Any]:
     try:
-        value = json.loads(text or "")
-    except ValueError as error:
+        value = parse_json(text or "")
+    except DocumentError as error:
         raise RecordingError(f"{what} is not JSON ({error})") from error
     if not isinstance(value, dict):
         raise RecordingError(f"{what} must be a JSON object, not {type(value).__name__}")
@@ -288,23 +275,3 @@ def _notes(recording: HandRecording, path: Path) -> tuple[str, ...]:
     if not recording.meta["side_assumed"]:
         return ()
     return (f"{path} does not say which hand it is: taken for a right one; else say --side left",)
-
-
-@contextlib.contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except SmoothOperatorError:
-        raise
-    # What h5py raises on damaged bytes: OSError, RuntimeError and KeyError on broken structures,
-    # the others on types that NumPy lacks and on sizes that no memory has.
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError, MemoryError) as error:
-        raise damaged(path, f"HDF5: {error}") from error
-
-
-def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise MissingExtraError("an HDF5 file", "hdf5") from error
-    return h5py

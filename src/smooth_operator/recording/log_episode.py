@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.documents import parse_json
+from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.recording.checks import check_rate, check_side
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.recording.log import LogWriter
 from smooth_operator.recording.log_reader import Log, read_log
+from smooth_operator.recording.log_records import read_summary
 from smooth_operator.recording.schemas import SCHEMAS
 from smooth_operator.recording.staging import staged_file
 from smooth_operator.types import JointCommand, Side, Status
@@ -106,21 +104,17 @@ def log_losses(episode: Episode) -> list[str]:
 def is_own_log(path: Path) -> bool:
     """Whether this program wrote the file; found from its index, where that is whole."""
     try:
-        with path.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-    except (McapError, ValueError, struct.error, EOFError, OSError):
-        summary = None
-    if summary is not None and summary.channels:
-        return {channel.topic for channel in summary.channels.values()} <= SCHEMAS.keys()
-    try:
+        summary = read_summary(path)
+        if summary is not None and summary.topics:
+            return set(summary.topics.values()) <= SCHEMAS.keys()
         return read_log(path) is not None  # which refuses a log of another program
-    except RecordingError:
+    except (RecordingError, OSError):
         return False
 
 
 def _meta(log: Log) -> dict[str, object]:
     try:
-        meta = json.loads(log.origin.get("meta", "{}"))
-    except ValueError:
+        meta = parse_json(log.origin.get("meta", "{}"))
+    except DocumentError:
         return {}
     return meta if isinstance(meta, dict) else {}

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
+import math
 import os
-import struct
-import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
-import zstandard
 from jaxtyping import Float
-from mcap.exceptions import McapError, UnsupportedCompressionError
-from mcap.records import Channel, Chunk, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Metadata
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.documents import brief, listed, parse_json
+from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.recording.checks import check_side
+from smooth_operator.recording.log_records import DamagedError, read_records
 from smooth_operator.recording.loop_state import LoopTrack, read_loop_track
 from smooth_operator.recording.schemas import (
     COMMAND,
@@ -39,20 +34,14 @@ from smooth_operator.recording.schemas import (
 from smooth_operator.recording.sniff import READABLE, file_kind
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
-# What cut-off or damaged bytes raise on their way through the MCAP library and the decompressors
-# (lz4 raises RuntimeError; a wrong checksum and bad UTF-8 are ValueErrors).
-_DAMAGE = (
-    McapError,
-    struct.error,
-    ValueError,
-    EOFError,
-    RuntimeError,
-    MemoryError,
-    zlib.error,
-    zstandard.ZstdError,
-)
+_POINTS: Final = {
+    "landmarks": (NUM_LANDMARKS, "xyz"),
+    "metacarpals": (4, "xyz"),
+    "orientations": (NUM_LANDMARKS, "wxyz"),
+}
+_MOST_STAGES: Final = 64  # each takes a number for every command
 
-_POINTS = {"landmarks": "xyz", "metacarpals": "xyz", "orientations": "wxyz"}
+_KEPT: Final = {topic: frozenset(schema["properties"]) for topic, (_, schema) in SCHEMAS.items()}
 
 _Messages: TypeAlias = list[tuple[int, dict[str, Any]]]  # with their sequence numbers
 _Notes: TypeAlias = list[tuple[str, dict[str, str]]]  # metadata records with their names
@@ -122,28 +111,23 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     """
     path = Path(path)
     if file_kind(path) != "log":
-        raise RecordingError(f"{path}: not a log; read it with read_recording or read_commands")
+        raise RecordingError(
+            f"{path}: not a log, but a file of another format; expected the .mcap that "
+            "`smooth-operator teleop --sink record:take.mcap` writes"
+        )
     messages, notes, truncated = _read_messages(path)
     try:
         trajectory, stages = _commands(messages[COMMAND], messages[TIMING], messages[STATUS])
         loop = read_loop_track([n for n, _ in messages[COMMAND]], dict(messages[LOOP]))
-        configs = [json.loads(message["configuration"]) for _, message in messages[CONFIG]]
+        config = _object(messages[CONFIG][0][1]["configuration"]) if messages[CONFIG] else None
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
         methods = tuple(_method(texts) for name, texts in notes if name == METHOD)
     except RecordingError:
         raise  # it is a ValueError too, but has its own message
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise RecordingError(
-            f"{path}: a message of the log lacks a field or has a wrong one "
-            f"({type(error).__name__}: {error}); it was not written by this program's LogWriter"
-        ) from error
-    config = configs[0] if configs else None
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise _not_ours(path, error) from error
     origin = next((texts for name, texts in reversed(notes) if name == ORIGIN), {})
     return Log(recording, trajectory, config, truncated, stages, origin, loop, methods)
-
-
-class _DamagedError(Exception):
-    """The bytes end, or make no sense, from here on."""
 
 
 def _read_messages(path: Path) -> tuple[dict[str, _Messages], _Notes, bool]:
@@ -153,46 +137,32 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], _Notes, bool]:
     foreign: set[str] = set()
     notes: _Notes = []
     truncated = False
+    names: dict[tuple[str, ...], tuple[str, ...]] = {}  # each command has the same ones
     try:
-        with path.open("rb") as stream:
-            for record in _records(stream, path.stat().st_size):
-                if isinstance(record, Channel):
-                    if _is_ours(record, path):
-                        topics[record.id] = record.topic
-                    else:
-                        foreign.add(record.topic)
-                elif isinstance(record, Metadata):
-                    notes.append((record.name, dict(record.metadata)))
-                elif isinstance(record, Message) and record.channel_id in topics:
-                    topic = topics[record.channel_id]
-                    message = _decode(record.data, topic, path)
-                    messages[topic].append((record.sequence, _compact(message)))
-    except _DamagedError:
+        for record in read_records(path):
+            if isinstance(record, Channel):
+                if _is_ours(record, path):
+                    topics[record.id] = record.topic
+                else:
+                    foreign.add(record.topic)
+            elif isinstance(record, Metadata):
+                notes.append((record.name, dict(record.metadata)))
+            elif record.channel in topics:
+                topic = topics[record.channel]
+                message = _decode(record.data, topic, path)
+                if "names" in message:
+                    message["names"] = names.setdefault(message["names"], message["names"])
+                messages[topic].append((record.sequence, message))
+    except DamagedError:
         truncated = True
+    except OSError as error:
+        raise RecordingError(f"{path}: can't be read: {error.strerror or error}") from error
     if foreign and not any(messages.values()):
         raise RecordingError(
             f"{path}: an MCAP file of another program, with the topics "
-            f"{', '.join(sorted(foreign))}. What is read: {READABLE}"
+            f"{listed(sorted(foreign))}. What is read: {READABLE}"
         )
     return messages, notes, truncated
-
-
-def _records(stream: IO[bytes], size: int) -> Iterator[Any]:
-    """The records of an MCAP stream; _DamagedError where they stop before their end."""
-    # Chunks are opened here and with their checksum: a chunk cut in its middle can still look
-    # complete to the library, which takes a short read for the whole. No record is larger than the
-    # file, so a damaged length can't ask for the memory.
-    reader = StreamReader(stream, emit_chunks=True, record_size_limit=size)
-    try:
-        for record in reader.records:
-            if isinstance(record, Chunk):
-                yield from breakup_chunk(record, validate_crc=True)
-            else:
-                yield record
-    except UnsupportedCompressionError as error:
-        raise RecordingError(f"{stream.name}: {error}; write it with zstd, lz4 or none") from error
-    except _DAMAGE as error:
-        raise _DamagedError from error
 
 
 def _is_ours(channel: Channel, path: Path) -> bool:
@@ -201,72 +171,113 @@ def _is_ours(channel: Channel, path: Path) -> bool:
         return False
     if version not in READABLE_VERSIONS:
         raise RecordingError(
-            f"{path}: the log is of version {version}, this program reads up to version {VERSION}; "
-            "upgrade it: python -m pip install --upgrade smooth-operator"
+            f"{path}: the log is of version {version[:20]}, this program reads up to version "
+            f"{VERSION}; upgrade it: python -m pip install --upgrade smooth-operator"
         )
     return True
 
 
 def _method(texts: dict[str, str]) -> MethodUse:
-    config = json.loads(texts["config"])
-    return MethodUse(float(texts["stamp"]), texts["method"], texts["preset"], config)
+    stamp = float(texts["stamp"])
+    if not math.isfinite(stamp):
+        raise ValueError(f"the stamp of a method is {stamp}")
+    return MethodUse(stamp, texts["method"], texts["preset"], _object(texts["config"]))
+
+
+def _object(text: str) -> dict[str, Any]:
+    value = parse_json(text)
+    if not isinstance(value, dict):
+        raise ValueError(f"a configuration is no object, but {brief(value)}")
+    return value
+
+
+def _not_ours(path: Path, error: Exception) -> RecordingError:
+    missing = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+    return RecordingError(
+        f"{path}: a message of the log lacks a field or has a wrong one ({missing[:200]}); it was "
+        "not written by this program, or is damaged"
+    )
 
 
 def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
+    """A message as it is kept: the fields of its schema, with points as arrays, where hours of
+    frames need a tenth of the memory."""
     try:
-        message = json.loads(data)
-    except ValueError as error:
-        raise RecordingError(f"{path}: a message on {topic} is not JSON ({error})") from error
-    if not isinstance(message, dict):
+        found = parse_json(data)
+    except DocumentError as error:
+        raise RecordingError(
+            f"{path}: a message on {topic} is not JSON ({error}); copy or record it again"
+        ) from error
+    if not isinstance(found, dict):
         raise RecordingError(f"{path}: a message on {topic} is not an object")
+    kept = _KEPT[topic]
+    message = {key: value for key, value in found.items() if key in kept}
+    try:
+        if "stamp" in message:
+            message["stamp"] = _number(message["stamp"], "stamp")
+        if topic == HAND:
+            for key, (count, axes) in _POINTS.items():
+                if key in message:
+                    message[key] = _points(message[key], key, count, axes)
+            message["valid"] = _flags(message["valid"])
+        elif topic == COMMAND:
+            message["names"] = tuple(map(_text, message["names"]))
+            message["positions"] = np.array(message["positions"], np.float64)
+            if "status" in found:  # of version 1
+                message["status"] = found["status"]
+        elif topic == TIMING:
+            stages = [(_text(at["name"]), _float(at["ms"])) for at in message["stages"]]
+            message["stages"] = stages[: _MOST_STAGES + 1]
+            message["latency_ms"] = _float(message["latency_ms"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise _not_ours(path, error) from error
     return message
 
 
-def _compact(message: dict[str, Any]) -> dict[str, Any]:
-    """With points as arrays, where they are points: a tenth of the memory, which hours of frames
-    need."""
-    for key, axes in _POINTS.items():
-        if key in message:
-            with contextlib.suppress(KeyError, TypeError, ValueError):  # said by whoever wants it
-                message[key] = _points(message[key], axes)
-    return message
-
-
-def _points(points: Any, axes: str) -> np.ndarray:
-    if isinstance(points, np.ndarray):
-        return points
+def _points(points: Any, key: str, count: int, axes: str) -> np.ndarray:
     # float64 makes NaN of None
-    return np.array([[p[a] for a in axes] for p in points], np.float64)
+    found = np.array([[p[a] for a in axes] for p in points], np.float64)
+    if found.shape != (count, len(axes)):
+        raise ValueError(f"{key} has {len(points)} points, not {count}")
+    return found
+
+
+def _flags(valid: Any) -> np.ndarray:
+    if not isinstance(valid, list) or not {type(flag) for flag in valid} <= {bool}:
+        raise ValueError(f"valid must be true or false for each landmark, not {brief(valid)}")
+    if len(valid) != NUM_LANDMARKS:
+        raise ValueError(f"valid has {len(valid)} flags, not {NUM_LANDMARKS}")
+    return np.array(valid, bool)
 
 
 def _recording(messages: list[dict[str, Any]], path: Path, truncated: bool) -> HandRecording | None:
     if not messages:
         return None
     stamps = np.array([m["stamp"] for m in messages], np.float64)
-    side, _ = check_side({m["side"] for m in messages}, None, str(path))
+    side, _ = check_side({_text(m["side"]) for m in messages}, None, str(path))
     return HandRecording(
-        _rows(messages, "landmarks", NUM_LANDMARKS),
+        _rows(messages, "landmarks"),
         stamps,
         side,
         valid=np.array([m["valid"] for m in messages], bool),
-        metacarpals=_optional(messages, "metacarpals", 4),
-        orientations=_optional(messages, "orientations", NUM_LANDMARKS),
+        metacarpals=_optional(messages, "metacarpals"),
+        orientations=_optional(messages, "orientations"),
         name=path.stem,
         meta={"format": "log", "truncated": truncated, "side_assumed": False},
     )
 
 
-def _optional(messages: list[dict[str, Any]], key: str, count: int) -> np.ndarray | None:
-    return _rows(messages, key, count) if any(key in m for m in messages) else None
+def _optional(messages: list[dict[str, Any]], key: str) -> np.ndarray | None:
+    return _rows(messages, key) if any(key in m for m in messages) else None
 
 
-def _rows(messages: list[dict[str, Any]], key: str, count: int) -> np.ndarray:
+def _rows(messages: list[dict[str, Any]], key: str) -> np.ndarray:
     """(T, count, axes), NaN where a value is null or a frame has none."""
-    axes = _POINTS[key]
+    count, axes = _POINTS[key]
     rows = np.full((len(messages), count, len(axes)), np.nan)
     for row, message in zip(rows, messages, strict=True):
         if key in message:
-            row[:] = _points(message[key], axes)
+            row[:] = message[key]
     return rows
 
 
@@ -278,8 +289,8 @@ def _commands(
         return None, {}
     count = len(messages)
     commands = [message for _, message in messages]
-    names = tuple(commands[0]["names"])
-    if any(tuple(m["names"]) != names for m in commands):
+    names = commands[0]["names"]
+    if any(m["names"] != names for m in commands):
         raise ValueError("the joint names change")
     by_number, status_of = dict(timings), dict(statuses)
     if len(by_number) != len(timings) or len(status_of) != len(statuses):
@@ -290,10 +301,13 @@ def _commands(
         timing = by_number.get(number)
         if timing is None:
             continue
-        latency[i] = _float(timing["latency_ms"])
-        for stage in timing["stages"]:
-            column = stages.setdefault(stage["name"], np.full(count, np.nan))
-            column[i] = _float(stage["ms"])
+        latency[i] = timing["latency_ms"]
+        for stage, time in timing["stages"]:
+            if stage not in stages:
+                stages[stage] = np.full(count, np.nan)
+            stages[stage][i] = time
+        if len(stages) > _MOST_STAGES:
+            raise ValueError(f"more than {_MOST_STAGES} stages of the loop")
     positions = np.array([m["positions"] for m in commands], np.float64)
     trajectory = CommandTrajectory(
         joint_positions=positions.reshape(count, len(names)),
@@ -308,5 +322,17 @@ def _commands(
     return trajectory, stages
 
 
-def _float(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
+def _number(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{what} must be a number, not {brief(value)}")
+    return float(value)
+
+
+def _float(value: Any) -> float:
+    return math.nan if value is None else _number(value, "a time")
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"a name must be text, not {brief(value)}")
+    return value

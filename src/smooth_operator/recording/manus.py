@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.documents import brief
 from smooth_operator.errors import RecordingError
 from smooth_operator.recording.arrays import StoredArrays
 
 _NUM_NODES = 25
+_MOST_GLOVES: Final = 16
 # Columns of the quaternion in wxyz order; px py pz come before it.
 _QUATERNION_COLUMNS = {"wxyz": (3, 4, 5, 6), "xyzw": (6, 3, 4, 5)}
 
@@ -57,7 +60,7 @@ def manus_nodes(
         assumed.append("quaternion_order")
     if len(labels) != 1 or not labels <= _QUATERNION_COLUMNS.keys():
         raise RecordingError(
-            f"{where}: 'quaternion_order' must be 'wxyz' or 'xyzw', not {sorted(labels)}"
+            f"{where}: 'quaternion_order' must be 'wxyz' or 'xyzw', not {brief(sorted(labels))}"
         )
 
     data = item.numbers()[:, order]
@@ -68,7 +71,11 @@ def manus_nodes(
         quaternions, norms, out=np.full_like(quaternions, np.nan), where=norms > 0.0
     )
     if "glove_ids" in arrays:
-        meta["glove_ids"] = arrays["glove_ids"].load().ravel().tolist()
+        ids = arrays["glove_ids"]
+        if ids.dtype.kind in "iuSU" and math.prod(ids.shape) <= _MOST_GLOVES:
+            meta["glove_ids"] = (
+                ids.texts() if ids.dtype.kind in "SU" else ids.load().ravel().tolist()
+            )
     if assumed:
         meta["assumed"] = assumed
     return data[..., :3], quaternions, meta
@@ -88,5 +95,7 @@ def _order(ids: np.ndarray, count: int, where: str) -> np.ndarray:
         )
     known = ids[ids < _NUM_NODES]
     if len(np.unique(known)) != len(known):
-        raise RecordingError(f"{where}: 'keypoint_ids' holds an id more than once: {ids.tolist()}")
+        raise RecordingError(
+            f"{where}: 'keypoint_ids' holds an id more than once: {brief(ids.tolist())}"
+        )
     return np.asarray([np.flatnonzero(ids == i)[0] for i in range(_NUM_NODES)])

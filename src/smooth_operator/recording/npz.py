@@ -26,20 +26,19 @@ Where the commands' stamps are not those of the frames, ``timestamps`` are the c
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.documents import parse_json, read_json
+from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.recording.arrays import StoredArrays, open_arrays
-from smooth_operator.recording.atomic import atomic_write
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.recording.readers import LANDMARK_STAMPS, read_recording
-from smooth_operator.recording.results import config_path, read_commands
+from smooth_operator.recording.results import config_path, read_commands, written_result
 from smooth_operator.types import Side, Status
 
 _COMMANDS: Final = ("joint_positions", "joint_names", "latency_ms", "status")
@@ -67,14 +66,15 @@ def read_npz_episode(path: Path, *, rate: float | None = None, side: Side | None
         config = _beside(path)
     name = str(stored.get("name") or path.stem)
     if recording is not None:
-        meta = {**stored.get("meta", {}), **recording.meta}
+        meta = stored.get("meta")
+        meta = {**(meta if isinstance(meta, dict) else {}), **recording.meta}
         recording = replace(recording, name=name, meta=meta)
     return Episode(
         recording,
         commands,
         config,
         _stages(arrays, 0 if commands is None else len(commands)),
-        stored.get("task"),
+        None if stored.get("task") is None else str(stored["task"]),
         name,
     )
 
@@ -114,10 +114,8 @@ def write_npz_episode(path: Path, episode: Episode) -> None:
     origin = {"name": episode.name, "task": episode.task, "meta": episode.meta}
     arrays["episode"] = np.array(to_json(origin))
 
-    if commands is not None and episode.config is not None:
-        with atomic_write(config_path(path)) as file:
-            file.write(to_json(episode.config, indent=2).encode() + b"\n")
-    with atomic_write(path) as file:
+    config = None if commands is None else episode.config
+    with written_result(path, config) as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
@@ -138,15 +136,15 @@ def _json(arrays: StoredArrays, name: str) -> dict[str, Any] | None:
     if item is None or item.dtype.kind != "U" or item.shape != ():
         return None
     try:
-        value = json.loads(item.texts()[0])
-    except ValueError:
+        value = parse_json(item.text())
+    except DocumentError:
         return None
     return value if isinstance(value, dict) else None
 
 
 def _beside(path: Path) -> dict[str, Any] | None:
     try:
-        value = json.loads(config_path(path).read_text(encoding="utf-8"))
+        value = read_json(config_path(path))
     except (OSError, ValueError):
         return None
     return value if isinstance(value, dict) else None

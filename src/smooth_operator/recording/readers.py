@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import landmarks as schema
+from smooth_operator.documents import brief, listed
 from smooth_operator.errors import RecordingError
 from smooth_operator.recording.arrays import StoredArray, StoredArrays, open_arrays
 from smooth_operator.recording.checks import (
@@ -169,10 +170,8 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
     path = arrays.path
     for item in arrays.values():
         if item.dtype.hasobject and (len(arrays) == 1 or item.name in ("joints", "landmarks")):
-            raise RecordingError(
-                f"{path}: {f'array {item.name!r}' if item.name else 'the array'} holds pickled "
-                f"objects; {PICKLE_REMEDY}"
-            )
+            label = f"array {brief(item.name)}" if item.name else "the array"
+            raise RecordingError(f"{path}: {label} holds pickled objects; {PICKLE_REMEDY}")
     named = [arrays[name] for name in ("landmarks", "joints") if name in arrays]
     if "" in arrays:
         return arrays[""]
@@ -188,10 +187,10 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
     poses = [item for item in arrays.values() if item.shape in ((21, 3), (25, 3), (26, 3))]
     if cubes or len(poses) > 1:
         names = [item.name for item in cubes or poses]
-        what = "recordings" if cubes else "single poses"
+        what, first = "recordings" if cubes else "single poses", names[0][:40]
         raise RecordingError(
-            f"{path}: it holds {len(names)} {what}, not one recording: {', '.join(names)}; save "
-            f"one by itself: numpy.save('{names[0]}.npy', numpy.load('{path.name}')['{names[0]}'])"
+            f"{path}: it holds {len(names)} {what}, not one recording: {listed(names)}; save "
+            f"one by itself: numpy.save('{first}.npy', numpy.load('{path.name}')['{first}'])"
         )
     if poses:
         return poses[0]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
+from smooth_operator.documents import brief
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.recording.arrays import StoredArrays, open_arrays
-from smooth_operator.recording.atomic import atomic_write
+from smooth_operator.recording.atomic import atomic_write, output_error
+from smooth_operator.recording.episode import check_commands
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.recording.sniff import file_kind
 from smooth_operator.types import CommandTrajectory, Status
@@ -87,11 +90,35 @@ def write_encoded_commands(
         raise OutputError(
             f"can't write {str(path)!r}: the name must end in .npz, as {path.name}.npz"
         )
-    text = to_json(dict(config), indent=2)
-    with atomic_write(config_path(path)) as file:
-        file.write(text.encode() + b"\n")
-    with atomic_write(path) as file:
+    with written_result(path, config) as file:
         file.write(encoded)
+
+
+@contextlib.contextmanager
+def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[bytes]]:
+    """Writes ``OUT.npz`` and its configuration, where there is one: both or neither.
+
+    The result is on the disk before the configuration takes its place, and takes its own after it.
+    So a full disk leaves what stood there before, and a result never lacks its configuration.
+
+    Yields:
+        What the result is to be written to.
+
+    Raises:
+        OutputError: the files can't be written.
+        ConfigError: the configuration holds what JSON can't.
+    """
+    text = None if config is None else to_json(dict(config), indent=2)
+    with atomic_write(path) as file:
+        yield file
+        if text is not None:
+            try:
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError as error:
+                raise output_error(path, error) from error
+            with atomic_write(config_path(path)) as beside:
+                beside.write(text.encode() + b"\n")
 
 
 def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
@@ -105,7 +132,8 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
 
     Raises:
         RecordingError: no such file, damaged or pickled; arrays that are missing or do not fit each
-            other; a status that this version does not know.
+            other; stamps that are not finite; a joint name that comes twice; a status that this
+            version does not know.
     """
     path = Path(path)
     if file_kind(path) != "npz":
@@ -120,13 +148,15 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
             f"{arrays.describe()}); expected the OUT.npz of a retargeting"
         )
     _check_shapes({key: arrays[key].shape for key in _KEYS}, str(path))
-    return CommandTrajectory(
+    commands = CommandTrajectory(
         joint_positions=arrays["joint_positions"].numbers(),
         joint_names=tuple(arrays["joint_names"].texts()),
         stamps=arrays["timestamps"].numbers(),
         latency_ms=arrays["latency_ms"].numbers(),
         status=translate_status(arrays["status"].load(), _status_names(arrays), str(path)),
     )
+    check_commands(commands, str(path))
+    return commands
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
@@ -169,7 +199,7 @@ def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> 
     unknown = sorted(set(codes.tolist()) - known.keys())
     if unknown:
         raise RecordingError(
-            f"{where}: status {unknown} is not one of {own}; if a newer version wrote it, upgrade: "
-            "python -m pip install --upgrade smooth-operator"
+            f"{where}: status {brief(unknown)} is not one of {own}; if a newer version wrote it, "
+            "upgrade: python -m pip install --upgrade smooth-operator"
         )
     return np.array([known[code] for code in codes.tolist()], np.int8)

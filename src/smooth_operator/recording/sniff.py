@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.documents import check_plain_file
+from smooth_operator.errors import DocumentError, RecordingError
 
 FileKind: TypeAlias = Literal["npy", "npz", "log", "hdf5"]
 
@@ -48,8 +49,12 @@ def file_kind(path: Path) -> FileKind:
             format that is not read here.
     """
     try:
+        if not path.is_dir():
+            check_plain_file(path)
         with path.open("rb") as stream:
             head = stream.read(128)
+    except DocumentError as error:
+        raise RecordingError(f"{path}: {error}; give the file of a recording") from None
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; check the name and the folder") from None
     except IsADirectoryError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from jax import nn
 from jaxtyping import Array, Float
 
+from smooth_operator.documents import brief, parse_json
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
@@ -234,20 +234,33 @@ def read_geort_model(path: str | Path) -> GeortModel:
     try:
         return _read(open_arrays(path))
     except (RecordingError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: not a GeoRT model ({error}); {wanted}") from error
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
+        what = what.removeprefix(f"{path}: ")
+        raise ConfigError(f"{path}: not a GeoRT model ({what}); {wanted}") from error
 
 
 def _read(arrays: StoredArrays) -> GeortModel:
-    (text,) = arrays["about"].texts()
-    about = json.loads(text)
+    about = parse_json(arrays["about"].text())
+    if not isinstance(about, dict):
+        raise ValueError(f"its description is no object, but {brief(about)}")
     if about["format"] != FORMAT or about["version"] != VERSION:
         raise ValueError(
-            f"format {about['format']!r} version {about['version']}, not {FORMAT!r} {VERSION}"
+            f"format {brief(about['format'])} version {brief(about['version'])}, not {FORMAT!r} "
+            f"{VERSION}"
         )
-    joints = tuple(tuple(str(name) for name in names) for names in about["joints"])
-    fingers, outputs = len(about["fingers"]), max(len(names) for names in joints)
+    named = _words(about["fingers"], "fingers")
+    if not isinstance(about["joints"], list) or not isinstance(about["training"], dict):
+        raise ValueError("its joints must be a list for each finger, its training an object")
+    joints = tuple(_words(names, "joints") for names in about["joints"])
+    if len(named) != len(joints) or not joints:
+        raise ValueError(f"it has {len(named)} fingers, but the joints of {len(joints)}")
+    fingers, outputs = len(named), max(map(len, joints))
+    if len(arrays["w2"].shape) != 3:
+        raise ValueError(f"w2 must have three axes, not the shape {arrays['w2'].shape}")
     hidden = arrays["w2"].shape[-1]
     poses = arrays["poses"].numbers()
+    if poses.ndim != 2 or not np.isfinite(poses).all():
+        raise ValueError(f"poses must be finite and of two axes, not of shape {poses.shape}")
     shapes = {
         "w1": (fingers, 3, hidden),
         "b1": (fingers, hidden),
@@ -265,20 +278,26 @@ def _read(arrays: StoredArrays) -> GeortModel:
         if value.shape != shape or not np.isfinite(value).all():
             raise ValueError(f"{name} must be finite and of shape {shape}, it is {value.shape}")
     limits = tuple(np.asarray(pairs, float).reshape(-1, 2) for pairs in about["limits"])
-    if [len(names) for names in joints] != [len(pairs) for pairs in limits] or (
-        len(joints) != fingers
-    ):
-        raise ValueError("fingers, joints and limits do not fit each other")
+    if [len(names) for names in joints] != [len(pairs) for pairs in limits]:
+        raise ValueError("joints and limits do not fit each other")
+    if not all(np.isfinite(pairs).all() for pairs in limits):
+        raise ValueError("its limits must be finite numbers")
     return GeortModel(
         Weights(*(jnp.asarray(values[name], jnp.float32) for name in Weights._fields)),
         values["centre"],
         values["scale"],
         str(about["hand"]),
         as_side(about["side"]),
-        tuple(about["fingers"]),
+        named,
         joints,
         limits,
         poses,
         values["tips"],
         about["training"],
     )
+
+
+def _words(value: Any, what: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+        raise ValueError(f"its {what} must be a list of names, not {brief(value)}")
+    return tuple(value)

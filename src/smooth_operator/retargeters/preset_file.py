@@ -20,13 +20,13 @@ from __future__ import annotations
 import json
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError
+from smooth_operator.documents import brief, listed, read_toml
+from smooth_operator.errors import ConfigError, DocumentError
 from smooth_operator.recording import atomic_write
 
 FORMAT: Final = 1
@@ -60,34 +60,32 @@ def read_preset_file(path: Path) -> PresetFile:
         ConfigError: there is none, or it is something else; the message says what is expected.
     """
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{path} is {path.stat().st_size} bytes: that is no preset file")
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = read_toml(path, most_bytes=_MOST_BYTES)
     except FileNotFoundError:
         raise ConfigError(f"no preset file at {path}") from None
     except OSError as error:
         raise ConfigError(f"can't read the preset file {path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except DocumentError as error:
         raise ConfigError(f"{path} is not well-formed TOML: {error}") from error
     if content.get("format") != FORMAT:
         raise ConfigError(
             f"{path}: expected a preset file, with 'format = {FORMAT}', not "
-            f"{content.get('format')!r}"
+            f"{brief(content.get('format'))}"
         )
     names = {key: content.get(key) for key in ("method", "base")}
     for key, name in names.items():
         if not isinstance(name, str) or not name:
-            raise ConfigError(f"{path}: {key!r} must be a name, not {name!r}")
+            raise ConfigError(f"{path}: {key!r} must be a name, not {brief(name)}")
     settings, made = content.get("settings", {}), content.get("made", {})
     for key, table in (("settings", settings), ("made", made)):
         if not isinstance(table, dict):
-            raise ConfigError(f"{path}: {key!r} must be a table, not {table!r}")
+            raise ConfigError(f"{path}: {key!r} must be a table, not {brief(table)}")
     for key, value in settings.items():
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not math.isfinite(value):
-            raise ConfigError(f"{path}: setting {key!r} must be a number, not {value!r}")
+            raise ConfigError(f"{path}: setting {brief(key)} must be a number, not {brief(value)}")
     if unknown := sorted(set(content) - {"format", "method", "base", "settings", "made"}):
-        raise ConfigError(f"{path}: unknown entries {', '.join(unknown)}")
+        raise ConfigError(f"{path}: unknown entries {listed(unknown)}")
     return PresetFile(str(names["method"]), str(names["base"]), settings, made)
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 
 C = TypeVar("C")
+
+MOST_WHOLE: Final = 1 << 20
+"""Largest number of samples, cycles, rounds and the like that is set by name."""
+MOST_SEED: Final = (1 << 32) - 1
 
 
 def numeric_settings(config: object) -> dict[str, float | int]:
@@ -58,6 +62,10 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
         if path not in known:
             raise UnknownNameError("setting", path, known)
     whole = {path for path, value in known.items() if isinstance(value, int)}
+    for path in whole & values.keys():
+        most = MOST_SEED if path.endswith("seed") else MOST_WHOLE
+        if not abs(values[path]) <= most:  # NaN too
+            raise ConfigError(f"setting {path!r} can be at most {most}, not {values[path]:g}")
     rounded = {path: round(v) if path in whole else float(v) for path, v in values.items()}
     return cast(C, _replaced(config, rounded, checked=True))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +18,10 @@ from smooth_operator.solvers.normals import (
     fixed_normals,
     random_words,
 )
+
+MOST_SAMPLES: Final = 1 << 20
+MOST_CYCLES: Final = 10_000
+"""Bounds that a slip of the pen exceeds: beyond them the memory ends, or the patience."""
 
 Cost: TypeAlias = Callable[[Sequence[Array]], Array]
 """m arrays of a common shape (one per variable, batch last) to costs of that shape."""
@@ -53,6 +57,11 @@ class SamplingConfig:
             raise ConfigError(
                 "sampling needs samples >= elites >= 1 and cycles >= 1, not "
                 f"samples={self.samples}, elites={self.elites}, cycles={self.cycles}"
+            )
+        if self.samples > MOST_SAMPLES or self.cycles > MOST_CYCLES:
+            raise ConfigError(
+                f"sampling takes at most {MOST_SAMPLES} samples and {MOST_CYCLES} cycles, not "
+                f"samples={self.samples}, cycles={self.cycles}; the paper has 8192 and 20"
             )
         if self.sigma <= 0 or self.temperature <= 0 or self.jitter <= 0:
             raise ConfigError(

@@ -13,7 +13,6 @@ here waits, keeps state or unpickles: bytes in, hand frames out, or an error tha
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,8 +21,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator import documents
 from smooth_operator import landmarks as schema
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError, DocumentError, RecordingError
 from smooth_operator.recording.checks import PALM_RANGE_M, check_units
 from smooth_operator.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
@@ -109,9 +109,9 @@ def parse_json(data: bytes | str) -> Any:
         RecordingError: it is not JSON.
     """
     try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:  # ValueError: bad UTF-8 too
-        raise RecordingError(f"{_WHERE} is not JSON: {error or type(error).__name__}") from error
+        return documents.parse_json(data)
+    except DocumentError as error:
+        raise RecordingError(f"{_WHERE} is not JSON: {error}") from error
 
 
 def hand_frame(

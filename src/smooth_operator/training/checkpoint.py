@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from smooth_operator.documents import parse_json
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.recording.arrays import open_arrays
 from smooth_operator.recording.atomic import atomic_write
@@ -46,7 +47,7 @@ def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
     shapes = [np.asarray(leaf) for leaf in jax.tree.leaves(template)]
     try:
         arrays = open_arrays(path)
-        found = json.loads(arrays["about"].texts()[0])
+        found = parse_json(arrays["about"].text())
         different = _differences(wanted, found)
         leaves = [] if different else [arrays[f"leaf_{i:03d}"].load() for i in range(len(shapes))]
     except (RecordingError, KeyError, TypeError, ValueError) as error:

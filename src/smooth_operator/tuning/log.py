@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.documents import parse_json
 from smooth_operator.errors import OutputError
 from smooth_operator.recording import output_error, to_json
 
@@ -82,7 +83,7 @@ class TrialLog:
 
     def _take(self, line: bytes) -> None:
         try:
-            content = json.loads(line)
+            content = parse_json(line)
             if content["search"] != self._search:
                 return
             trial = Trial(*(content[name] for name in ("values", "metrics", "reason", "seconds")))

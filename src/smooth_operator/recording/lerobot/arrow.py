@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from smooth_operator.documents import check_plain_file, listed
 from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.recording.arrays import damaged
+from smooth_operator.recording.bounds import NUMBER_BYTES, Allowance
 
 
 def arrow() -> Any:
@@ -51,7 +53,7 @@ def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
     pa = arrow()
     if name not in table.column_names:
         raise RecordingError(
-            f"{where}: it lacks the column {name!r}; it has {', '.join(table.column_names)}"
+            f"{where}: it lacks the column {name!r}; it has {listed(table.column_names)}"
         )
     chunks = table.column(name).chunks
     kind = table.schema.field(name).type
@@ -64,7 +66,9 @@ def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
     if not numeric or nulls or len(flat) != table.num_rows * width:
         raise RecordingError(
             f"{where}: the column {name!r} must hold {width} numbers a row, not "
-            f"{table.schema.field(name).type}" + (f" with {nulls} nulls" if nulls else "")
+            f"{str(table.schema.field(name).type)[:80]}"
+            + (f" with {nulls} nulls" if nulls else "")
+            + "; copy the dataset again"
         )
     values: np.ndarray = flat.to_numpy(zero_copy_only=False).reshape(table.num_rows, width)
     return values
@@ -78,13 +82,35 @@ def read_table(path: Path, filters: Any = None) -> Any:
     """
     pa, pq = arrow(), parquet()
     try:
+        size = check_plain_file(path)
+        _check_size(pq.ParquetFile(path), path, size)
         return pq.read_table(path, filters=filters, partitioning=None)
+    except RecordingError:
+        raise
     except FileNotFoundError:
         raise RecordingError(
             f"{path}: no such file; the dataset is incomplete, copy it again"
         ) from None
-    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, MemoryError) as error:
         raise damaged(path, f"Parquet: {error}") from error
+
+
+def _check_size(file: Any, path: Path, size: int) -> None:
+    """Refuses a file whose columns take far more than it does: a run of equal values is stored as
+    one, and a list of a fixed length takes it even where it is null."""
+    pa, held = arrow(), file.metadata
+    allowance = Allowance.of(path, size)
+    for row_group in range(held.num_row_groups):
+        columns = held.row_group(row_group)
+        for column in range(columns.num_columns):
+            part = columns.column(column)
+            count = max(part.num_values, columns.num_rows) * NUMBER_BYTES
+            allowance.take(
+                f"{part.path_in_schema} {row_group}", max(count, part.total_uncompressed_size)
+            )
+    for field in file.schema_arrow:
+        if pa.types.is_fixed_size_list(field.type):
+            allowance.take(field.name, held.num_rows * field.type.list_size * NUMBER_BYTES)
 
 
 def _module(name: str) -> Any:

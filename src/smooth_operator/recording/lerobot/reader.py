@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.documents import brief, listed, parse_json, read_json
+from smooth_operator.errors import ConfigError, DocumentError, RecordingError
 from smooth_operator.recording.checks import check_rate, check_side, check_stamps
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.lerobot.arrow import numbers, read_table
@@ -19,6 +20,7 @@ from smooth_operator.recording.lerobot.writer import OWN_COLUMN
 from smooth_operator.recording.sniff import is_dataset
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
+_FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?(\d{1,2})d?)?\}", re.ASCII)
 _OWN_STATUS = {int(status) for status in Status}
 
 
@@ -80,36 +82,38 @@ def open_dataset(path: Path) -> Dataset:
         raise RecordingError(f"{path}: not a LeRobot dataset: it has no meta/info.json")
     where = path / "meta" / "info.json"
     try:
-        info = json.loads(where.read_text(encoding="utf-8"))
-        version, features = str(info["codebase_version"]), info["features"]
+        info = _object(read_json(where), "it")
+        version, features = str(info["codebase_version"]), _object(info["features"], "features")
         template, fps = str(info["data_path"]), info["fps"]
-        shapes = {name: tuple(feature["shape"]) for name, feature in features.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        for name, feature in features.items():
+            _names(_object(feature, f"feature {brief(name)}"))
+    except (OSError, ValueError, KeyError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
         raise RecordingError(
-            f"{where}: can't be read as the description of a LeRobot dataset "
-            f"({type(error).__name__}: {error}); copy the dataset again"
+            f"{where}: can't be read as the description of a LeRobot dataset ({what}); copy the "
+            "dataset again"
         ) from error
     if not version.startswith("v3."):
         raise RecordingError(
-            f"{path}: a LeRobot dataset of version {version}, v3.0 is read here; bring it up to "
-            "date with LeRobot's own converter: python -m "
+            f"{path}: a LeRobot dataset of version {version[:20]}, v3.0 is read here; bring it "
+            "up to date with LeRobot's own converter: python -m "
             "lerobot.datasets.v30.convert_dataset_v21_to_v30"
         )
-    if not {"landmarks", "joint_positions"} & shapes.keys() or "stamp" not in shapes:
+    if not {"landmarks", "joint_positions"} & features.keys() or "stamp" not in features:
         raise RecordingError(
-            f"{path}: a LeRobot dataset of another program, with {', '.join(shapes) or 'nothing'}: "
+            f"{path}: a LeRobot dataset of another program, with {listed(features) or 'nothing'}: "
             "it has no columns 'stamp' and 'landmarks' or 'joint_positions', so it holds no hand "
             "that could be converted"
         )
-    if not isinstance(fps, int | float):
-        raise RecordingError(f"{where}: fps must be a number, not {fps!r}")
+    if isinstance(fps, bool) or not isinstance(fps, int | float):
+        raise RecordingError(f"{where}: fps must be a number, not {brief(fps)}")
     info["data_path"] = template
     rows: list[dict[str, Any]] = []
     for file in sorted((path / "meta" / "episodes").glob("*/*.parquet")):
         table = read_table(file)
         kept = [name for name in table.column_names if not name.startswith("stats/")]
         rows += table.select(kept).to_pylist()
-    if not rows or any("episode_index" not in row for row in rows):
+    if not rows or any(type(row.get("episode_index")) is not int for row in rows):
         raise RecordingError(
             f"{path}: meta/episodes holds no episodes; the dataset is incomplete, copy it again"
         )
@@ -134,7 +138,9 @@ def read_dataset_episode(
             f"{file}: it holds {table.num_rows} frames of episode {number}, and the metadata say "
             f"{row.get('length')}; the dataset is incomplete, copy it again"
         )
-    table = table.sort_by("frame_index") if "frame_index" in table.column_names else table
+    if "frame_index" in table.column_names:
+        order = numbers(table, "frame_index", 1, file)[:, 0].argsort(kind="stable")
+        table = table.take(order)
     own = _own(row, dataset.path)
     name = dataset.name_of(number)
     stamps = numbers(table, "stamp", 1, file)[:, 0].astype(np.float64)
@@ -153,24 +159,66 @@ def read_dataset_episode(
     if "joint_positions" in dataset.info["features"]:
         commands, stages = _commands(table, dataset.info["features"], own, file)
     config = own.get("configuration")
-    task = own["task"] if "task" in own else (row.get("tasks") or [None])[0]
+    config = config if isinstance(config, dict) else None
+    tasks = row.get("tasks")
+    task = own["task"] if "task" in own else tasks[0] if isinstance(tasks, list) and tasks else None
+    task = None if task is None else str(task)
     return Episode(recording, commands, config, stages, task, name, notes)
 
 
 def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
     try:
-        relative = dataset.info["data_path"].format(
-            chunk_index=int(row["data/chunk_index"]), file_index=int(row["data/file_index"])
+        relative = _filled(
+            dataset.info["data_path"],
+            chunk_index=int(row["data/chunk_index"]),
+            file_index=int(row["data/file_index"]),
         )
-    except (KeyError, ValueError, IndexError, TypeError) as error:
+        file: Path = (dataset.path / relative).resolve()
+    except (KeyError, ValueError, TypeError, OSError) as error:  # OSError: a name too long
         raise RecordingError(
             f"{dataset.path}: the metadata do not say where episode {row['episode_index']} is "
-            f"({error!r}); copy the dataset again"
+            f"({brief(error)}); copy the dataset again"
         ) from error
-    file: Path = (dataset.path / relative).resolve()
     if not file.is_relative_to(dataset.path.resolve()):
         raise RecordingError(f"{dataset.path}: its metadata point out of the dataset, to {file}")
     return file
+
+
+def _filled(template: str, **indices: int) -> str:
+    """A path with its numbers, as ``str.format`` would give it, whose attributes and widths can
+    be made to do more.
+
+    Raises:
+        ValueError: it asks for something else than the two numbers, or is no path.
+    """
+
+    def number(match: re.Match[str]) -> str:
+        return f"{indices[match[1]]:0{int(match[2] or 1)}d}"
+
+    path = _FIELD.sub(number, template)
+    if "{" in path or "}" in path or "\0" in path:
+        raise ValueError(f"data_path can't be {brief(template)}")
+    return path
+
+
+def _object(value: Any, what: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{what} must be an object, not {brief(value)}")
+    return value
+
+
+def _names(feature: Mapping[str, Any]) -> list[str]:
+    """What a feature calls its numbers.
+
+    Raises:
+        ValueError: the names are no list of texts.
+    """
+    names = feature.get("names")
+    if isinstance(names, dict):  # of other programs' columns
+        names = None
+    if not isinstance(names, list | None) or not all(isinstance(n, str) for n in names or ()):
+        raise ValueError(f"names must be a list of texts, not {brief(names)}")
+    return names or []
 
 
 def _own(row: Mapping[str, Any], where: Path) -> dict[str, Any]:
@@ -179,8 +227,8 @@ def _own(row: Mapping[str, Any], where: Path) -> dict[str, Any]:
     if not isinstance(text, str):
         return {}
     try:
-        value = json.loads(text)
-    except ValueError as error:
+        value = parse_json(text)
+    except DocumentError as error:
         raise RecordingError(
             f"{where}: {OWN_COLUMN} of episode {row['episode_index']} is not JSON ({error})"
         ) from error
@@ -222,20 +270,21 @@ def _recording(
 def _commands(
     table: Any, features: dict[str, Any], own: dict[str, Any], file: Path
 ) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
-    names = tuple(str(name) for name in features["joint_positions"].get("names") or ())
+    names = tuple(_names(features["joint_positions"]))
     codes = numbers(table, "status", 1, file)[:, 0].astype(np.int64)
     unknown = sorted(set(codes.tolist()) - _OWN_STATUS - {NO_COMMAND})
     if unknown:
         raise RecordingError(
-            f"{file}: status {unknown} is not one of {sorted(_OWN_STATUS)}; if a newer version "
-            "wrote it, upgrade: python -m pip install --upgrade smooth-operator"
+            f"{file}: status {brief(unknown)} is not one of {sorted(_OWN_STATUS)}; if a newer "
+            "version wrote it, upgrade: python -m pip install --upgrade smooth-operator"
         )
     there = codes != NO_COMMAND
     stages: dict[str, np.ndarray] = {}
     if "stages_ms" in features:
-        labels = [str(label) for label in features["stages_ms"].get("names") or ()]
+        labels = _names(features["stages_ms"])
         times = numbers(table, "stages_ms", len(labels), file)[there]
         wanted = own.get("stages", labels)
+        wanted = wanted if isinstance(wanted, list) else labels
         stages = {n: times[:, i].copy() for i, n in enumerate(labels) if n in wanted}
     commands = CommandTrajectory(
         joint_positions=numbers(table, "joint_positions", len(names), file)[there],

@@ -10,6 +10,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from smooth_operator.documents import read_json
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.jsonable import to_json
@@ -159,7 +160,7 @@ def write_dataset(
 def is_own_dataset(path: Path) -> bool:
     """Whether a folder is a dataset that this program wrote, with nothing else beside it."""
     try:
-        mark = json.loads((path / MARK).read_text(encoding="utf-8"))
+        mark = read_json(path / MARK)
         others = {item.name for item in path.iterdir()} - {"meta", "data", "README.md"}
     except (OSError, ValueError):
         return False

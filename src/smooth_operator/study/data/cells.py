@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from smooth_operator.documents import brief, listed
 from smooth_operator.errors import StudyError
 
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _SHOWN = 8
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_MOST_COUNT = 10**9
+"""Of a block or trial; whole numbers of a table fit into 64 bits."""
 
 
 @dataclass
@@ -59,8 +64,8 @@ class Checked:
                 self.complain(
                     number,
                     column,
-                    f"{text!r} and {known!r} of {self.unit} {at} differ only in case; write both "
-                    "the same way",
+                    f"{brief(text)} and {brief(known)} of {self.unit} {at} differ only in case; "
+                    "write both the same way",
                 )
             found.append(text)
         return found
@@ -70,9 +75,9 @@ class Checked:
         found = []
         for number, row in self.rows:
             value = _number(row[column])
-            if value is None or not value >= 1 or value != int(value):
+            if value is None or not 1 <= value <= _MOST_COUNT or value != int(value):
                 self.complain(
-                    number, column, f"expected a whole number from 1 on, came {row[column]!r}"
+                    number, column, f"expected a whole number from 1 on, came {brief(row[column])}"
                 )
                 value = 1.0
             found.append(int(value))
@@ -98,7 +103,7 @@ class Checked:
                 continue
             value = _number(row[column])
             if value is None or not allowed(value):
-                self.complain(number, column, f"expected {expected}, came {row[column]!r}")
+                self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
                 value = math.nan
             found.append(value)
         return found
@@ -109,7 +114,7 @@ class Checked:
         for number, row in self.rows:
             key = tuple(str(row[column]).strip() for column in columns)
             if key in seen:
-                what = ", ".join(f"{c} {k}" for c, k in zip(columns, key, strict=True))
+                what = listed(f"{c} {k}" for c, k in zip(columns, key, strict=True))
                 self.problems.append(
                     f"{self.unit} {number}: the same {what} as {self.unit} {seen[key]}; every "
                     "trial and questionnaire may be there once"
@@ -130,8 +135,10 @@ def _number(value: Any) -> float | None:
     """A finite number, or None."""
     if isinstance(value, bool) or is_missing(value):
         return None
+    if isinstance(value, str) and not _NUMBER.fullmatch(value.strip()):
+        return None  # Python would take 1_0 for 10
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return number if math.isfinite(number) else None

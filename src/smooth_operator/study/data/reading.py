@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import StudyError
+from smooth_operator.documents import brief, listed, parse_json, read_text
+from smooth_operator.errors import DocumentError, StudyError
 from smooth_operator.recording.csv_table import plain_cell
 from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
 from smooth_operator.study.data.tables import (
@@ -94,11 +95,9 @@ def _files(path: Path) -> list[Path]:
 
 def _tables(file: Path) -> list[tuple[str, Rows, str]]:
     try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise StudyError(
-            f"{file.name} is no text in UTF-8; expected a table (.csv) or JSON"
-        ) from None
+        text = read_text(file)
+    except DocumentError as error:
+        raise StudyError(f"{file.name}: {error}; expected a table (.csv) or JSON") from None
     except OSError as error:
         raise StudyError(f"can't read {str(file)!r}: {error.strerror or error}") from error
     if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
@@ -125,9 +124,9 @@ def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
             rows.append((reader.line_num, dict(zip(header, cells, strict=True))))
     except csv.Error as error:
         raise StudyError(f"{name}, row {reader.line_num}: no readable CSV: {error}") from None
-    twice = sorted({word for word in header if header.count(word) > 1})
+    twice = sorted(word for word, count in Counter(header).items() if count > 1)
     if twice:
-        raise StudyError(f"{name}: the column {twice[0]!r} is there twice; keep one")
+        raise StudyError(f"{name}: the column {brief(twice[0])} is there twice; keep one")
     kind = _kind(name, header)
     if not rows:
         raise StudyError(f"{name} holds a header and no rows")
@@ -144,22 +143,22 @@ def _kind(name: str, header: Sequence[str]) -> str:
             missing = [word for word in _KINDS[kind] if word not in columns]
             raise StudyError(
                 f"{name} looks like a table of {kind}, but has no column "
-                f"{', '.join(repr(word) for word in sorted(missing))}; it has {', '.join(header)}"
+                f"{', '.join(repr(word) for word in sorted(missing))}; it has {listed(header)}"
             )
     if set(METRIC_COLUMNS) < columns and "task" not in columns:
         return "simulation_metrics"
     raise StudyError(
         f"{name} is no table of a study. Expected the columns {', '.join(TRIAL_COLUMNS)} (trials), "
         f"{', '.join(QUESTIONNAIRE_COLUMNS)} (questionnaires), or {', '.join(METRIC_COLUMNS)} and "
-        f"metrics; came {', '.join(header) or 'nothing'}"
+        f"metrics; came {listed(header) or 'nothing'}"
     )
 
 
 def _from_json(name: str, text: str) -> list[tuple[str, Rows, str]]:
     try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise StudyError(f"{name}, line {error.lineno}: no readable JSON: {error.msg}") from None
+        content = parse_json(text)
+    except DocumentError as error:
+        raise StudyError(f"{name}: no readable JSON: {error}") from None
     if not isinstance(content, Mapping) or not isinstance(content.get("trials"), list):
         raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
     needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
@@ -199,7 +198,7 @@ def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(
-                    f"{files[kind]}, column {column}: {', '.join(strange[:5])}{more} not in "
+                    f"{files[kind]}, column {column}: {listed(strange[:5])}{more} not in "
                     f"{files['trials']}; a typing error?"
                 )
     return tuple(notes)

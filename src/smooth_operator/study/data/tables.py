@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.documents import brief
 from smooth_operator.study.data.cells import Checked, is_missing
 from smooth_operator.study.data.rows import (
     ITEMS,
@@ -102,7 +103,7 @@ def make_questionnaires(
     points = []
     for (number, _), word in zip(rows, table.words("point"), strict=True):
         if word.lower() not in POINTS:
-            table.complain(number, "point", f"expected {', '.join(POINTS)}; came {word!r}")
+            table.complain(number, "point", f"expected {', '.join(POINTS)}; came {brief(word)}")
         points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
     answers = [
         table.numbers(item, "0 to 100, or nothing", lambda x: 0 <= x <= 100) for item in ITEMS

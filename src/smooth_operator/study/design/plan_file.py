@@ -49,7 +49,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.documents import read_toml
+from smooth_operator.errors import DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.recording.atomic import atomic_write
 from smooth_operator.study.design.enrolment import Enrolment, Orders
 from smooth_operator.study.design.entries import Entries
@@ -145,18 +146,14 @@ def plan_table(plan: Plan) -> dict[str, Any]:
 
 def _parse(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise StudyError(f"{path} is {path.stat().st_size} bytes: that is no plan of a study")
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return read_toml(path, most_bytes=_MOST_BYTES)
     except FileNotFoundError:
         raise StudyError(
             f"no plan at {path}; smooth-operator study new {path.parent} makes one"
         ) from None
     except OSError as error:
         raise StudyError(f"can't read the plan {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise StudyError(f"{path} is not UTF-8 text, so it is no plan") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except DocumentError as error:
         raise StudyError(f"{path} is not well-formed TOML: {error}") from error
 
 

@@ -18,6 +18,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 import smooth_operator
+from smooth_operator.documents import parse_json
 from smooth_operator.errors import StudyError
 from smooth_operator.parallel import run_tasks
 from smooth_operator.recording.atomic import output_error
@@ -241,7 +242,7 @@ def _read_log(path: Path) -> dict[str, dict[str, dict[str, int]]]:
         raise StudyError(f"can't read {path}, the studies done so far: {error}") from error
     for line in text.splitlines():
         try:
-            entry = json.loads(line)
+            entry = parse_json(line)
             found[entry["key"]] = entry["counts"]
         except (ValueError, KeyError, TypeError):
             continue

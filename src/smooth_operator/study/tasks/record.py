@@ -7,7 +7,8 @@ One ``.npz`` for each trial, which opens without unpickling and scores again the
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -15,15 +16,29 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import StudyError
+from smooth_operator.documents import brief, listed, parse_json
+from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.recording.arrays import StoredArrays, open_arrays
 from smooth_operator.recording.atomic import atomic_write, output_error
 from smooth_operator.sinks.scenes.state import SceneState
 from smooth_operator.study.tasks.run import Outcome
+from smooth_operator.types import as_side
 
-_STATE: Final = (
-    "time", "position", "quaternion", "velocity", "spin", "force", "touch", "palm", "support",
-    "placed", "fixed", "starts",
-)  # fmt: skip
+_STATE: Final[dict[str, tuple[tuple[int | None, ...], str, Callable[[Any], Any]]]] = {
+    "time": ((), "f", float),
+    "position": ((3,), "f", np.asarray),
+    "quaternion": ((4,), "f", np.asarray),
+    "velocity": ((3,), "f", np.asarray),
+    "spin": ((3,), "f", np.asarray),
+    "force": ((None,), "f", np.asarray),
+    "touch": ((None, 3), "f", np.asarray),
+    "palm": ((), "f", float),
+    "support": ((), "f", float),
+    "placed": ((), "b", bool),
+    "fixed": ((), "b", bool),
+    "starts": ((), "iu", int),
+}
+"""Field of a state -> its shape (None: as many as there are fingers), kinds of its array, type."""
 
 
 @dataclass(eq=False)
@@ -91,39 +106,71 @@ def read_trial(path: str | Path) -> TrialRecord:
         StudyError: the file is not a trial.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        head = json.loads(str(arrays["trial"]))
+        arrays = open_arrays(Path(path))
+        head = parse_json(arrays["trial"].text())
         states = list(_states(arrays))
-        outcome = None if head["outcome"] is None else Outcome(**head["outcome"])
+        names = tuple(arrays["joint_names"].texts())
+        positions = arrays["joint_positions"].numbers()
+        if positions.shape != (len(states), len(names)):
+            raise ValueError(
+                f"joint_positions must have shape {(len(states), len(names))}, not "
+                f"{positions.shape}"
+            )
+        times, words = arrays["event_times"].numbers(), arrays["event_words"].texts()
+        if times.shape != (len(words),) or not np.isfinite(times).all():
+            raise ValueError(f"event_times must be {len(words)} finite times")
         return TrialRecord(
-            head["task"], head["hand"], head["side"],
-            tuple(str(name) for name in arrays["joint_names"]), states,
-            list(arrays["joint_positions"]),
-            [(float(t), str(w)) for t, w in
-             zip(arrays["event_times"], arrays["event_words"], strict=True)],
-            outcome, head["about"],
+            _word(head, "task"), _word(head, "hand"), as_side(_word(head, "side")), names, states,
+            list(positions), list(zip(times.tolist(), words, strict=True)),
+            _outcome(head["outcome"]), _object(head["about"]),
         )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, SmoothOperatorError, ValueError, KeyError, TypeError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
         raise StudyError(
-            f"{str(path)!r} can't be read as a trial in simulation: {error}; "
+            f"{str(path)!r} can't be read as a trial in simulation: {what}; "
             "expected an .npz that a task's session wrote"
         ) from error
 
 
-def _states(arrays: dict[str, np.ndarray]) -> Iterator[SceneState]:
-    rows: Sequence[np.ndarray] = [arrays[name] for name in _STATE]
-    scalars = {
-        "time": float,
-        "palm": float,
-        "support": float,
-        "placed": bool,
-        "fixed": bool,
-        "starts": int,
-    }
-    for row in zip(*rows, strict=True):
-        values = {
-            name: scalars[name](value) if name in scalars else np.asarray(value)
-            for name, value in zip(_STATE, row, strict=True)
-        }
-        yield SceneState(**values)  # type: ignore[arg-type]
+def _word(head: Any, name: str) -> str:
+    if not isinstance(_object(head)[name], str):
+        raise ValueError(f"{name} must be text, not {brief(head[name])}")
+    return str(head[name])
+
+
+def _object(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"expected an object, not {brief(value)}")
+    return value
+
+
+def _outcome(value: Any) -> Outcome | None:
+    if value is None:
+        return None
+    kinds = {"score": float, "line": str, "seconds": float, "ended": str, "reason": str,
+             "resets": int}  # fmt: skip
+    if _object(value).keys() != kinds.keys():
+        raise ValueError(f"an outcome has {listed(kinds)}, not {listed(value)}")
+    for name, kind in kinds.items():
+        good = isinstance(value[name], (int, float) if kind is float else kind)
+        if not good or isinstance(value[name], bool):
+            raise ValueError(f"{name} of the outcome can't be {brief(value[name])}")
+    return Outcome(**value)
+
+
+def _states(arrays: StoredArrays) -> Iterator[SceneState]:
+    count = math.prod(arrays["time"].shape)
+    fingers = arrays["force"].shape[-1] if arrays["force"].shape else 0
+    columns: list[Any] = []
+    for name, (shape, kinds, _) in _STATE.items():
+        item = arrays[name]
+        wanted = (count, *(fingers if axis is None else axis for axis in shape))
+        # Of a trial that has no moment yet, the arrays have one axis.
+        if (
+            item.shape != wanted and (count or 0 not in item.shape)
+        ) or item.dtype.kind not in kinds:
+            raise ValueError(f"{name} must have shape {wanted}, not {item.shape} of {item.dtype}")
+        columns.append(item.load())
+    for row in zip(*columns, strict=True):
+        values = zip(_STATE.items(), row, strict=True)
+        yield SceneState(**{name: make(value) for (name, (_, _, make)), value in values})
