@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from study_console import PATIENCE_S, ConsoleProcess, console_plan, ratings, served
+from study_console import (
+    PATIENCE_S,
+    ConsoleProcess,
+    console_plan,
+    due_command,
+    ratings,
+    served,
+)
+from test_study_console import FakeSimulation
 
 from smooth_operator.study.console.desk import Desk
 from smooth_operator.study.console.gate import Gate
+from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.workload import SCALE_NAMES
@@ -23,6 +33,13 @@ pytest.importorskip("segno", reason="the extra study is not installed")
 TRIALS = 10
 PATIENCE_MS = 1e3 * PATIENCE_S
 LINES = ("done", "nearly", "failed")
+
+
+def cube_plan() -> Plan:
+    """The same with the paper's task B, of which there is a simulation."""
+    made = console_plan()
+    task = replace(made.protocol.tasks[0], name="B", title="Cube", time_limit_s=None)
+    return make_plan(replace(made.protocol, tasks=(task,)))
 
 
 class Pages:
@@ -207,4 +224,62 @@ def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -
         page.goto(leading_to(gate.links("127.0.0.1", port)["experimenter"]).as_uri())
         page.locator("#link", has_text="connected").wait_for()
         assert urlsplit(page.url)[2:] == ("/", "", "")  # without the token
+        page.close()
+
+
+@pytest.mark.browser
+def test_a_score_that_contradicts_the_simulation_is_asked_about(
+    chromium: Any, tmp_path: Path
+) -> None:
+    teleop = FakeSimulation()
+    with (
+        open_study(tmp_path, cube_plan()) as store,
+        served(Desk(store, operator="P01", teleop=teleop), Gate(None)) as port,
+    ):
+        pages = Pages(chromium, port)
+        page = pages.experimenter
+        page.get_by_role("button", name="Calibrated").click()
+        pages.step("Block 1 of 2")
+        pages.press(" ", "space")
+        pages.step("Trial 1 of 3")
+        pages.press(" ", "space")
+        teleop.trial |= {"phase": "running", "reason": "turned by 0°"}
+        page.get_by_text("turned by 0°").wait_for()
+        page.get_by_text("Time limit 2 min, of the simulation.").wait_for()
+        pages.press("1", "1")
+        page.get_by_text("The simulation says so far: not-done, 0 (turned by 0°)").wait_for()
+        assert store.progress("P01").running is not None
+        page.keyboard.press("Escape")
+        pages.press("1", "1")
+        page.get_by_role("button", name="Score it all the same").click()
+        pages.step("Questionnaire")
+        assert store.progress("P01").trials[-1].score == 1.0
+        assert not pages.problems
+        pages.context.close()
+
+
+@pytest.mark.browser
+def test_scales_and_send_are_in_sight_on_a_tablet(chromium: Any, tmp_path: Path) -> None:
+    with (
+        open_study(tmp_path, console_plan()) as store,
+        served(Desk(store, operator="P01"), Gate(None)) as port,
+    ):
+        while store.progress("P01").step.what != "questionnaire":
+            asked = due_command(store.progress("P01"))
+            assert asked is not None
+            Desk(store, operator="P01").carry_out(asked, "experimenter")
+        page = chromium.new_page()
+        page.goto(f"http://127.0.0.1:{port}/operator")
+        for width, height, scales in ((1180, 820, 6), (820, 1180, 5), (390, 844, 2)):
+            page.set_viewport_size({"width": width, "height": height})
+            bar = page.locator(".send")
+            bar.wait_for()
+            box = bar.bounding_box()
+            assert box["y"] + box["height"] <= height + 1
+            assert page.get_by_role("button", name="Send my answers").is_visible()
+            assert "Still to mark" in bar.inner_text()
+            shown = [one.bounding_box() for one in page.locator(".scale").all()]
+            seen = sum(one["y"] + one["height"] <= box["y"] + 1 for one in shown)
+            assert seen >= scales, (width, height)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.close()

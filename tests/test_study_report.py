@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import random
 import re
@@ -119,6 +120,23 @@ def test_tables_hold_the_numbers_of_the_results(output: Path) -> None:
         }  # fmt: skip
     methods = (output / "methods.txt").read_text(encoding="utf-8")
     assert methods.startswith("6 operators took part")
+
+
+def test_the_head_says_what_the_tables_hold(output: Path) -> None:
+    results = json.loads((output / "results.json").read_text(encoding="utf-8"))
+    page = (output / "report.html").read_text(encoding="utf-8")
+    (said,) = re.findall(r'<p class="conclusion">(.*?)</p>', page, re.DOTALL)
+    assert page.index(said) < page.index("<h2>")
+    said = html.unescape(said)
+    assert said.startswith("Against dexpilot, all tasks together (mode small-sample, Dunnett")
+    for outcome, name in (("success", "success"), ("time", "completion time"), ("tlx", "workload")):
+        part = said.partition(f"{name}: ")[2].split(";")[0]
+        tests = results["small-sample"][outcome]["pooled"]["dunnett"]
+        for retargeter, one in tests.items():
+            word = "higher" if one["difference"] > 0 else "lower"
+            assert (f"{word} with {retargeter} (" in part) == (one["p_dunnett"] < 0.05)
+        if all(one["p_dunnett"] >= 0.05 for one in tests.values()):
+            assert part.startswith("no difference shown")
 
 
 def test_both_modes_are_printed(

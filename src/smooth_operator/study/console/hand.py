@@ -182,6 +182,7 @@ class Hand:
             "detail": HIDDEN if hidden else heard.detail,
             "running": None if self._blind else running,
             "scene": heard.task,
+            "limit_s": self._limit_s(progress),
             "trial": None if trial is None else asdict(trial),
         }
 
@@ -201,6 +202,15 @@ class Hand:
         if self._begun or trial.phase == "running":
             self._begun, self._follows = False, running.started
         return trial if self._follows == running.started else None  # or it is that of an earlier
+
+    def _limit_s(self, progress: Progress | None) -> float | None:
+        """Time limit of the simulated task that is on; the study's own may say another."""
+        from smooth_operator.study.tasks.catalogue import task_named
+
+        block = None if progress is None else progress.step.block
+        if block is None or not self._in_scene(block):
+            return None
+        return task_named(block.task.name).task.time_limit_s
 
     def _in_scene(self, block: Block) -> bool:
         return self.switch.heard.task is not None and self.switch.heard.task == _scene(block)

@@ -21,6 +21,7 @@ from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.methods_text import methods_paragraph
 from smooth_operator.study.analysis.report import curves, figures, tables
+from smooth_operator.study.analysis.report.conclusion import conclusion
 from smooth_operator.study.analysis.results import MODES, Mode, Outcome, ScopeResult
 
 if TYPE_CHECKING:
@@ -115,7 +116,10 @@ class _Page:
             f"{', '.join(analysis.retargeters)}; baseline {analysis.baseline}"
         )
         notes = [paragraph(note, "warning") for note in data.notes]
-        top = [element("h1", "User study"), paragraph(said, "soft"), *notes]
+        drawn = conclusion(analysis)
+        top = [element("h1", "User study"), paragraph(said, "soft")]
+        top += [paragraph(drawn, "conclusion")] if drawn else []
+        top += notes
         return element("header", element("div", join(top)))
 
     def _outcome(self, outcome: Outcome) -> Html:

@@ -17,7 +17,7 @@ from smooth_operator.benchmark.page.html import (
 )
 from smooth_operator.study.analysis.results import Outcome, ScopeResult
 
-_DIGITS: dict[Outcome, tuple[float, int, str]] = {
+DIGITS: dict[Outcome, tuple[float, int, str]] = {
     "success": (100.0, 1, "%"),
     "time": (1.0, 2, "s"),
     "tlx": (1.0, 2, "points"),
@@ -35,7 +35,7 @@ def means_table(
     outcome: Outcome, result: ScopeResult, colors: Mapping[str, str], baseline: str
 ) -> Html:
     """Means with intervals, and each retargeter against the baseline."""
-    scale, digits, unit = _DIGITS[outcome]
+    scale, digits, unit = DIGITS[outcome]
     rows = []
     for name, mean in result.emm.items():
         cells = [
@@ -70,7 +70,7 @@ def means_table(
 
 def pairs_table(outcome: Outcome, result: ScopeResult) -> Html:
     """All pairs with Holm's correction."""
-    scale, digits, _ = _DIGITS[outcome]
+    scale, digits, _ = DIGITS[outcome]
     rows = [
         [
             name_cell(f"{pair.a} − {pair.b}"),
@@ -105,7 +105,7 @@ def coefficients_table(result: ScopeResult) -> Html:
 
 def observed_table(outcome: Outcome, result: ScopeResult, colors: Mapping[str, str]) -> Html:
     """What was seen, without a model."""
-    scale, digits, unit = _DIGITS[outcome]
+    scale, digits, unit = DIGITS[outcome]
     rows = [
         [
             name_cell(name, colors.get(name, "")),

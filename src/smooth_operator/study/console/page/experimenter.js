@@ -25,6 +25,17 @@ const stopped = {
   },
 };
 
+/** How a line of the rubric contradicts what a simulation has seen, in words; empty if it does not. */
+function contradiction({ now, teleop }, name) {
+  const sim = teleop?.trial;
+  const line = now.rubric.find((one) => one.name === name);
+  if (!sim || !line) return '';
+  const score = now.resets > 0 ? Math.min(line.score, now.reset_cap) : line.score;
+  if (score === sim.score) return '';
+  const so = sim.phase === 'done' ? '' : ' so far';
+  return `You score ${line.name}, ${score}. The simulation says${so}: ${sim.line}, ${sim.score} (${sim.reason}).`;
+}
+
 /** Everything that a part of the page may ask for. */
 const desk = {
   link,
@@ -47,8 +58,12 @@ const desk = {
     stopped.at = stopped.at === null ? moment() : null;
     draw();
   },
-  score(line) {
-    desk.send('score', { ...desk.place('task', 'block', 'trial'), line }, { since: stopped.at ?? moment() });
+  async score(line) {
+    const since = stopped.at ?? moment(); // the question takes no time from the trial
+    const fields = { ...desk.place('task', 'block', 'trial'), line };
+    const doubt = contradiction(link.state, line);
+    if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it all the same')) return;
+    desk.send('score', fields, { since });
   },
   async voidTrial() {
     const given = await ask('Void this trial', 'For a reason that is not the operator’s. It will be done again.',

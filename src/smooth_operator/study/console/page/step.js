@@ -79,14 +79,15 @@ const STEPS = {
     const over = sim?.phase === 'done';
     const fixed = now.undone_time_s ?? (over ? sim.time_s : null); // measured already
     const stopped = desk.stopped.at !== null;
+    const limit = now.limit_s ?? state.teleop?.limit_s ?? null;
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
       h('p', { class: `clock ${stopped || fixed !== null ? 'stopped' : ''}`, role: 'timer', 'aria-live': 'off',
-        ...(fixed !== null ? {} : { 'data-since': String(now.since), 'data-tenths': '', 'data-stoppable': '', 'data-limit': String(now.limit_s ?? 0) }) },
+        ...(fixed !== null ? {} : { 'data-since': String(now.since), 'data-tenths': '', 'data-stoppable': '', 'data-limit': String(limit ?? 0) }) },
       fixed === null ? '' : clock(fixed, true)),
       h('p', { class: 'soft' }, now.undone_time_s !== null ? 'The time stays as it was measured; score the trial again.'
         : stopped ? 'The clock is stopped. Choose a line of the rubric.'
-          : now.limit_s ? `Time limit ${seconds(now.limit_s)}.` : 'No time limit.'),
+          : limit ? `Time limit ${seconds(limit)}${now.limit_s ? '' : ', of the simulation'}.` : 'No time limit.'),
       now.resets > 0 && h('p', { class: 'notice' }, `The object was put back: at most ${now.reset_cap} from here.`),
       sim && proposal(now, sim, desk, waiting),
       h('div', { class: 'row' },
