@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from smooth_operator.cli.outputs import read_configuration
+from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.outputs import folder_for, read_configuration
 from smooth_operator.cli.page import playback
 from smooth_operator.cli.view_options import View
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
@@ -20,9 +21,10 @@ from smooth_operator.hands.selection import FingerChoice, parse_fingers
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.recording import config_path, read_commands, read_recording
+from smooth_operator.recording import config_path, frame_slice, read_commands, read_recording
 from smooth_operator.types import CommandTrajectory, HandRecording
-from smooth_operator.ui import serve
+from smooth_operator.ui import Playback, serve
+from smooth_operator.ui.clip import save_clip
 
 
 def view(options: View) -> None:
@@ -57,7 +59,17 @@ def view(options: View) -> None:
         playback(title, run.hand, run.trace, evaluate(run.trace), drawn, label)
         for run, label in zip(runs, labels, strict=True)
     ]
+    if options.save is not None:
+        _save(pages, options.save)
+        return
     serve(pages, host=options.host, port=options.port, open_browser=not options.no_browser)
+
+
+def _save(pages: Sequence[Playback], path: Path) -> None:
+    progress = Progressing()
+    with folder_for(path.parent):
+        save_clip(pages, path, track=progress.frames("drawing"))
+    progress.note(f"wrote {path}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +83,7 @@ class _Run:
 
 
 def _run(options: View, out: Path, source: Path) -> _Run:
-    commands = read_commands(out)
+    commands = _chosen(read_commands(out), options.frames)
     config = read_configuration(config_path(out)) or {}
     rate = options.rate if options.rate is not None else config.get("rate")
     recording = read_recording(source, rate=rate, side=options.side or config.get("side"))
@@ -87,6 +99,19 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     trace = assemble_trace(recording, commands, hand, _alignment(config))
     made_by = " ".join(str(config[key]) for key in ("method", "preset") if key in config)
     return _Run(out, hand, trace, made_by)
+
+
+def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajectory:
+    if frames is None:
+        return commands
+    cut = frame_slice(frames, len(commands))
+    return replace(
+        commands,
+        **{
+            name: getattr(commands, name)[cut]
+            for name in ("joint_positions", "stamps", "latency_ms", "status")
+        },
+    )
 
 
 def _labels(runs: Sequence[_Run]) -> list[str]:

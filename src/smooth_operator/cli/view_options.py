@@ -25,6 +25,7 @@ Examples:
   smooth-operator view out.npz glove.npz
   smooth-operator view smooth.npz dexpilot.npz glove.npz
   smooth-operator view out.npz glove.npz --model vendor/right_hand.xml
+  smooth-operator view smooth.npz sbr.npz glove.npz --frames 500:1200 --save clip.gif
   smooth-operator view smooth-operator-demo/commands.npz smooth-operator-demo/log.mcap
 """
 
@@ -43,6 +44,12 @@ Examples:
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frames a second of a recording that holds no time stamps; as OUT.json says if left out."""
+
+    save: Annotated[Path | None, arg(metavar="CLIP.gif|CLIP.webp")] = None
+    """Write a moving picture in place of serving the page; --model draws the vendor's meshes."""
+
+    frames: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only these frames of the commands, as a Python slice: :500, 2600:3100"""
 
     def run(self) -> None:
         """Runs the command."""

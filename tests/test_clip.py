@@ -1,0 +1,74 @@
+"""``view --save``: a moving picture of human and robots, drawn without a display."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from smooth_operator.cli import main
+from smooth_operator.ui.clip import PANE, RATE_HZ
+
+METHOD = ("--method", "joint_angle", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("clip")
+    recording = str(folder / "hand.npz")
+    assert main(["sample", recording, "--duration", "1.2", "--quiet"]) == 0
+    assert main(["retarget", recording, *METHOD, "--output", str(folder / "out.npz")]) == 0
+    return folder
+
+
+def view(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    # MuJoCo chooses how it draws when it is imported
+    return subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "smooth_operator",
+            "view",
+            "out.npz",
+            "out.npz",
+            "hand.npz",
+            *options,
+        ],
+        cwd=folder,
+        env={**os.environ, "MUJOCO_GL": "egl"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("suffix", ["gif", "webp"])
+def test_a_clip_shows_every_hand_in_real_time(made: Path, suffix: str) -> None:
+    done = view(made, "--frames", "20:100", "--save", f"new/clip.{suffix}")
+    if done.returncode == 2 and "can't draw with OpenGL" in done.stderr:
+        pytest.skip("this machine has no EGL to draw with")
+    assert done.returncode == 0, done.stderr
+    with Image.open(made / "new" / f"clip.{suffix}") as clip:
+        frames = [
+            np.asarray(one.convert("RGB")).astype(int) for one in ImageSequence.Iterator(clip)
+        ]
+        assert clip.size == (3 * PANE[0], PANE[1])  # the human, and the robot of each file
+        assert clip.info.get("loop", 0) == 0
+    assert len(frames) == round(0.8 * RATE_HZ)
+    for pane in range(3):
+        part = np.s_[60:-20, pane * PANE[0] : (pane + 1) * PANE[0]]
+        assert (frames[0][part].max(axis=-1) > 60).mean() > 0.02  # a hand is there
+        assert (np.abs(frames[-1][part] - frames[0][part]).max(axis=-1) > 40).mean() > 0.002
+
+
+def test_what_can_be_mended_is_said(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = [str(made / name) for name in ("out.npz", "hand.npz")]
+    assert main(["view", *names, "--save", str(made / "clip.mp4")]) == 2
+    assert "a clip is a .gif or a .webp, not 'clip.mp4'" in capsys.readouterr().err
+    assert main(["view", *names, "--frames", "x", "--save", str(made / "clip.gif")]) == 2
+    assert not (made / "clip.gif").exists()
