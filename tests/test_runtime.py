@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -422,3 +423,23 @@ def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch
     assert sorted(times.newest()) == list(range(950, 1050))
     assert sorted(times.newest(7)) == list(range(1043, 1050))
     assert times._kept.nbytes == 400
+
+
+def test_numbers_of_any_size_are_refused_without_a_warning(motion: HandRecording) -> None:
+    frame = motion[10]
+    assert implausible(frame) is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for value in (1e300, -1e308, 1e155, 1e39, 20.0):
+            for rows in ([0], [3], [9], [17], range(21)):
+                landmarks = frame.landmarks.copy()
+                landmarks[rows, 1] = value * np.linspace(0.1, 1.0, len(rows))
+                assert implausible(replace(frame, landmarks=landmarks, valid=None)) is not None
+        for value in (np.nan, np.inf, 5e-324, 0.0):
+            landmarks = frame.landmarks.copy()
+            landmarks[5] = value
+            implausible(replace(frame, landmarks=landmarks, valid=None))
+            finger_curl(replace(frame, landmarks=np.zeros((21, 3)), valid=None))
+    lost = frame.landmarks.copy()
+    lost[8] = 1e6  # where the tracker says that it has none
+    assert implausible(replace(frame, landmarks=lost, valid=np.arange(21) != 8)) is None

@@ -7,6 +7,7 @@ and mirroring a right hand into a left one.
 
 from __future__ import annotations
 
+import logging
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,11 @@ from smooth_operator.errors import HandModelError
 NO_ROOM: Final = 0.25
 """A coupling that can use less of its joints' ranges, see :func:`shared_range`, is a mistake."""
 _ROOM: Final = 0.75
+
+# Without a listener of its own MuJoCo writes its warnings to a file in the working folder.
+_LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_LOGGER.warning)
 
 
 @dataclass(frozen=True)

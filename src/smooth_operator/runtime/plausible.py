@@ -13,6 +13,12 @@ from smooth_operator.types import HandFrame
 PALM_M = (0.05, 0.14)
 """Wrist to the base of the middle finger of a human hand [m]."""
 
+REACH_M = 0.5
+"""No landmark of a hand is farther than this from its wrist, by any axis [m]."""
+_FAR = (
+    f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
+)
+
 CURL = -0.6
 """Least curl of a hand, as share of its fingers' length.
 
@@ -27,6 +33,7 @@ _INDEX, _MIDDLE, _PINKY = BASES[1], BASES[2], BASES[4]
 _FINGERS = np.array(BASES[1:])
 
 
+@np.errstate(all="ignore")  # numbers of any size may come
 def implausible(frame: HandFrame) -> str | None:
     """Why a frame can't be a human hand of its side; None if it may be one.
 
@@ -36,6 +43,8 @@ def implausible(frame: HandFrame) -> str | None:
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
         return "a stamp that is no time in seconds"
     p = frame.landmarks
+    if (np.abs(p[frame.valid] - p[WRIST]) > REACH_M).any():
+        return _FAR
     palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
     if not np.isfinite(palm):
         return None
