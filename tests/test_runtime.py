@@ -13,6 +13,8 @@ import pytest
 from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LAYOUTS
+from smooth_operator.recording.anatomy import FEWEST_FRAMES
 from smooth_operator.recording.readers import read_recording
 from smooth_operator.runtime import statistics as run_statistics
 from smooth_operator.runtime.delay import TrackerDelay
@@ -197,6 +199,30 @@ def test_every_refusal_is_counted_by_its_reason(
     assert sum(n for why, n in refused.items() if "left hand?" in why) == len(wrong)
     # figures in a reason would make a reason of every frame
     assert [n for why, n in refused.items() if "metres" in why] == [30]
+
+
+def test_a_session_of_the_other_hand_or_in_another_order_is_refused(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    """From its first few frames on, whatever the pose; the next session is judged by itself."""
+    mano = np.argsort(LAYOUTS["mano"])
+    faults = {
+        "by its shape it is a left hand": lambda points: points * [-1.0, 1.0, 1.0],
+        "landmarks in the order 'mano'; give the source layout=mano": lambda points: points[mano],
+    }
+    for why, fault in faults.items():
+        stage = Stage(retargeter)
+        frames = list(motion[100:160])
+        stage.play([replace(frame, landmarks=fault(frame.landmarks)) for frame in frames])
+        refused = stage.pipeline.supervisor.refused
+        assert sum(refused.values()) >= 60 - FEWEST_FRAMES
+        assert sum(n for told, n in refused.items() if told.startswith(why)) >= 30
+        before = sum(refused.values())
+        for frame in motion[160:200]:
+            stage.now += PERIOD
+            stage.ticks.append(stage.pipeline.step(stage.now, Arrival(frame, stage.now, session=1)))
+        assert sum(refused.values()) == before
+        assert stage.ticks[-1].mode.moves
 
 
 def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> None:

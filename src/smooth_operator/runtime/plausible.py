@@ -7,8 +7,9 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.sources.live import LATEST_STAMP_S
-from smooth_operator.types import HandFrame
+from smooth_operator.recording.anatomy import Doubt, HandCheck
+from smooth_operator.sources.live import LATEST_STAMP_S, Arrival
+from smooth_operator.types import HandFrame, Side
 
 PALM_M = (0.05, 0.14)
 """Wrist to the base of the middle finger of a human hand [m]."""
@@ -55,6 +56,29 @@ def implausible(frame: HandFrame) -> str | None:
         other = "left" if frame.side == "right" else "right"
         return f"the fingers bend to the back of the hand: is it a {other} hand?"
     return None
+
+
+class SessionCheck:
+    """Whether the frames of a tracker are of the side and in the order that they should be.
+
+    Each start of a tracker is judged by itself: over its first frames, and then now and then.
+
+    Args:
+        side: of the hand that is driven.
+    """
+
+    def __init__(self, side: Side) -> None:
+        self._side = side
+        self._session: int | None = None
+        self._check = HandCheck(side)
+
+    def doubt(self, arrival: Arrival) -> Doubt | None:
+        """What speaks against the frames up to this one; None if nothing does."""
+        if arrival.session != self._session:
+            self._session, self._check = arrival.session, HandCheck(self._side)
+        frame = arrival.frame
+        assert frame.valid is not None  # filled in by HandFrame
+        return self._check.see(frame.landmarks, frame.valid)
 
 
 def finger_curl(frame: HandFrame) -> float:
