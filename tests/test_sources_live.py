@@ -286,7 +286,7 @@ def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path: Path) -> Non
     with pytest.raises(RecordingError, match=r"nothing\.npz"):
         Replay(tmp_path / "nothing.npz").start(Mailbox())
     plain = tmp_path / "plain.npy"
-    np.save(plain, SyntheticOperator().record(0.1).landmarks)
+    np.save(plain, SyntheticOperator(side="left").record(0.1).landmarks)
     with pytest.raises(RecordingError, match="rate"):
         Replay(plain).start(Mailbox())
     source = Replay(plain, rate=100.0, side="left")
