@@ -24,8 +24,10 @@ from smooth_operator.cli import main
 from smooth_operator.cli import teleop as teleop_module
 from smooth_operator.errors import SinkError, SourceError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.recording import read_log
 from smooth_operator.runtime.loop import TeleopLoop
 from smooth_operator.runtime.pipeline import HandPipeline
+from smooth_operator.runtime.plausible import implausible
 from smooth_operator.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.tick import Mode, Tick
@@ -480,3 +482,28 @@ def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
     from smooth_operator.recording import read_log
 
     assert read_log(log) is not None
+
+
+def test_refused_frames_are_counted_in_the_summary(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    motion = SyntheticOperator(seed=2, rate_hz=100.0).record(8.0)
+    mirrored = [f.landmarks * [-1.0, 1.0, 1.0] for f in motion]
+    wrong = [p for p in mirrored if implausible(HandFrame(p, stamp=0.0))]
+    path, log = tmp_path / "left.npy", tmp_path / "take.mcap"
+    np.save(path, np.array(wrong)[:60])
+    source = ["--source", f"replay:{path},rate=60,side=right", "--sink", f"record:{log}"]
+    ending = ["--method", "joint_angle", "--no-view", "--json", "--safety.lost-s", "0.3"]
+    assert main(["teleop", *source, *ending]) == 0
+    out, err = capsys.readouterr()
+    summary = json.loads(out)
+    (why,) = summary["frames_refused"]["right"]
+    assert "left hand?" in why
+    refused = summary["frames_refused"]["right"][why]
+    assert refused + summary["frames_overwritten"] == summary["frames_received"] == 60
+    assert summary["frames_answered"] == summary["frames_unusable"] == 0
+    assert f"frames refused: {refused} x the fingers bend" in err
+    recorded = read_log(log).loop
+    assert recorded is not None
+    events = [event for events in recorded.events.values() for event in events]
+    assert sum("frame refused" in event for event in events) == refused

@@ -27,8 +27,10 @@ from smooth_operator.sources.catalogue import build_source
 from smooth_operator.sources.live import Arrival, Mailbox
 from smooth_operator.sources.webxr import WebXr, addresses, server
 from smooth_operator.sources.webxr.certificate import SWITCH, VALID, get_certificate
+from smooth_operator.sources.webxr.link import LinkState
 from smooth_operator.sources.webxr.packet import HEADER, MAX_BYTES, read_packet
 from smooth_operator.sources.webxr.pairing import IN_ALL, PER_ADDRESS, WINDOW, Pairing
+from smooth_operator.sources.webxr.source import describe
 from smooth_operator.types import Side
 from smooth_operator.web.listening import LimitedListener, listen
 
@@ -769,3 +771,13 @@ def test_a_headset_that_gives_no_hands_is_told_why(
     page.get_by_role("alert").get_by_text("Turn hand tracking on").wait_for()
     assert host.mailbox.received == 0
     page.context.close()
+
+
+def test_an_address_that_no_headset_can_open_comes_with_what_to_give() -> None:
+    here = describe(
+        LinkState(), addresses.page_addresses("127.0.0.1", 8443), Pairing("AB12CD")
+    ).detail
+    assert "https://localhost:8443" in here
+    assert "webxr:0.0.0.0" in here
+    there = describe(LinkState(), ("https://192.168.1.20:8443",), Pairing("AB12CD")).detail
+    assert "0.0.0.0" not in there

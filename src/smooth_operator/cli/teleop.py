@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import json
@@ -217,6 +218,8 @@ def _counted(reasons: Mapping[str, int]) -> str:
 @contextlib.contextmanager
 def _attentive() -> Iterator[None]:
     """The loop before all else: short turns for other threads, no collection of old garbage."""
+    # nor at the end of the process, when it would keep who pressed Ctrl-C waiting for seconds
+    atexit.register(gc.freeze)
     turn = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     gc.collect()

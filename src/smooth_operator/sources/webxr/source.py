@@ -129,6 +129,11 @@ def describe(link: LinkState, addresses: tuple[str, ...], pairing: Pairing) -> S
     also = f" ({', '.join(faults)})" if faults else ""
     if link.address is None:
         where = " or ".join(addresses)
+        if all("//localhost:" in address for address in addresses):
+            also = (
+                "; only this machine reaches that, or a headset on a cable with adb reverse: "
+                f"write webxr:0.0.0.0 for a headset on its network{also}"
+            )
         back = "the headset is gone; " if link.session else ""
         return SourceHealth(
             "waiting",

@@ -25,7 +25,7 @@ from smooth_operator.ui.live.session import LiveSession
 
 _MODULE: Final = "smooth_operator.ui.live.process"
 _END_S: Final = 3.0
-"""How long the page may take to end by itself [s]; it has nothing to lose."""
+"""How long the page may take to end when it is asked to [s]."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,8 @@ class LivePage:
         """End the page; safe to call twice."""
         self._ending = True
         with contextlib.suppress(OSError):
-            self._out.close()  # the page ends when nobody answers any more
+            self._out.close()
+        self._process.terminate()  # it has nothing to lose, and may be busy with its browsers
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
