@@ -12,9 +12,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -484,17 +484,26 @@ def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
     assert read_log(log) is not None
 
 
+@dataclass(frozen=True)
+class Mirrored(ThreadedSource):
+    """A tracker that sends a left hand for a right one."""
+
+    label: ClassVar[str] = "mirrored"  # type: ignore[assignment]
+
+    def run(self, running: Running) -> None:
+        motion = SyntheticOperator(seed=2, rate_hz=100.0).record(8.0)
+        mirrored = [replace(f, landmarks=f.landmarks * [-1.0, 1.0, 1.0]) for f in motion]
+        Player([f for f in mirrored if implausible(f)][:60], 60.0).run(running)
+
+
 def test_refused_frames_are_counted_in_the_summary(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    motion = SyntheticOperator(seed=2, rate_hz=100.0).record(8.0)
-    mirrored = [f.landmarks * [-1.0, 1.0, 1.0] for f in motion]
-    wrong = [p for p in mirrored if implausible(HandFrame(p, stamp=0.0))]
-    path, log = tmp_path / "left.npy", tmp_path / "take.mcap"
-    np.save(path, np.array(wrong)[:60])
-    source = ["--source", f"replay:{path},rate=60,side=right", "--sink", f"record:{log}"]
-    ending = ["--method", "joint_angle", "--no-view", "--json", "--safety.lost-s", "0.3"]
-    assert main(["teleop", *source, *ending]) == 0
+    monkeypatch.setattr(teleop_module, "build_source", lambda *_: Mirrored())
+    log = tmp_path / "take.mcap"
+    arguments = ["--sink", f"record:{log}", "--safety.lost-s", "0.3"]
+    ending = ["--method", "joint_angle", "--no-view", "--json"]
+    assert main(["teleop", *arguments, *ending]) == 0
     out, err = capsys.readouterr()
     summary = json.loads(out)
     (why,) = summary["frames_refused"]["right"]
