@@ -21,10 +21,12 @@ BEND: Final = 2e-3
 class GeortTraining:
     """How GeoRT is trained.
 
-    Losses, the networks' shape and the weights of direction, coverage and curvature are published
+    Losses, the networks' sizes and the weights of direction, coverage and curvature are published
     (Yin et al., "Geometric Retargeting"). Named departures, so that two CPU cores finish in minutes
     and end in a useful optimum:
 
+    - the networks have SiLU between their layers and no normalisation; published are LeakyReLU and
+      batch normalisation. SiLU has no kink that the robot would follow;
     - steps are many and small: a batch of 512 instead of 2048, and a learning rate that rises to
       3e-3 and falls along a cosine, instead of 1e-4 held;
     - ``ramp``: coverage sets in slowly. From the first step on, it pulls random networks on to the
