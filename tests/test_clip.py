@@ -62,7 +62,7 @@ def test_a_clip_shows_every_hand_in_real_time(made: Path, suffix: str) -> None:
     assert len(frames) == round(0.8 * RATE_HZ)
     for pane in range(3):
         part = np.s_[60:-20, pane * PANE[0] : (pane + 1) * PANE[0]]
-        assert (frames[0][part].max(axis=-1) > 60).mean() > 0.02  # a hand is there
+        assert (frames[0][part].min(axis=-1) < 200).mean() > 0.02  # a hand is there
         assert (np.abs(frames[-1][part] - frames[0][part]).max(axis=-1) > 40).mean() > 0.002
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import BASES, BONES
@@ -23,7 +23,10 @@ PANE: Final = (300, 360)
 """Width and height of each hand's picture [px]."""
 SUFFIXES: Final = (".gif", ".webp")
 
-_BONE, _TIP, _LINE = 0.0052, 0.0075, 0.0012  # radii [m]
+_BONE, _LINE = 0.0052, 0.0012  # radii [m]
+_FAR: Final = 4.0  # of what is no hand [m]
+_PAPER: Final = (244, 245, 247)
+_INK: Final = (40, 46, 52)
 _COLORS: Final = 96  # of a GIF's palette
 _AMBIENT, _DIFFUSE = 0.42, 0.6  # of the light at the camera: no room of the model has one
 
@@ -124,7 +127,19 @@ class _Pane:
         lit = self._pinches[frame]
         for tip, color, pinched in zip(tips[1:], self._colors[1:], lit, strict=True):
             _rod(scene, tips[0], tip, _LINE, HIGHLIGHT if pinched else color)
-        return np.asarray(self._renderer.render()).copy()
+        picture = np.asarray(self._renderer.render()).copy()
+        picture[self._empty(picture)] = _PAPER
+        return picture
+
+    def _empty(self, picture: UInt8[np.ndarray, "H W 3"]) -> Bool[np.ndarray, "H W"]:
+        """Where no hand is: there MuJoCo draws black, as some robots are."""
+        black = picture.max(axis=-1) == 0
+        if not self._robot:
+            return np.asarray(black)
+        self._renderer.enable_depth_rendering()
+        far = self._renderer.render() > _FAR
+        self._renderer.disable_depth_rendering()
+        return np.asarray(black & far)
 
     def close(self) -> None:
         """Gives the OpenGL context back."""
@@ -203,5 +218,5 @@ def _labelled(picture: UInt8[np.ndarray, "H W 3"], runs: Sequence[Playback]) -> 
     image = Image.fromarray(picture)
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(15)
     for i, name in enumerate(("human", *(run.label for run in runs))):
-        pen.text((PANE[0] * (i + 0.5), 8), name, fill=(235, 235, 235), font=font, anchor="ma")
+        pen.text((PANE[0] * (i + 0.5), 8), name, fill=_INK, font=font, anchor="ma")
     return image
