@@ -460,7 +460,7 @@ def _verdict(function: Callable[[Path], Any], path: Path) -> Verdict:
         outcome, detail = "refused", str(error)
         if not detail.strip() or len(detail) > LONGEST_MESSAGE:
             outcome, detail = "exception", f"a message of {len(detail)} characters: {detail[:300]}"
-        elif "Error" in detail.replace(str(path), "").replace(path.name, ""):
+        elif re.search(r"\b[A-Z]\w*Error\b", detail.replace(path.name, "")):
             outcome, detail = "exception", f"names a class of Python: {detail[:300]}"
     except BaseException as error:
         last = traceback.extract_tb(error.__traceback__)

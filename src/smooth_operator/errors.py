@@ -79,6 +79,7 @@ class UnknownNameError(SmoothOperatorError, KeyError):
     """
 
     def __init__(self, kind: str, name: str, available: Iterable[str], more: str = "") -> None:
+        name = name if len(name) <= 80 else f"{name[:77]}..."  # of a file, perhaps a damaged one
         known = sorted(available)
         bare = {one.lstrip("-"): one for one in known}  # the dashes of options are like any others
         close = get_close_matches(name.lstrip("-"), bare, n=1)

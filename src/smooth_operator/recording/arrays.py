@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -108,6 +109,11 @@ class StoredArray:
             )
         if array.dtype.kind == "S":
             array = np.char.decode(array, "ascii", "replace")
+        else:  # which NumPy looks at when a text is asked for, and not before
+            native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
+            codes = native.reshape(-1).view(np.uint32) if array.dtype.itemsize else np.zeros(0)
+            if ((codes > sys.maxunicode) | ((codes >= 0xD800) & (codes < 0xE000))).any():
+                raise damaged(self.path, f"array {brief(self.name)} holds what is no text")
         return [str(item) for item in array.ravel()]
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from smooth_operator.documents import brief
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.objective.key_objectives import AkoTargets
 from smooth_operator.objective.loss import ObjectiveConfig
@@ -257,9 +258,9 @@ def _from_file(method: str, path: Path) -> MethodConfig:
     file = read_preset_file(path)
     if file.method != method:
         raise ConfigError(
-            f"{path} is a preset of method {file.method!r}, not of {method!r}: choose that method "
-            "too"
+            f"{path} is a preset of method {brief(file.method)}, not of {method!r}: choose "
+            "that method too"
         )
     if file.base.endswith(SUFFIX):
-        raise ConfigError(f"{path}: its base must be the name of a preset, not {file.base!r}")
+        raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")
     return with_settings(method_config(method, file.base), file.settings)

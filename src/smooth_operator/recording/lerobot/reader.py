@@ -177,7 +177,7 @@ def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
     except (KeyError, ValueError, TypeError, OSError) as error:  # OSError: a name too long
         raise RecordingError(
             f"{dataset.path}: the metadata do not say where episode {row['episode_index']} is "
-            f"({brief(error)}); copy the dataset again"
+            f"({str(error)[:200]}); copy the dataset again"
         ) from error
     if not file.is_relative_to(dataset.path.resolve()):
         raise RecordingError(f"{dataset.path}: its metadata point out of the dataset, to {file}")

@@ -90,7 +90,12 @@ class Entries:
 
     def error(self, name: str, text: str) -> StudyError:
         """What is wrong with an entry."""
-        return StudyError(f"{self.file}: {self._full(name)}: {text}")
+        full = self._full(name)
+        full, text = (  # a damaged file may hold names and values of any length
+            word if len(word) <= most else f"{word[: most - 3]}..."
+            for word, most in ((full, 100), (text, 400))
+        )
+        return StudyError(f"{self.file}: {full}: {text}")
 
     def _get(self, name: str, default: Any, kind: str) -> Any:
         if name in self.values:

@@ -110,7 +110,7 @@ def plan_of(table: dict[str, Any], file: str) -> Plan:
     except SmoothOperatorError as error:
         if str(error).startswith(file):
             raise
-        raise StudyError(f"{file}: {error}") from error
+        raise StudyError(f"{file}: {str(error)[:400]}") from error
 
 
 def write_plan(plan: Plan, path: str | Path) -> Path:

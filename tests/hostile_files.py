@@ -1,0 +1,470 @@
+"""Good files of every format that is read, how each is damaged, and what reads it; run as a script.
+
+``python tests/hostile_files.py TRIES [SEED] [READER ...]`` has so many mutants of each reader's
+files read and prints what came of them. ``test_hostile_files.py`` does the same with few.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import fuzzing
+import numpy as np
+
+from smooth_operator.recording.episode import Episode
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
+
+FRAMES = 12
+
+# --- what reads: called in the process that has the limits -----------------------------------
+
+
+def _believable(recording: Any) -> None:
+    assert recording.landmarks.shape == (len(recording), 21, 3)
+    assert np.isfinite(recording.stamps).all()
+    assert np.isfinite(recording.landmarks[recording.valid]).all()
+
+
+def recording(path: Path) -> None:
+    from smooth_operator.recording import read_recording
+
+    _believable(read_recording(path, rate=None))
+
+
+def episode(path: Path) -> None:
+    from smooth_operator.recording.convert import read_episode
+    from smooth_operator.recording.jsonable import to_json
+
+    found = read_episode(path)
+    if found.commands is not None:
+        assert np.isfinite(found.commands.stamps).all()
+    to_json(found.meta)
+    to_json(found.config)
+
+
+def commands(path: Path) -> None:
+    from smooth_operator.recording import read_commands
+
+    found = read_commands(path)
+    assert np.isfinite(found.stamps).all()
+    assert found.joint_positions.shape == (len(found), len(found.joint_names))
+
+
+def scan(path: Path) -> None:
+    """A folder that holds the file beside a good one: both are found."""
+    from smooth_operator.offline.discovery import find_recordings
+
+    good = Path(__file__).with_name("test_architecture.py")
+    folder = path.parent / "scanned"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    shutil.copy(path, folder / path.name)
+    shutil.copy(good, folder / "other.npy")
+    found, passed_over = find_recordings(folder)
+    assert len(found) + passed_over == 2, found
+
+
+def overwrite(path: Path) -> None:
+    """What is looked at before a file is replaced."""
+    from smooth_operator.offline.finished import foreign
+    from smooth_operator.recording.convert import check_target
+
+    foreign(path.with_suffix(".npz"))
+    check_target(path, {".h5": "hdf5", ".mcap": "mcap"}.get(path.suffix, "npz"), [], True)  # type: ignore[arg-type]
+
+
+def latency(path: Path) -> None:
+    from smooth_operator.recording import read_log, to_json
+    from smooth_operator.runtime.log_timing import log_timing
+
+    to_json(log_timing(read_log(path)))
+
+
+def operator(path: Path) -> None:
+    from smooth_operator.human.operator_file import read_operator
+
+    read_operator(path)
+
+
+def preset(path: Path) -> None:
+    from smooth_operator.retargeters.presets import method_config
+
+    method_config("sbr", str(path))
+
+
+def plan(path: Path) -> None:
+    from smooth_operator.study.design.plan_file import plan_text, read_plan
+
+    plan_text(read_plan(path))
+
+
+def geort(path: Path) -> None:
+    from smooth_operator.retargeters.geort_model import read_geort_model
+
+    read_geort_model(path)
+
+
+def study(path: Path) -> None:
+    from smooth_operator.study.data.reading import read_study
+
+    read_study([path])
+
+
+def trial(path: Path) -> None:
+    from smooth_operator.study.tasks.record import read_trial
+
+    read_trial(path)
+
+
+# --- good files --------------------------------------------------------------------------------
+
+
+def good_episode() -> Episode:
+    rng = np.random.default_rng(0)
+    points = 0.02 * rng.normal(size=(FRAMES, 21, 3))
+    points[:, 0], points[:, 9] = 0.0, (0.0, 0.0, 0.095)
+    stamps = 100.0 + 0.01 * np.arange(FRAMES)
+    hand = HandRecording(
+        points, stamps, "right", metacarpals=rng.normal(size=(FRAMES, 4, 3)), meta={"a": [1]}
+    )
+    answers = CommandTrajectory(
+        rng.normal(size=(FRAMES, 2)), ("j1", "j2"), stamps, np.ones(FRAMES),
+        np.full(FRAMES, Status.OK, np.int8),
+    )  # fmt: skip
+    times = {"solve": np.ones(FRAMES)}
+    return Episode(hand, answers, {"program": "smooth-operator", "x": [1, None]}, times, "t", "a")
+
+
+def _npz(**arrays: Any) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, **arrays)
+    return stream.getvalue()
+
+
+def _manus() -> bytes:
+    data = np.zeros((FRAMES, 25, 7), np.float32)
+    data[..., 3] = 1.0
+    data[..., :3] = 0.02 * np.random.default_rng(1).normal(size=(FRAMES, 25, 3))
+    data[:, 0, :3], data[:, 11, :3] = 0.0, (0.0, 0.0, 0.095)
+    return _npz(
+        data=data, timestamps=0.01 * np.arange(FRAMES), keypoint_ids=np.arange(25),
+        chirality="right", quaternion_order="wxyz", glove_ids=np.array([7]),
+    )  # fmt: skip
+
+
+def _operator(folder: Path) -> bytes:
+    from smooth_operator.human.operator import FingerProfile, OperatorProfile
+    from smooth_operator.human.operator_file import write_operator
+
+    fingers = tuple(
+        FingerProfile(n, f"{n}_dp", (0.04, 0.03, 0.02), 0.09, 0.1, 1.1, 0.003, 0.005, 0.002, 0.001)
+        for n in ("thumb", "index", "middle")
+    )
+    profile = OperatorProfile(
+        "mimic_p050", "right", 0.8, 0.07, 0.1, fingers, (1.0, 0.0, 0.0, 0.0), 0.01, 0.02, (), "x"
+    )
+    write_operator(folder / "o.json", profile)
+    return (folder / "o.json").read_bytes()
+
+
+def _geort() -> bytes:
+    rng = np.random.default_rng(0)
+    shapes = {"w1": (2, 3, 4), "b1": (2, 4), "w2": (2, 4, 4), "b2": (2, 4), "w3": (2, 4, 2),
+              "b3": (2, 2), "centre": (2, 3), "scale": (2,), "poses": (8, 3),
+              "tips": (8, 2, 3)}  # fmt: skip
+    about = {
+        "format": "smooth-operator geort", "version": 1, "hand": "h", "side": "right",
+        "fingers": ["thumb", "index"], "joints": [["a", "b"], ["c"]],
+        "limits": [[[0, 1], [0, 1]], [[0, 1]]], "training": {"steps": 3},
+    }  # fmt: skip
+    arrays = {name: rng.normal(size=shape) for name, shape in shapes.items()}
+    return _npz(about=np.array(json.dumps(about)), **arrays)
+
+
+def _trial(folder: Path) -> bytes:
+    from smooth_operator.sinks.scenes.state import SceneState
+    from smooth_operator.study.tasks.record import TrialRecord, write_trial
+    from smooth_operator.study.tasks.run import Outcome
+
+    record = TrialRecord("card", "h", "right", ("a", "b"), events=[(0.0, "go")])
+    for i in range(5):
+        vector = np.full(3, 0.1 * i)
+        state = SceneState(
+            0.01 * i,
+            vector,
+            np.array([1.0, 0, 0, 0]),
+            vector,
+            vector,
+            np.zeros(2),
+            np.zeros((2, 3)),
+        )
+        record.add(state, np.zeros(2))
+    record.outcome, record.about = Outcome(1.0, "done", 3.0, "success", "held", 0), {"x": 1}
+    write_trial(folder / "t.npz", record)
+    return (folder / "t.npz").read_bytes()
+
+
+_TRIALS = "operator,task,retargeter,block,trial_in_block,trial_global,score,time_s\n" + "".join(
+    f"P{o},A,{r},{b},{t},{2 * (b - 1) + t},{t % 2},{3.5 + t}\n"
+    for o in range(3) for b, r in ((1, "sbr"), (2, "dexpilot")) for t in (1, 2)
+)  # fmt: skip
+
+
+def _study_json() -> bytes:
+    lines = [line.split(",") for line in _TRIALS.split()]
+    rows = [dict(zip(lines[0], row, strict=True)) | {"block": int(row[3])} for row in lines[1:]]
+    return json.dumps({
+        "trials": rows,
+        "simulation_metrics": [{"operator": "P0", "retargeter": "sbr", "jitter": 0.5}],
+    }).encode()  # fmt: skip
+
+
+def _plan() -> bytes:
+    from smooth_operator.study.design.plan import make_plan
+    from smooth_operator.study.design.plan_file import plan_text
+    from smooth_operator.study.design.protocol import Condition, Protocol, Task
+
+    conditions = tuple(map(Condition, ("sbr", "dexpilot")))
+    return plan_text(
+        make_plan(Protocol("s", conditions, (Task("A", trials=3),), "sbr", 4))
+    ).encode()
+
+
+_PRESET = b"""format = 1
+method = "sbr"
+base = "realtime"
+
+[settings]
+"objective.pose_weight" = 0.031
+"sampling.samples" = 64
+"sampling.sigma" = 0.2
+
+[made]
+by = "smooth-operator tune"
+on = ["a.npz", "b.npz"]
+"""
+
+
+def mutate_log(rng: random.Random, data: bytes) -> bytes:
+    """Messages of a log are mutated as JSON, and framed as before."""
+    from mcap.reader import make_reader
+    from mcap.writer import CompressionType, Writer
+
+    if rng.random() < 0.4:
+        return fuzzing.mutate_bytes(rng, data)
+    try:
+        found = list(make_reader(io.BytesIO(data)).iter_messages(log_time_order=False))
+        notes = list(make_reader(io.BytesIO(data)).iter_metadata())
+    except Exception:  # it was a mutant already
+        return fuzzing.mutate_bytes(rng, data)
+    stream = io.BytesIO()
+    kind = rng.choice((CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4))
+    writer = Writer(stream, compression=kind)
+    writer.start()
+    hit = set(rng.sample(range(len(found)), rng.choice((0, 1, 1, 3))))
+    numbers: dict[int, int] = {}
+    for i, (schema, channel, message) in enumerate(found):
+        if channel.id not in numbers:
+            assert schema is not None
+            about = writer.register_schema(schema.name, schema.encoding, schema.data)
+            topic = channel.topic if rng.random() > 0.01 else rng.choice(("/hand", "/x", ""))
+            numbers[channel.id] = writer.register_channel(topic, "json", about, channel.metadata)
+        content = fuzzing.mutate_json(rng, message.data) if i in hit else message.data
+        for _ in range(rng.choice((0, 2)) if i in hit and rng.random() < 0.2 else 1):
+            writer.add_message(
+                numbers[channel.id], message.log_time, content, message.publish_time,
+                message.sequence if rng.random() > 0.01 else rng.choice((0, 2**32 - 1)),
+            )  # fmt: skip
+    for note in notes:
+        texts = dict(note.metadata)
+        for key in texts:
+            if rng.random() < 0.2:
+                new = fuzzing.mutate_json(rng, texts[key].encode())
+                texts[key] = new.decode("utf-8", "replace")
+        writer.add_metadata(note.name, texts)
+    writer.finish()
+    return stream.getvalue()
+
+
+def mutate_hdf5(rng: random.Random, data: bytes) -> bytes:
+    """Arrays and attributes are replaced, removed or linked elsewhere; or bytes are damaged."""
+    import h5py
+
+    if rng.random() < 0.6:
+        return fuzzing.mutate_bytes(rng, data)
+    stream = io.BytesIO(data)
+    with h5py.File(stream, "r+") as file:
+        names: list[str] = []
+        file.visit(names.append)
+        name = rng.choice(names)
+        kind = rng.randrange(7)
+        if kind == 0:
+            del file[name]
+        elif kind == 1:
+            del file[name]
+            file[name] = rng.choice((
+                h5py.ExternalLink("other.h5", "/x"), h5py.SoftLink("/hand"), np.zeros(3), "text",
+                np.zeros((2, 21, 3), complex), np.array(b"x"), h5py.Empty("f8"), [b"a", b"b"],
+                np.zeros(3, [("a", "f8")]), 7,
+            ))  # fmt: skip
+        elif kind == 2:
+            del file[name]
+            shape = rng.choice(((10**9,), (10**6, 21, 3), (10**12, 2), (0, 21, 3), (5, 21, 3)))
+            file.create_dataset(name, shape, "f8", chunks=True)
+        else:
+            item = rng.choice((file, file[name]))
+            keys = ["format", "version", "name", "task", "side", "meta", "status_names", "stage"]
+            item.attrs[rng.choice(keys)] = rng.choice((
+                "{", "[" * 5000, "é" * 9000, 1, 1e300, b"\xff", [1, 2], ["a", "b"], np.nan,
+                "smooth-operator", '{"a": ' * 90 + "1" + "}" * 90, h5py.Empty("S4"),
+            ))  # fmt: skip
+    return stream.getvalue()
+
+
+def mutate_dataset(rng: random.Random, folder: Path) -> None:
+    """A file of a LeRobot dataset is damaged, or a column is of another type."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    path = rng.choice([f for f in files if f.suffix in (".json", ".parquet")])
+    if path.suffix == ".json":
+        path = folder / "meta" / "info.json"
+        if rng.random() < 0.2:
+            info = json.loads(path.read_bytes())
+            info["data_path"] = rng.choice((
+                "{chunk_index.foo}", "{chunk_index:2000000000}", "a\0b", "../{file_index}", "{",
+                "{chunk_index.__class__}", "{0}", "x" * 5000, "{chunk_index!r:>{file_index}}",
+            ))  # fmt: skip
+            path.write_text(json.dumps(info))
+            return
+        path.write_bytes(fuzzing.mutate_json(rng, path.read_bytes()))
+    elif rng.random() < 0.5:
+        path.write_bytes(fuzzing.mutate_bytes(rng, path.read_bytes()))
+    else:
+        table = pq.read_table(path, partitioning=None)
+        at = rng.randrange(table.num_columns)
+        rows = table.num_rows
+        new = rng.choice((
+            pa.nulls(rows), pa.array([[1]] * rows), pa.array(["[" * 3000] * rows),
+            pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([float("nan")] * rows),
+            pa.array([{"a": 1}] * rows),
+        ))  # fmt: skip
+        name = table.column_names[at]
+        pq.write_table(table.set_column(at, name, new), path)
+
+
+Mutate = Callable[[random.Random, bytes], bytes]
+
+
+def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
+    """Reader -> (name, content, how it is damaged) of its good files."""
+    from smooth_operator.recording.convert import write_episode
+
+    one = good_episode()
+    for name in ("e.npz", "e.mcap", "e.h5"):
+        write_episode(folder / name, one)
+    npz, log, h5 = ((folder / name).read_bytes() for name in ("e.npz", "e.mcap", "e.h5"))
+    assert one.recording is not None
+    marks = _npz(landmarks=one.recording.landmarks, timestamps=one.recording.stamps, side="right")
+    stream = io.BytesIO()
+    np.save(stream, one.recording.landmarks[:1])
+    arrays = [("a.npz", marks, fuzzing.mutate_npz), ("m.npz", _manus(), fuzzing.mutate_npz),
+              ("a.npy", stream.getvalue(), fuzzing.mutate_npy),
+              ("b.npy", stream.getvalue(), fuzzing.mutate_bytes)]  # fmt: skip
+    own = [("e.npz", npz, fuzzing.mutate_npz), ("e.mcap", log, mutate_log),
+           ("e.h5", h5, mutate_hdf5)]  # fmt: skip
+    study_json, trials = _study_json(), _TRIALS.encode()
+    return {
+        "recording": [*arrays, *own],
+        "episode": own,
+        "commands": own[:1],
+        "scan": [*arrays, *own],
+        "overwrite": own,
+        "latency": own[1:2],
+        "operator": [("o.json", _operator(folder), fuzzing.mutate_json)],
+        "preset": [("p.toml", _PRESET, fuzzing.mutate_table)],
+        "plan": [("study.toml", _plan(), fuzzing.mutate_table)],
+        "geort": [("model.npz", _geort(), fuzzing.mutate_npz)],
+        "study": [("trials.csv", trials, fuzzing.mutate_table),
+                  ("study.json", study_json, fuzzing.mutate_json)],
+        "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
+    }  # fmt: skip
+
+
+def campaign(
+    tries: int, seed: int, only: tuple[str, ...] = ()
+) -> tuple[dict[str, Counter[str]], list[str]]:
+    """Has mutants read.
+
+    Returns:
+        Reader -> how often each outcome came; and a line for each fault.
+    """
+    tally: dict[str, Counter[str]] = {}
+    faults: list[str] = []
+    with (
+        tempfile.TemporaryDirectory() as name,
+        fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
+    ):
+        folder = Path(name)
+        good = seeds(folder)
+        for reader, files in good.items():
+            if only and reader not in only:
+                continue
+            counts: Counter[str] = Counter()
+            for i in range(-len(files), tries):
+                rng = random.Random(f"{reader} {seed} {i}")
+                file, content, mutate = files[i % len(files)]
+                if i >= 0:  # first, the good ones themselves
+                    content = mutate(rng, content)
+                path = folder / "mutant" / file
+                path.parent.mkdir(exist_ok=True)
+                path.write_bytes(content)
+                verdict = process.read(f"hostile_files:{reader}", path)
+                if i < 0:
+                    assert verdict.outcome == "read", (reader, file, verdict)
+                    continue
+                counts[verdict.outcome] += 1
+                if not verdict.sound:
+                    faults.append(f"{reader} {file} seed {seed} try {i}: {verdict}")
+            tally[reader] = counts
+        if not only or "lerobot" in only:
+            tally["lerobot"] = _datasets(tries, seed, folder, process, faults)
+    return tally, faults
+
+
+def _datasets(
+    tries: int, seed: int, folder: Path, process: fuzzing.ReaderProcess, faults: list[str]
+) -> Counter[str]:
+    from smooth_operator.recording.lerobot import write_dataset
+
+    write_dataset(folder / "set", [good_episode])
+    counts: Counter[str] = Counter()
+    path = folder / "mutant-set"
+    for i in range(-1, tries):
+        shutil.rmtree(path, ignore_errors=True)
+        shutil.copytree(folder / "set", path)
+        if i >= 0:
+            mutate_dataset(random.Random(f"lerobot {seed} {i}"), path)
+        verdict = process.read("hostile_files:episode", path)
+        assert i >= 0 or verdict.outcome == "read", verdict
+        counts[verdict.outcome] += i >= 0
+        if not verdict.sound:
+            faults.append(f"lerobot seed {seed} try {i}: {verdict}")
+    return counts
+
+
+if __name__ == "__main__":
+    total, wrong = campaign(int(sys.argv[1]), int((sys.argv[2:] or ["0"])[0]), tuple(sys.argv[3:]))
+    for which, counts in total.items():
+        print(f"{which:10} {counts.total():6} {dict(counts)}", flush=True)
+    print("\n".join(wrong))

@@ -1,0 +1,375 @@
+"""Files that are damaged, or made to do harm: each is read soundly or refused in one sentence."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import socket
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import fuzzing
+import h5py
+import hostile_files
+import numpy as np
+import pytest
+
+from smooth_operator.cli import main
+from smooth_operator.documents import parse_json, parse_toml, read_text
+from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
+from smooth_operator.offline.discovery import find_recordings
+from smooth_operator.recording import output_error, read_commands, read_log, read_recording
+from smooth_operator.recording import results as results_module
+from smooth_operator.recording.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
+from smooth_operator.recording.convert import read_episode, write_episode
+from smooth_operator.recording.results import encode_commands, write_encoded_commands
+from smooth_operator.retargeters.presets import method_config
+from smooth_operator.study.data.reading import read_study
+
+HERE = str(Path(__file__).parent)
+
+limited = pytest.mark.skipif(sys.platform != "linux", reason="limits and peaks are Linux's")
+
+
+@pytest.fixture(scope="module")
+def reader() -> Iterator[Callable[[str, Path], fuzzing.Verdict]]:
+    """Calls a reader of ``hostile_files`` in a process with limits."""
+    with fuzzing.ReaderProcess([HERE]) as process:
+        yield lambda name, path: process.read(f"hostile_files:{name}", path)
+
+
+def good(folder: Path, name: str = "good.npz") -> Path:
+    episode = hostile_files.good_episode()
+    write_episode(folder / name, episode)
+    return folder / name
+
+
+# --- mutants -----------------------------------------------------------------------------------
+
+
+@limited
+def test_mutants_are_read_soundly_or_refused() -> None:
+    tally, faults = hostile_files.campaign(tries=24, seed=20261122)
+    assert not faults, "\n".join(faults)
+    for name, counts in tally.items():
+        assert counts.total() == 24, name
+        assert counts["refused"] or name in ("scan", "overwrite"), (name, counts)
+
+
+# --- small files that ask for much ---------------------------------------------------------------
+
+
+def zeros_npz(path: Path, frames: int) -> Path:
+    """Zeros that deflate packs a thousandfold."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        head = io.BytesIO()
+        about = {"descr": "|i1", "fortran_order": False, "shape": (frames, 21, 3)}
+        np.lib.format.write_array_header_1_0(head, about)
+        with archive.open("landmarks.npy", "w") as member:
+            member.write(head.getvalue())
+            for _ in range(frames // 10_000):
+                member.write(bytes(10_000 * 63))
+    return path
+
+
+def names_npz(path: Path) -> Path:
+    """A billion texts of no characters take no byte."""
+    parts = {"joint_positions": "'<f8', 'fortran_order': False, 'shape': (0, 1000000000)",
+             "joint_names": "'<U0', 'fortran_order': False, 'shape': (1000000000,)"}  # fmt: skip
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in parts.items():
+            header = ("{'descr': " + text + ", }").ljust(117) + "\n"
+            content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
+            archive.writestr(f"{name}.npy", content)
+        for name in ("timestamps", "latency_ms", "status"):
+            stream = io.BytesIO()
+            np.save(stream, np.zeros(0, np.int8 if name == "status" else float))
+            archive.writestr(f"{name}.npy", stream.getvalue())
+    return path
+
+
+def empty_h5(path: Path) -> Path:
+    """An array that was never written."""
+    with h5py.File(path, "w") as file:
+        file.create_dataset("hand/landmarks", (50_000_000, 21, 3), "f8", chunks=(1000, 21, 3))
+        file.create_dataset("hand/stamps", (50_000_000,), "f8", chunks=(1000,))
+    return path
+
+
+def packed_log(path: Path, compression: str) -> Path:
+    from mcap.writer import CompressionType, Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=1 << 30, compression=CompressionType[compression])
+        writer.start()
+        schema = writer.register_schema("s", "jsonschema", b"{}")
+        channel = writer.register_channel("/hand", "json", schema, {"version": "2"})
+        for _ in range(4):
+            writer.add_message(channel, 0, b" " * 20_000_000 + b"{}", 0)
+        writer.finish()
+    return path
+
+
+@limited
+@pytest.mark.parametrize(
+    ("name", "make", "what"),
+    [
+        ("recording", lambda folder: zeros_npz(folder / "a.npz", 100_000), "allowed for a file"),
+        ("commands", lambda folder: names_npz(folder / "a.npz"), "allowed for a file"),
+        ("recording", lambda folder: empty_h5(folder / "a.h5"), "allowed for a file"),
+        ("recording", lambda folder: packed_log(folder / "a.mcap", "ZSTD"), "allowed for a file"),
+        ("latency", lambda folder: packed_log(folder / "a.mcap", "LZ4"), "allowed for a file"),
+    ],
+)
+def test_small_files_take_no_gigabytes(
+    tmp_path: Path, reader: Any, name: str, make: Callable[[Path], Path], what: str
+) -> None:
+    verdict = reader(name, make(tmp_path))
+    assert verdict.outcome == "refused", verdict
+    assert what in verdict.detail
+    assert verdict.megabytes < 200
+
+
+def test_hours_of_a_real_tracker_are_allowed() -> None:
+    """25 nodes of 7 numbers at 115 Hz, as float32 without compression, read as float64."""
+    frame = 25 * 7 * 4
+    for hours in (1, 8, 24):
+        size = hours * 3600 * 115 * frame
+        Allowance.of(Path("a.npz"), size).take("data", 2 * size)
+        Allowance.of(Path("a.npz"), size // 4).take("data", 2 * size)  # packed to a quarter
+    assert FREE_BYTES / (21 * 3 * 8) > 600 * 100  # ten minutes, however well they are packed
+    with pytest.raises(RecordingError, match="save it without compression"):
+        Allowance.of(Path("a.npz"), 10**7).take("data", ARRAYS_RATIO * 10**7 + 1)
+
+
+# --- what is no plain file ---------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_pipes_and_sockets_are_not_opened(tmp_path: Path, capsys: Any) -> None:
+    os.mkfifo(tmp_path / "x.npz")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "s.npz"))
+        for name, kind in (("x.npz", "a pipe"), ("s.npz", "a socket")):
+            with pytest.raises(RecordingError, match=f"it is {kind}, not a plain file"):
+                read_recording(tmp_path / name)
+            with pytest.raises(DocumentError, match=kind):
+                read_text(tmp_path / name)
+        good(tmp_path)
+        found, _ = find_recordings(tmp_path)
+    assert {item.name for item in found} == {"x.npz", "s.npz", "good.npz"}
+    assert main(["latency", str(tmp_path / "x.npz")]) == 2
+    assert "plain file" in capsys.readouterr().err
+
+
+def test_one_damaged_file_ends_no_search(tmp_path: Path) -> None:
+    content = good(tmp_path).read_bytes()
+    # NumPy hands such a header to tokenize, which raises an error of its own.
+    (tmp_path / "bad.npz").write_bytes(content.replace(b"(12, 21, 3)", b"(12, 21, (3", 1))
+    with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
+        header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (12, 21, 3 ".ljust(117) + b"\n"
+        archive.writestr("landmarks.npy", b"\x93NUMPY\x01\x00v\x00" + header + bytes(6048))
+    found, _ = find_recordings(tmp_path)
+    assert {item.name for item in found} == {"bad.npz", "good.npz"}
+    with pytest.raises(RecordingError, match="damaged or cut off"):
+        read_recording(tmp_path / "bad.npz")
+
+
+# --- HDF5 ----------------------------------------------------------------------------------------
+
+
+def test_hdf5_links_to_other_files_are_refused(tmp_path: Path) -> None:
+    good(tmp_path, "secret.h5")
+    for name in ("hand", "hand/landmarks"):
+        path = good(tmp_path, "linked.h5")
+        with h5py.File(path, "r+") as file:
+            del file[name]
+            file[name] = h5py.ExternalLink("secret.h5", f"/{name}")
+        with pytest.raises(RecordingError, match="is a link to another place"):
+            read_episode(path)
+    path = good(tmp_path, "outside.h5")
+    with h5py.File(path, "r+") as file:
+        shape = file["hand/stamps"].shape
+        del file["hand/stamps"]
+        file["hand"].create_dataset("stamps", shape, "f8", external=[("/etc/hostname", 0, 96)])
+    with pytest.raises(RecordingError, match="stand in other files"):
+        read_episode(path)
+
+
+@limited
+def test_a_reader_of_hdf5_that_hangs_or_dies_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from smooth_operator.recording import hdf5_process, hdf5_tree
+
+    path = good(tmp_path, "a.h5")
+    first = read_episode(path)
+    code = Path(hdf5_process.__file__).read_text()
+    for fault, said in (
+        ("while True: pass", "not read within"),
+        ("os.kill(os.getpid(), 11)", "reading it ended with -11"),
+        ("time.sleep(1000)", "not read within"),
+    ):
+        script = tmp_path / "process.py"
+        script.write_text(code.replace("    import h5py\n", f"    import time\n    {fault}\n", 1))
+        with monkeypatch.context() as patch:
+            patch.setattr(hdf5_process, "__file__", str(script))
+            patch.setattr(hdf5_tree, "_reader", None)
+            patch.setattr(hdf5_tree, "_SECONDS", 0)
+            patch.setattr(hdf5_tree, "_WAIT_S", 30.0 if "sleep" not in fault else 2.0)
+            with pytest.raises(RecordingError, match=said):
+                read_episode(path)
+    again = read_episode(path)
+    assert again.recording is not None
+    assert first.recording is not None
+    np.testing.assert_array_equal(again.recording.landmarks, first.recording.landmarks)
+
+
+# --- JSON and TOML -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[" * 100_000, "levels"),
+        ("[" * 900 + "]" * 900, "levels"),
+        ('{"a":' * 65 + "1" + "}" * 65, "levels"),
+        ("9" * 400, "digits"),
+        ("-" + "9" * 5000, "digits"),
+        ('"\\ud800"', "surrogates"),
+        (b"\xff", "decode"),
+        ('["a"', "line 1"),
+        (" " * 8_000_001, "bytes"),
+    ],
+)
+def test_json_beyond_bounds(text: str | bytes, said: str) -> None:
+    with pytest.raises(DocumentError, match=said):
+        parse_json(text)
+
+
+def test_json_within_bounds() -> None:
+    deep: Any = 18446744073709551615
+    for _ in range(63):
+        deep = [deep]
+    texts = ["[" * 300, "]}" * 300, 'a"[', "\\", "\U0001f600", "é"]
+    for value in (deep, texts, [[i, {"[": []}] for i in range(200)], 1e308, None):
+        assert parse_json(json.dumps(value)) == value
+        assert parse_json(json.dumps(value, ensure_ascii=False).encode()) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = " + "[" * 100_000, "levels"),
+        ("a." * 100 + "a = 1", "levels"),
+        ("a." * 200_000 + "a = 1", "dots"),
+        ("a = " + "9" * 400, "digits"),
+        ("a = " + "9" * 5000, "digits"),
+        ("a = ", "Invalid value"),
+    ],
+)
+def test_toml_beyond_bounds(text: str, said: str) -> None:
+    with pytest.raises(DocumentError, match=said):
+        parse_toml(text)
+
+
+def test_a_preset_of_a_hundred_billion_samples_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    for value in ("100000000000", "1e11", "9" * 19):
+        path.write_text(
+            'format = 1\nmethod = "sbr"\nbase = "realtime"\n'
+            f'[settings]\n"sampling.samples" = {value}\n'
+        )
+        with pytest.raises(ConfigError, match="at most 1048576"):
+            method_config("sbr", str(path))
+
+
+@pytest.mark.parametrize("text", ["1_0", "٣", "0x1", "1e400", "9" * 400, "inf"])
+def test_what_python_takes_for_a_number_is_none_in_a_table(tmp_path: Path, text: str) -> None:
+    from smooth_operator.errors import StudyError
+
+    rows = hostile_files._TRIALS.replace("P0,A,sbr,1,", f"P0,A,sbr,{text},")
+    (tmp_path / "trials.csv").write_text(rows, encoding="utf-8")
+    with pytest.raises(StudyError, match="expected a whole number from 1 on"):
+        read_study([tmp_path / "trials.csv"])
+
+
+# --- commands and what is written ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stamp", [np.nan, np.inf, -np.inf])
+def test_commands_without_a_time_are_refused(tmp_path: Path, stamp: float) -> None:
+    commands = hostile_files.good_episode().commands
+    assert commands is not None
+    stamps = commands.stamps.copy()
+    stamps[3] = stamp
+    path = tmp_path / "out.npz"
+    with np.load(io.BytesIO(encode_commands(commands))) as file:
+        np.savez(path, **{**file, "timestamps": stamps})
+    with pytest.raises(RecordingError, match="must be finite numbers"):
+        read_commands(path)
+
+
+def test_latency_of_what_is_no_log_says_a_command(tmp_path: Path, capsys: Any) -> None:
+    path = good(tmp_path)
+    assert main(["latency", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "smooth-operator teleop" in said
+    assert "read_" not in said
+    with pytest.raises(RecordingError, match="not a log"):
+        read_log(path)
+
+
+def test_a_result_that_is_not_written_leaves_no_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episode = hostile_files.good_episode()
+    assert episode.commands is not None
+    encoded = encode_commands(episode.commands)
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "old.json").write_text("old")
+    with monkeypatch.context() as patch:
+        patch.setattr(results_module.os, "fsync", full)
+        for name in ("full.npz", "old.npz"):
+            with pytest.raises(OutputError, match="no space is left"):
+                write_encoded_commands(tmp_path / name, encoded, {"a": 1})
+            with pytest.raises(OutputError, match="no space is left"):
+                write_episode(tmp_path / name, episode)
+    assert [path.name for path in tmp_path.iterdir()] == ["old.json"]
+    assert (tmp_path / "old.json").read_text() == "old"
+
+
+def test_no_permission_is_said_as_such(tmp_path: Path) -> None:
+    denied = output_error(tmp_path, PermissionError(errno.EACCES, "Permission denied"))
+    if os.name != "nt":
+        assert "permission denied; choose a folder that you may write to" in str(denied)
+    folder = output_error(tmp_path, IsADirectoryError(errno.EISDIR, "Is a directory"))
+    assert "a folder stands there" in str(folder)
+    missing = FileNotFoundError(errno.ENOENT, "No such file or directory")
+    assert "no file can be made there" in str(output_error(tmp_path / "x.npz", missing))
+    assert "create it first" in str(output_error(tmp_path / "a" / "x.npz", missing))
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may do all")
+def test_no_permission_of_a_single_file(tmp_path: Path, capsys: Any) -> None:
+    path = good(tmp_path)
+    folder = tmp_path / "ro"
+    folder.mkdir(mode=0o500)
+    assert main(["retarget", str(path), "--output", str(folder / "x.npz")]) == 2
+    assert "permission denied" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="the system has no /proc")
+def test_no_file_in_proc(tmp_path: Path, capsys: Any) -> None:
+    assert main(["retarget", str(good(tmp_path)), "--output", "/proc/x.npz"]) == 2
+    said = capsys.readouterr().err
+    assert "choose another folder" in said
+    assert "'/' does not exist" not in said
