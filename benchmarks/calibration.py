@@ -78,6 +78,7 @@ def main() -> None:
     parser.add_argument("--hand", default="mimic_p050")
     parser.add_argument("--methods", default="sbr,dexpilot,keyvector")
     parser.add_argument("--cases", default=",".join(CASES))
+    parser.add_argument("--both-ways", action="store_true")
     parser.add_argument("--output", type=Path)
     said = parser.parse_args()
     rows = []
@@ -87,23 +88,32 @@ def main() -> None:
         whole = source.recording
         hand = load_hand(said.hand, whole.side)
         half = len(whole) // 2
-        operator = calibrate(whole[:half], hand).operator
-        for method in said.methods.split(","):
-            for case in said.cases.split(","):
-                components: Any = CASES[case]
-                used = None if components is None else operator.using(components)
-                row = {"recording": source.name, "method": method, "case": case}
-                row |= judge(whole[half:], hand, method, used)
-                rows.append(row)
-                print(
-                    f"{source.name[:12]:12s} {method:10s} {case:8s} "
-                    f"pinch {row['pinch_error_mm'] or float('nan'):6.2f} mm  "
-                    f"scale error {row['scale_error']:.3f}, open {row['scale_error_open']:.3f}  "
-                    f"cosine {row['cosine_similarity']:.3f}, {row['cosine_similarity_all']:.3f}  "
-                    f"motion {row['motion_preservation']:.3f}  flatness {row['flatness']:.2e}  "
-                    f"collision {row['self_collision']:.2f} {row['latency_p50_ms']:.2f} ms",
-                    flush=True,
-                )
+        ways = {"second": (whole[:half], whole[half:]), "first": (whole[half:], whole[:half])}
+        for judged, (fitted, part) in list(ways.items())[: 2 if said.both_ways else 1]:
+            operator = calibrate(fitted, hand).operator
+            for method in said.methods.split(","):
+                for case in said.cases.split(","):
+                    components: Any = CASES[case]
+                    used = None if components is None else operator.using(components)
+                    row = {
+                        "recording": source.name,
+                        "method": method,
+                        "case": case,
+                        "judged": judged,
+                    }
+                    row |= judge(part, hand, method, used)
+                    rows.append(row)
+                    print(
+                        f"{source.name[:12]:12s} {method:10s} {case:8s} "
+                        f"pinch {row['pinch_error_mm'] or float('nan'):6.2f} mm  "
+                        f"scale error {row['scale_error']:.3f}, "
+                        f"open {row['scale_error_open']:.3f}  "
+                        f"cosine {row['cosine_similarity']:.3f}, "
+                        f"{row['cosine_similarity_all']:.3f}  "
+                        f"motion {row['motion_preservation']:.3f}  flatness {row['flatness']:.2e}  "
+                        f"collision {row['self_collision']:.2f} {row['latency_p50_ms']:.2f} ms",
+                        flush=True,
+                    )
     if said.output is not None:
         said.output.write_text(
             json.dumps({"rows": rows, **json.loads(to_json(environment()))}, indent=1) + "\n"

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -293,6 +294,45 @@ def test_the_second_half_gains_from_a_fit_on_the_first(shared: Path, hand: Hand)
     before, after = judged(config), judged(operated_by(config, operator))
     assert after[0] < 0.97 * before[0]
     assert after[1] < 0.9 * before[1]
+
+
+@pytest.mark.shared
+def test_the_default_method_closes_pinches_and_keeps_its_directions(
+    shared: Path, hand: Hand
+) -> None:
+    """Fitted on the first half, judged in the second, against the human as tracked."""
+    file = shared / "recordings" / "manus_right_subject-000_run-010.npz"
+    whole = read_recording(file)
+    operator = calibrate(whole[:2500], hand).operator
+    part = whole[2600:3400]
+
+    def judged(config: object) -> tuple[float, float, float]:
+        commands, _ = Retargeter(hand, config=config).run(part)  # type: ignore[arg-type]
+        metrics: Any = evaluate(assemble_trace(part, commands, hand, reach_samples=0))
+        return (
+            metrics["pinch_error_strict_mm"],
+            metrics["cosine_similarity"],
+            metrics["motion_preservation"],
+        )
+
+    config = method_config("smooth")
+    before, after = judged(config), judged(operated_by(config, operator))
+    assert after[0] < before[0] - 0.1
+    assert after[1] > before[1] - 0.002
+    assert after[2] > before[2] - 0.005
+
+
+def test_the_report_promises_what_held_for_frames_it_was_not_fitted_on(
+    found: Calibration,
+) -> None:
+    """A gap that differs between two pinches is not closed by the fit of one of them."""
+    finger = next(iter(found.gaps))
+    early = np.full((20, 2), 0.004)
+    two = np.concatenate([early, early + 0.006])
+    left = closed_gaps(replace(found, gaps={finger: two}), finger)
+    assert left is not None
+    np.testing.assert_allclose(left[20:], 0.006, atol=1e-12)
+    assert closed_gaps(replace(found, gaps={finger: two[:6]}), finger) is None
 
 
 # The command line.

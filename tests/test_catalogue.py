@@ -168,7 +168,8 @@ def test_mirrored_hands_are_mirror_images(name: str) -> None:
 
 @functools.cache
 def published(file: Path) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
-    return load_model(file)
+    loaded = load_model(file)
+    return loaded.model, loaded.couplings
 
 
 @pytest.mark.shared
@@ -292,7 +293,7 @@ def test_joints_on_one_tendon(
 ) -> None:
     path = tmp_path / "tendon.xml"
     path.write_text(TENDON.format(actuators=actuators))
-    _, couplings = load_model(path)
+    couplings = load_model(path).couplings
     assert [(c.joint, c.follows, c.multiplier) for c in couplings] == expected
     assert all(c.offset == 0 for c in couplings)
 

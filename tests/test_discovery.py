@@ -50,7 +50,7 @@ def because(found: Discovery, subject: str) -> str:
 
 def tip_errors(found: Discovery, truth: list[tuple[str, np.ndarray]]) -> np.ndarray:
     """Distances of the tips found from the true ones, thumb first [m]."""
-    model, _ = load_model(found.spec.model)
+    model = load_model(found.spec.model).model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
 
@@ -639,8 +639,9 @@ def test_the_command_writes_a_spec_and_prints_a_checklist(
         assert word in text
     file = folder / "gadget.left.toml"
     spec = read_hand_spec(file)
-    assert spec == discover(path).spec
-    assert spec.model == path
+    assert replace(spec, model=path) == discover(path).spec
+    assert spec.model == folder / "models" / "gadget.left" / path.name
+    assert spec.model.read_bytes() == path.read_bytes()
     assert "0.98  side: left" in file.read_text(encoding="utf-8")
     load_hand_spec(spec)
 
@@ -669,7 +670,7 @@ def test_a_hand_of_that_name_is_not_replaced_unasked(
     path = write(tmp_path, urdf(make_hand(1).parts), "gadget.urdf")
     add(path, "--json")
     add(path, "--json")  # the same again
-    assert [f.name for f in folder.iterdir()] == ["gadget.right.toml"]
+    assert [f.name for f in folder.glob("*.toml")] == ["gadget.right.toml"]
     write(tmp_path, urdf(make_hand(2).parts), "gadget.urdf")
     add(path, "--json")
     assert (folder / "gadget_2.right.toml").is_file()

@@ -37,7 +37,7 @@ def sure(found: Discovery, subject: str) -> float:
 
 def tip_errors(found: Discovery, model: Model) -> np.ndarray:
     """Distances of the tips found from the true ones, thumb first [m]."""
-    compiled, _ = load_model(found.spec.model)
+    compiled = load_model(found.spec.model).model
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
 

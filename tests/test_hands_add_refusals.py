@@ -59,7 +59,7 @@ def scaled(attribute: str, factor: float) -> str:
 REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
     "broken XML": ("h.xml", "<mujoco><worldbody>", r"not well-formed.*mend it", ()),
     "an empty file": ("h.urdf", "", r"not well-formed.*export the model again", ()),
-    "another format": ("h.sdf", "<sdf><model/></sdf>", r"starts with <sdf>; expected <robot>", ()),
+    "another format": ("h.sdf", "<sdf><model/></sdf>", r"starts with <sdf>; expected <mujoco>", ()),
     "a template": (
         "h.urdf",
         '<robot xmlns:xacro="http://x/xacro"><xacro:arg name="a"/></robot>',

@@ -27,8 +27,9 @@ from smooth_operator.human.operator import (
 )
 from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.targets import DexPilotTargets
-from smooth_operator.retargeters.operated import operated_by
+from smooth_operator.retargeters.operated import left_out, operated_by
 from smooth_operator.types import HandRecording, Side
 
 PALM = (0, *BASES)
@@ -332,3 +333,50 @@ def test_a_bad_file_says_what_is_wrong_with_it(hand: Hand, tmp_path: Path) -> No
     refused("unknown finger 'toe'", good | {"fingers": {"toe": good["fingers"]["thumb"]}})
     thumb = {k: v for k, v in good["fingers"]["thumb"].items() if k != "bones"}
     refused("'thumb' lacks 'bones'", good | {"fingers": good["fingers"] | {"thumb": thumb}})
+
+
+# The default method
+
+
+def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand: Hand) -> None:
+    operator = profile(hand, "scale", "pinch")
+    config: Any = operated_by(method_config("smooth"), operator)
+    used = config.alignment.operator
+    assert used is not None
+    assert used.apply == ()  # neither does a scale for all frames
+    assert left_out(config, operator) == ("scale",)
+    assert left_out(method_config("sbr"), operator) == ()
+    targets = config.objective.targets
+    gaps = dict(targets.pinch_gaps)
+    assert gaps == pytest.approx({f: g * operator.scale for f, g in operator.pinch_gaps.items()})
+    layout = targets.layout(hand.fingers)
+    human = np.random.default_rng(0).normal(0, 0.05, (len(layout.vectors), 3))
+    human[layout.thumb] *= (
+        np.array([0.004, 0.012, 0.03, 0.06]) / np.linalg.norm(human[layout.thumb], axis=1)
+    )[:, None]
+    latched = np.zeros(4, bool)
+    plain = np.asarray(CloseTargets()(layout, jnp.asarray(human), latched).vectors)
+    closed = np.asarray(targets(layout, jnp.asarray(human), latched).vectors)
+    others = np.ones(len(human), bool)
+    others[layout.thumb] = False
+    np.testing.assert_array_equal(closed[others], plain[others])
+    before, after = plain[layout.thumb], closed[layout.thumb]
+    lengths = [np.linalg.norm(v, axis=1) for v in (before, after)]
+    np.testing.assert_allclose(
+        before / lengths[0][:, None], after / lengths[1][:, None], atol=1e-5
+    )  # directions stay
+    assert (lengths[1][:3] < lengths[0][:3]).all()
+    assert lengths[1][3] == pytest.approx(lengths[0][3])  # no pinch
+    assert lengths[1].min() > 0.003  # pads touch before tips meet
+
+
+def test_gaps_go_by_the_fingers_names() -> None:
+    targets = CloseTargets(pinch_gaps=(("index", 0.0), ("ring", 0.008)))
+    layout = targets.layout(("thumb", "ring"))
+    human = jnp.asarray([[0.0, 0.1, 0], [0, 0.1, 0.01], [0, 0, 0.01]])[: len(layout.vectors)]
+    latched = np.zeros(1, bool)
+    closed = targets(layout, human, latched).vectors[layout.thumb]
+    plain = CloseTargets()(layout, human, latched).vectors[layout.thumb]
+    assert float(jnp.linalg.norm(closed)) < float(jnp.linalg.norm(plain)) - 0.004
+    with pytest.raises(ConfigError, match="pinch_gaps: ring"):
+        CloseTargets(pinch_gaps=(("ring", -0.001),))

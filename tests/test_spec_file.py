@@ -153,7 +153,7 @@ def test_a_file_from_windows(tmp_path: Path) -> None:
         ("offset = [0.01,", "offset = [inf,", "finite number, not inf"),
         ("offset = [0.01,", 'offset = ["1",', "finite number, not '1'"),
         ("offset = [0.01,", "offset = [10.0,", "more than a metre"),
-        ("offset = [0.01,", f"offset = [1{'0' * 400},", "expected a finite number"),
+        ("offset = [0.01,", f"offset = [1{'0' * 400},", "whole number has more than 20 digits"),
         ('wrist = { body = "palm",', 'wrist = { link = "palm",', "wrist.link: no such entry"),
         ("[fingers.thumb]", "[fingers.toe]", "fingers.toe: no such entry"),
         ('cmc = { body = "t1" }', 'mpc = { body = "t1" }', r"thumb.mpc: no such .* 'mcp'\?"),
@@ -179,13 +179,13 @@ def test_mistakes_are_named(tmp_path: Path, old: str, new: str, message: str) ->
 def test_what_is_no_spec_file(tmp_path: Path) -> None:
     with pytest.raises(HandModelError, match=r"no spec file at .*no\.toml"):
         load_hand("no.toml")
-    with pytest.raises(HandModelError, match="can't read the spec file"):
+    with pytest.raises(HandModelError, match="it is a folder, not a plain file"):
         read_hand_spec(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(HandModelError, match="not UTF-8"):
+    with pytest.raises(HandModelError, match="not text in UTF-8"):
         read_hand_spec(tmp_path / "binary.toml")
     (tmp_path / "large.toml").write_bytes(b"#" * 2_000_000)
-    with pytest.raises(HandModelError, match="2000000 bytes: that is no spec file"):
+    with pytest.raises(HandModelError, match="it has 2000000 bytes, more than 1000000"):
         read_hand_spec(tmp_path / "large.toml")
     (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
     with pytest.raises(HandModelError, match="not well-formed TOML"):

@@ -8,8 +8,9 @@ from typing import Any, Literal, TypeAlias
 
 from smooth_operator.types import Side
 
-Verdict: TypeAlias = Literal["ok", "warning", "failed", "skipped"]
-"""``skipped`` is neither good nor bad: ``measured`` says why nothing was measured."""
+Verdict: TypeAlias = Literal["ok", "warning", "failed", "unjudged", "skipped"]
+"""``unjudged`` and ``skipped`` are neither good nor bad: one has figures to which no bound applies,
+of the other ``measured`` says why nothing was measured."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.checkup.checks import Check, Checkup
-from smooth_operator.checkup.joints import check_motion, check_neutral, check_ranges
+from smooth_operator.checkup.joints import (
+    check_motion,
+    check_neutral,
+    check_ranges,
+    check_shapes,
+)
 from smooth_operator.checkup.methods import MEASURE, check_method
 from smooth_operator.checkup.palm import check_palm, check_size
 from smooth_operator.checkup.pinches import check_pinches
@@ -79,10 +84,11 @@ def _checks(
     tips, sound = check_tips(hand)
     yield tips
     if ranges.verdict == "failed":
-        for name in ("neutral pose", "flexion", "side", "pinches"):
+        for name in ("neutral pose", "shapes", "flexion", "side", "pinches"):
             yield _after(name, ranges)
     else:
         yield check_neutral(hand)
+        yield check_shapes(hand)
         senses = find_senses(samples, sound)
         yield check_flexion(senses)
         yield check_side(samples, senses, sound)

@@ -9,8 +9,9 @@ import numpy as np
 
 from smooth_operator.checkup.checks import Check, Verdict, worst
 from smooth_operator.checkup.samples import Samples
-from smooth_operator.hands.collision import neutral_overlaps
+from smooth_operator.hands.collision import neutral_overlaps, solid_shapes
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_links
 
 _TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]
 _WIDE: Final = 3.6  # [rad]; LEAP's widest has 3.2
@@ -148,6 +149,23 @@ def check_neutral(hand: Hand) -> Check:
     else:
         said.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
     return Check("neutral pose", worst(*verdicts), "; ".join(said), "; ".join(advice), figures)
+
+
+def check_shapes(hand: Hand) -> Check:
+    """Whether links have shapes that keep them out of each other, or estimates in their place."""
+    links = stand_in_links(hand)
+    solid = int(solid_shapes(hand).sum())
+    figures = {"shapes": solid, "estimated": list(links)}
+    if not links:
+        return Check("shapes", "ok", f"{solid} shapes that collide", "", figures)
+    return Check(
+        "shapes",
+        "warning",
+        f"{solid} shapes that collide; those of {_list(list(links))} can't be read or are missing: "
+        "'smooth' keeps estimated capsules along the bones apart in their place",
+        "put the mesh files where the model file names them, and add the hand again",
+        figures,
+    )
 
 
 def _slides(hand: Hand, name: str) -> bool:

@@ -69,7 +69,9 @@ def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
             "poses of the hand itself are followed loosely: look at the model's shapes, which may "
             "keep its parts apart (hands show), and at palm frame and tips"
         )
-    if method not in _FOLLOWS_TIPS or trip.median <= GOOD_MM:
+    if method not in (*_FOLLOWS_TIPS, DEFAULT_METHOD):
+        return "unjudged", "for information: this method does not aim at a pose's fingertips"
+    if method == DEFAULT_METHOD or trip.median <= GOOD_MM:
         return "ok", ""
     if method == MEASURE and trip.median > _BAD_MM:
         return "failed", "poses of the hand itself can't be followed: look at palm frame and tips"

@@ -29,11 +29,13 @@ from smooth_operator.benchmark.suite import Advance
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.outputs import folder_for
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
-from smooth_operator.recording import reading_notes
+from smooth_operator.retargeters.notes import method_notes
 from smooth_operator.terminal import open_console
 
 SOME_FAILED = 1
@@ -58,7 +60,6 @@ def bench(options: Bench) -> None:
         methods=_words(options.methods),
         frames=options.frames,
         rate=options.rate,
-        layout=options.layout,
         side=options.side,
         seed=options.seed,
         definition=options.definition,
@@ -108,9 +109,24 @@ def _say_what_is_odd(cells: Sequence[Cell], console: Console) -> None:
     for source in dict.fromkeys(cell.source for cell in cells):
         if source.error is not None:
             _note(console, f"left out: {source.error}")
-        elif source.recording is not None:
-            for note in reading_notes(source.recording, source.name):
-                _note(console, note)
+        elif source.facts["side_assumed"]:
+            _note(
+                console,
+                f"{source.name} does not say which hand it is: taken for a right one; give it "
+                "@left if it is not",
+            )
+
+    said = set()
+    for cell in cells:
+        if cell.source.recording is None:
+            continue
+        try:
+            hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
+        except SmoothOperatorError:
+            continue  # the cell says so itself
+        said |= set(method_notes(cell.config, hand))
+    for note in sorted(said):
+        _note(console, note)
 
 
 def _note(console: Console, text: str) -> None:

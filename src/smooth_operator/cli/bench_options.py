@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Ordered
+from smooth_operator.cli.common_options import Common, HandSide
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(Ordered, Common):
+class Bench(Common):
     """Measure methods on recordings and hands, side by side, and report which is how good."""
 
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and

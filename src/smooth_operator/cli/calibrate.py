@@ -23,13 +23,8 @@ from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.offline.calibration_picture import draw_calibration
 from smooth_operator.offline.environment import environment
 from smooth_operator.offline.plan import PROGRAM
-from smooth_operator.recording import (
-    atomic_write,
-    frame_slice,
-    read_recording,
-    reading_notes,
-    to_json,
-)
+from smooth_operator.recording import atomic_write, frame_slice, read_recording, to_json
+from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.sources.catalogue import build_source
 from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
@@ -83,11 +78,13 @@ def _read(options: Calibrate, progress: Progressing) -> HandRecording:
         raise ConfigError(
             "there is nothing to calibrate on: name a recording, or a live source with --source"
         )
-    recording = read_recording(
-        options.recording, rate=options.rate, side=options.side, layout=options.layout
-    )
-    for note in reading_notes(recording, str(options.recording)):
-        progress.note(note, matters=True)
+    recording = read_recording(options.recording, rate=options.rate, side=options.side)
+    if recording.meta.get("side_assumed"):
+        progress.note(
+            f"{options.recording} does not say which hand it is: taken for a right one; "
+            "say --side left if it is not",
+            matters=True,
+        )
     if options.frames is not None:
         recording = recording[frame_slice(options.frames, len(recording))]
     return recording
@@ -144,7 +141,7 @@ def _print(content: dict[str, Any]) -> None:
     table.add_column("finger")
     for header in (
         "reach [mm]", "robot's [mm]", "scale", "tip along, to pad [mm]", "gap in pinch [mm]",
-        "corrected [mm]",
+        "left, other half [mm]",
     ):  # fmt: skip
         table.add_column(header, justify="right")
     for name, finger in content["fingers"].items():
@@ -174,3 +171,15 @@ def _print(content: dict[str, Any]) -> None:
         soft_wrap=True,
     )
     console.print(f"in use: {', '.join(content['apply']) or 'nothing'}", markup=False)
+    if "scale" in content["apply"]:
+        console.print(
+            f"{DEFAULT_METHOD} leaves out scale, which helped it on no recording",
+            markup=False,
+            soft_wrap=True,
+        )
+    console.print(
+        "left: of the tracked gap, where each half of the pinch frames is corrected by the other "
+        "half's; what the robot leaves is measured by retarget --operator and bench --operator",
+        markup=False,
+        soft_wrap=True,
+    )

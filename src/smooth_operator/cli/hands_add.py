@@ -22,6 +22,7 @@ from smooth_operator.hands.discovery.findings import SURE, UNSURE
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.hands.user_folder import spec_name, user_hands_folder
 from smooth_operator.terminal import open_console
 
@@ -49,11 +50,13 @@ def add_hand(options: Add) -> None:
             f"there is a {found.spec.side} hand {found.spec.name!r} already, in {file}: "
             "--overwrite replaces it, --name gives another name"
         )
-    save_hand(found.spec, comment=_comment(found))
+    save_hand(found.spec, comment=_comment(found), copy=not options.in_place)
+    used = read_hand_spec(file).model
     if options.json:
-        print(json.dumps(found.to_json() | {"file": str(file)}, indent=2))
+        said = {"file": str(file), "model_used": str(used)}
+        print(json.dumps(found.to_json() | said, indent=2))
         return
-    _print(found, file)
+    _print(found, file, used)
     if not options.no_view:
         from smooth_operator.cli.hands_options import Show
         from smooth_operator.cli.hands_show import show_hand
@@ -126,18 +129,23 @@ def _named(spec: HandSpec, options: Add) -> HandSpec:
 def _same(file: Path, spec: HandSpec) -> bool:
     """Whether a spec file says the same, so that nothing is lost by writing it again."""
     try:
-        return read_hand_spec(file) == spec
-    except SmoothOperatorError:
+        there = read_hand_spec(file)
+        same_model = there.model == spec.model or (
+            there.model.read_bytes() == spec.model.read_bytes()
+        )
+    except (SmoothOperatorError, OSError):
         return False
+    return same_model and replace(there, model=spec.model) == spec
 
 
 def _trial(found: Discovery) -> tuple[str, ...]:
-    """Loads the hand once, to say early what would stop it later."""
+    """Loads the hand once, to say early what would stop it later, or what it lacks."""
     try:
-        load_hand_spec(found.spec)
+        hand = load_hand_spec(found.spec)
     except SmoothOperatorError as error:
         return (f"the spec file is written, but can't be loaded yet: {error}",)
-    return ()
+    note = stand_in_note(hand)
+    return (note,) if note else ()
 
 
 def _comment(found: Discovery) -> str:
@@ -148,7 +156,7 @@ def _comment(found: Discovery) -> str:
     return "\n".join([*lines, *(f"Note: {note}" for note in found.notes), ""])
 
 
-def _print(found: Discovery, file: Path) -> None:
+def _print(found: Discovery, file: Path, used: Path) -> None:
     console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE
@@ -182,6 +190,11 @@ def _print(found: Discovery, file: Path) -> None:
             say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
     else:
         say("All of it is sure. To overrule any of it: --side, --palm, --thumb, --finger, --tip")
+    if used != found.spec.model:
+        say(
+            f"Copied the model and its meshes to {used.parent}: the original may be moved or "
+            "deleted; after a change to it, add it again"
+        )
     say(f"Written to {file}: edit it, or use it with --hand {found.spec.name}")
     sys.stdout.flush()
 

@@ -32,6 +32,7 @@ _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
     "ok": ("✓", "green"),
     "warning": ("?", "yellow"),
     "failed": ("!", "red"),
+    "unjudged": ("·", "dim"),
     "skipped": ("–", "dim"),
 }
 
@@ -99,4 +100,6 @@ def _print(found: Checkup) -> None:
     said = "No check failed" if not count else f"{count} check{'s' * (count > 1)} failed"
     if warned:
         said += f", {warned} warning{'s' * (warned > 1)}"
-    console.print(f"{said}. ✓ ok  ? warning  ! failed  – not checked", markup=False)
+    console.print(
+        f"{said}. ✓ ok  ? warning  ! failed  · measured, not judged  – not checked", markup=False
+    )

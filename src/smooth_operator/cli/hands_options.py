@@ -88,11 +88,39 @@ class Render(_OneHand):
         render_hand(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Remove(Common):
+    """Takes one of your own hands out of the list: its spec files and the copies of its model."""
+
+    details: ClassVar[str] = """The model that you added stays where it is. Built-in hands can't be
+removed.
+
+Examples:
+  smooth-operator hands remove my_hand
+  smooth-operator hands remove my_hand --side left --yes"""
+
+    hand: Annotated[Positional[str], arg(metavar="NAME")]
+    """Name of a hand of your own, as in smooth-operator hands list."""
+
+    side: Annotated[HandSide | None, arg(metavar="right|left")] = None
+    """Only this side of it; both if left out."""
+
+    yes: bool = False
+    """Don't ask."""
+
+    def run(self) -> None:
+        """Runs the command."""
+        from smooth_operator.cli.hands_remove import remove_hand_command
+
+        remove_hand_command(self)
+
+
 What: TypeAlias = (
     Annotated[List, subcommand("list", description=described(List))]
     | Annotated[Show, subcommand("show", description=described(Show))]
     | Annotated[Render, subcommand("render", description=described(Render))]
     | Annotated[Add, subcommand("add", description=described(Add))]
+    | Annotated[Remove, subcommand("remove", description=described(Remove))]
     | Annotated[Check, subcommand("check", description=described(Check))]
 )
 """The subcommands of the group."""
@@ -100,7 +128,7 @@ What: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Hands(Group):
-    """The robot hands: list them, show one, draw one, add your own, check it."""
+    """The robot hands: list them, show one, draw one, add your own, check or remove it."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hands list

@@ -6,8 +6,11 @@ from typing import Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
+from smooth_operator.hands.hand import Hand
 from smooth_operator.metrics import Definition, Trace
 from smooth_operator.offline import Outcome, Plan, Request, build, execute, measure, request
+from smooth_operator.retargeters.method import MethodConfig
+from smooth_operator.retargeters.notes import method_notes
 from smooth_operator.types import Side
 
 
@@ -16,7 +19,6 @@ def requested(
     *,
     side: Side | None = None,
     rate: float | None = None,
-    layout: str | None = None,
     frames: str | None = None,
 ) -> Request:
     """What the options ask for, every text and file in them read.
@@ -32,7 +34,6 @@ def requested(
         scale=options.scale,
         side=side,
         rate=rate,
-        layout=layout,
         frames=frames,
         fingers=options.fingers,
         operator=options.operator,
@@ -41,9 +42,16 @@ def requested(
 
 def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
     """Retargets, with a progress bar."""
+    say_notes(todo.config, todo.hand, progress)
     with progress.waiting(f"compiling {todo.method} for {todo.hand.name} (slow the first time)"):
         built = build(todo)
     return execute(todo, built, progress.frames("retargeting"))
+
+
+def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
+    """Says what a person should know of a method on a hand."""
+    for note in method_notes(config, hand):
+        progress.note(note, matters=True)
 
 
 def measure_shown(

@@ -15,6 +15,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.session import say_notes
 from smooth_operator.cli.teleop_checks import checked
 from smooth_operator.cli.teleop_keys import keyboard
 from smooth_operator.cli.teleop_options import Teleop
@@ -95,6 +96,8 @@ def _drive(
     progress = Progressing(options.quiet)
     retargeters: dict[Side, Retargeter] = {}
     for side, (hand, method) in settled.items():
+        if not options.blind:
+            say_notes(method, hand, progress)
         what = "the method" if options.blind else asked.method
         with progress.waiting(f"compiling {what} for {hand.name} {side}"):
             retargeters[side], _ = build_retargeter(hand, method, options.seed)

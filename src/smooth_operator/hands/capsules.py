@@ -7,7 +7,6 @@ two points and a radius, so its distance from another is cheap, and differentiab
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,10 +15,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.geometry import AnyKind, namespace
-from smooth_operator.hands.collision import colliding_shapes
+from smooth_operator.hands.collision import PALM, colliding_shapes, owners, solid_shapes
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.membership import own_joints
+from smooth_operator.hands.solids import Capsule, shape_capsules
+from smooth_operator.hands.stand_ins import stand_ins
 
 _POSES = 4000
 _MANY = 2000
@@ -34,23 +35,6 @@ _TINY = 1e-12  # [m^2]
 _PARALLEL = 1e-3  # squared sine of an angle that counts as none
 
 
-@dataclass(frozen=True)
-class Capsule:
-    """All points within a radius of a line segment, fixed to a body.
-
-    Attributes:
-        geom: the shape of the model that it stands for.
-        body: the body that carries it.
-        ends: (2, 3) ends of the segment in the body's frame [m].
-        radius: [m].
-    """
-
-    geom: int
-    body: int
-    ends: Float[np.ndarray, "2 3"]
-    radius: float
-
-
 @dataclass(frozen=True, eq=False)
 class CapsulePairs:
     """The pairs of capsules that could touch, and the kinematics of their ends.
@@ -60,7 +44,7 @@ class CapsulePairs:
         names: (2 C) keypoints of the ends in ``tree``: first and second end of each capsule.
         pairs: (P, 2) indices of capsules.
         reach: (P,) sum of the two radii [m].
-        shapes: (P, 2) the model's geoms.
+        shapes: (P, 2) the model's geoms; -1 for a stand-in.
     """
 
     tree: KinematicTree
@@ -78,22 +62,36 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     than :data:`MOST` those are kept that are the nearest of their two links in most random poses,
     and of any two links that meet one at least, as long as there is room. A mesh is one capsule
     about as thick as it; where that reaches into another part in the neutral pose, though the mesh
-    does not, the pair is left out.
+    does not, the pair is left out. Links whose shapes can't be read have estimated capsules
+    (:mod:`smooth_operator.hands.stand_ins`).
 
     Args:
         hand: the robot hand.
 
     Returns:
-        the pairs; none for a hand without shapes.
+        the pairs.
     """
-    counts = colliding_shapes(hand)
-    shapes = np.flatnonzero(counts.any(axis=1))  # not those of an arm, or of a second hand
-    capsules = [_on_palm(c, hand) for g in shapes for c in _capsules(hand.model, int(g))]
+    counts, estimated = colliding_shapes(hand), stand_ins(hand)
+    # not those of an arm, or of a second hand
+    shapes = solid_shapes(hand) if estimated.capsules else counts.any(axis=1)
+    part = hand.model.body_weldid[hand.model.geom_bodyid]
+    shapes &= ~np.isin(part, list(estimated.replaced))
+    capsules = [
+        _on_palm(capsule, hand)
+        for geom in np.flatnonzero(shapes)
+        for capsule in shape_capsules(hand.model, int(geom))
+    ]
+    capsules += estimated.capsules
+    owner = owners(hand)
     some = [
         (i, j)
         for i, one in enumerate(capsules)
         for j, other in enumerate(capsules[:i])
-        if counts[one.geom, other.geom]
+        if (
+            counts[one.geom, other.geom]
+            if min(one.geom, other.geom) >= 0
+            else _may_meet(hand.model, owner, one, other)
+        )
     ]
     pairs = np.array(some, int).reshape(-1, 2)
     if len(pairs):
@@ -108,6 +106,18 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
         np.array([capsules[i].radius + capsules[j].radius for i, j in pairs], float),
         np.array([(capsules[i].geom, capsules[j].geom) for i, j in pairs], int).reshape(-1, 2),
     )
+
+
+def _may_meet(
+    model: mujoco.MjModel, owner: Int[np.ndarray, " bodies"], one: Capsule, other: Capsule
+) -> bool:
+    """Whether two capsules, one of them a stand-in, are of different parts and not joined."""
+    fingers = [int(owner[capsule.body]) for capsule in (one, other)]
+    if fingers[0] == fingers[1] or (PALM in fingers and (one.root or other.root)):
+        return False
+    parts = [int(model.body_weldid[capsule.body]) for capsule in (one, other)]
+    above = [int(model.body_weldid[model.body_parentid[part]]) for part in parts]
+    return parts[0] != above[1] and parts[1] != above[0]
 
 
 def segment_parameters(
@@ -237,48 +247,3 @@ def _tree(hand: Hand, capsules: list[Capsule]) -> KinematicTree:
         points | landmark_points(hand.model, hand.spec),
         own_joints(hand.model, palm),
     )
-
-
-def _capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
-    """Capsules that fill a shape from within."""
-    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
-    rotation, centre = matrix.reshape(3, 3), np.array(model.geom_pos[geom])
-    body = int(model.geom_bodyid[geom])
-
-    def capsule(middle: np.ndarray, axis: np.ndarray, half: float, radius: float) -> Capsule:
-        ends = np.stack([middle - half * axis, middle + half * axis])
-        return Capsule(geom, body, ends @ rotation.T + centre, radius)
-
-    unit, origin = np.eye(3), np.zeros(3)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        yield capsule(origin, unit[2], float(size[1]), float(size[0]))
-    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        yield capsule(origin, unit[2], 0.0, float(size[0]))
-    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        yield capsule(
-            origin,
-            unit[2],
-            max(float(size[1] - size[0]), 0.0),
-            float(size.min(initial=1, where=size > 0)),
-        )
-    elif kind in (
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-        mujoco.mjtGeom.mjGEOM_MESH,
-    ):
-        half = size
-        if kind == mujoco.mjtGeom.mjGEOM_MESH:
-            centre = centre + rotation @ model.geom_aabb[geom][:3]
-            half = np.array(model.geom_aabb[geom][3:])
-        thin, wide, long = np.argsort(half)
-        radius = float(half[thin])
-        if kind != mujoco.mjtGeom.mjGEOM_BOX:  # round rather than square: one, of the middle width
-            radius = float(np.sqrt(half[thin] * half[wide]))
-            yield capsule(origin, unit[long], max(float(half[long]) - radius, 0.0), radius)
-            return
-        spread = float(half[wide]) - radius
-        rows = 1 + int(np.ceil(2 * spread / radius)) if spread > 0.1 * radius else 1
-        for shift in np.linspace(-spread, spread, rows) if rows > 1 else (0.0,):
-            yield capsule(shift * unit[wide], unit[long], float(half[long]) - radius, radius)

@@ -7,6 +7,7 @@ only one side is published, the other is its mirror image.
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -14,11 +15,18 @@ from typing import Final
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.model_files import copy_model
+from smooth_operator.hands.model_xml import is_file
 from smooth_operator.hands.selection import FingerChoice, select_fingers
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
 from smooth_operator.hands.spec_writer import write_hand_spec
-from smooth_operator.hands.user_folder import find_specs, spec_name, user_hands_folder
+from smooth_operator.hands.user_folder import (
+    find_specs,
+    model_folder,
+    spec_name,
+    user_hands_folder,
+)
 from smooth_operator.recording.atomic import output_error
 from smooth_operator.types import Side, as_side
 
@@ -60,6 +68,12 @@ class Entry:
                 f"{self.files[own]} describes the {spec.side} hand {spec.name!r}; expected the "
                 f"{own} hand {self.name!r}, as the file is called"
             )
+        if not is_file(spec.model):
+            raise HandModelError(
+                f"the model of hand {self.name!r} is not at {spec.model} any more; if it was "
+                f"moved: smooth-operator hands add NEWPATH --name {self.name} --side {own} "
+                f"--overwrite, or correct 'model' in {self.files[own]}"
+            )
         return spec.mirrored if mirrored else spec
 
 
@@ -98,12 +112,14 @@ def find_hand(name: str) -> Entry:
     return Entry(name, own, builtin=False)
 
 
-def save_hand(spec: HandSpec, *, comment: str = "") -> Path:
+def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
     """Puts a description into the user's folder, where :func:`load_hand` finds it by name.
 
     Args:
         spec: the hand; a description of the same name and side is replaced.
         comment: lines to put first in the file.
+        copy: put a copy of the model and its meshes there, too, so that the hand survives when the
+            model is moved; where that can't be done, the model stays where it is.
 
     Returns:
         The file.
@@ -121,8 +137,65 @@ def save_hand(spec: HandSpec, *, comment: str = "") -> Path:
     except OSError as error:
         raise output_error(folder, error) from error
     # A relative path would count from the new file.
-    write_hand_spec(replace(spec, model=spec.model.absolute()), file, comment=comment)
+    model = spec.model.absolute()
+    if copy and not model.is_relative_to(folder.absolute()):
+        model = copy_model(model, model_folder(spec.name, spec.side)) or model
+    write_hand_spec(replace(spec, model=model), file, comment=comment)
     return file
+
+
+def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
+    """Takes a hand out of the user's folder.
+
+    Args:
+        name: of the hand.
+        side: which of its sides; both if left out.
+
+    Returns:
+        what was deleted: spec files, and the folders with copies of their models. A model anywhere
+        else stays.
+
+    Raises:
+        UnknownNameError: the user's folder has no such hand.
+        HandModelError: the hand is built in, or has no description of that side.
+        OutputError: something can't be deleted.
+    """
+    gone = removable(name, side)
+    for path in gone:
+        try:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        except OSError as error:
+            raise output_error(path, error) from error
+    return gone
+
+
+def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
+    """What :func:`remove_hand` would delete.
+
+    Raises:
+        UnknownNameError: the user's folder has no such hand.
+        HandModelError: the hand is built in, or has no description of that side.
+    """
+    own = find_specs(user_hands_folder())
+    if name not in own:
+        if name in _builtin():
+            raise HandModelError(
+                f"{name!r} is a built-in hand and can't be removed; yours are: "
+                f"{', '.join(own) or 'none'}"
+            )
+        raise UnknownNameError("hand of your own", name, own)
+    files = own[name]
+    if side is not None and side not in files:
+        raise HandModelError(
+            f"{name!r} has no description of its {side} hand to remove, only of its "
+            f"{' and '.join(files)}"
+        )
+    sides = [one for one in files if side in (None, one)]
+    copies = [folder for one in sides if (folder := model_folder(name, one)).is_dir()]
+    return (*(files[one] for one in sides), *copies)
 
 
 def load_hand(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 
-_PALM = -1
+PALM: Final = -1
+"""What :func:`owners` gives for the palm, and for all that is of no finger."""
 
 
 def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarray, " T"] | None:
@@ -106,19 +109,26 @@ def _overlaps(hand: Hand, data: mujoco.MjData, pose: np.ndarray) -> tuple[np.nda
 def _counting_pairs(hand: Hand) -> Bool[np.ndarray, "g g"]:
     """Which pairs of shapes are of different parts of the hand and not joined to each other."""
     model = hand.model
-    owner = _owners(hand)[model.geom_bodyid]
+    owner = owners(hand)[model.geom_bodyid]
     # bodies without a joint between them are one part
     part = model.body_weldid[model.geom_bodyid]
     above = model.body_weldid[model.body_parentid[part]]
     joined = (part[:, None] == above[None]) | (above[:, None] == part[None])
-    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    solid &= hand.bodies[model.geom_bodyid]  # neither an arm nor a second hand
+    solid = solid_shapes(hand)
     different = owner[:, None] != owner[None]
     return np.asarray(different & ~joined & solid[:, None] & solid[None])
 
 
-def _owners(hand: Hand) -> np.ndarray:
-    """(bodies,) index of the finger that each body belongs to, or that of the palm.
+def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
+    """Which of the model's shapes are the hand's (neither an arm's nor a second hand's) and can
+    collide."""
+    model = hand.model
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return np.asarray(solid & hand.bodies[model.geom_bodyid])
+
+
+def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
+    """Index of the finger that each body belongs to, or :data:`PALM`.
 
     A finger is the bodies between palm and fingertip that it shares with no other finger, and what
     hangs from them.
@@ -132,7 +142,7 @@ def _owners(hand: Hand) -> np.ndarray:
             chain.add(int(body))
             body = model.body_parentid[body]
         chains.append(chain)
-    owner = np.full(model.nbody, _PALM)
+    owner = np.full(model.nbody, PALM)
     for body in range(1, model.nbody):  # parents come first
         of = [
             FINGERS.index(f.name)
@@ -140,6 +150,6 @@ def _owners(hand: Hand) -> np.ndarray:
             if body in c
         ]
         owner[body] = (
-            of[0] if len(of) == 1 else owner[model.body_parentid[body]] if not of else _PALM
+            of[0] if len(of) == 1 else owner[model.body_parentid[body]] if not of else PALM
         )
     return owner

@@ -34,6 +34,8 @@ class Hand:
         limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
         neutral: (m,) neutral pose of the actuated joints [rad].
         tree: kinematics of the hand's landmarks in the palm frame.
+        expansion: (n, m) matrix and (n,) offset from actuated to all joints.
+        unreadable: names of bodies whose shapes that collide could not be read.
     """
 
     spec: HandSpec
@@ -45,6 +47,7 @@ class Hand:
     neutral: Float[np.ndarray, " m"]
     tree: KinematicTree
     expansion: tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]
+    unreadable: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -174,7 +177,8 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         HandModelError: if the model can't be used or the description does not fit it.
         UnknownNameError: if the description names a body or joint that the model lacks.
     """
-    model, couplings = load_model(spec.model, mirror=spec.mirror)
+    loaded = load_model(spec.model, mirror=spec.mirror)
+    model, couplings = loaded.model, loaded.couplings
     palm = _body(model, spec.palm)
     own = own_joints(model, palm)
     tree = build_tree(model, palm, landmark_points(model, spec), own)
@@ -196,7 +200,18 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         [spec.neutral.get(names[j], 0.0) for j in actuated], limits[:, 0], limits[:, 1]
     )
     within = tuple(coupling for coupling in couplings if coupling.follows in names)
-    return Hand(spec, model, names, actuated, within, limits, neutral, tree, expansion)
+    return Hand(
+        spec,
+        model,
+        names,
+        actuated,
+        within,
+        limits,
+        neutral,
+        tree,
+        expansion,
+        loaded.unreadable,
+    )
 
 
 def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[int, np.ndarray]]:

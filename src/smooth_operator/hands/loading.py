@@ -7,7 +7,8 @@ and mirroring a right hand into a left one.
 
 from __future__ import annotations
 
-import logging
+import math
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,15 +19,12 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.hands.model_xml import decode_xml, read_model_xml
 
 NO_ROOM: Final = 0.25
 """A coupling that can use less of its joints' ranges, see :func:`shared_range`, is a mistake."""
 _ROOM: Final = 0.75
-
-# Without a listener of its own MuJoCo writes its warnings to a file in the working folder.
-_LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(_LOGGER.warning)
+_MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 
 
 @dataclass(frozen=True)
@@ -44,44 +42,56 @@ class Coupling:
     turned: bool = False
 
 
-def load_model(path: Path, *, mirror: bool = False) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
+@dataclass(frozen=True, eq=False)
+class LoadedModel:
+    """A compiled model file.
+
+    Attributes:
+        model: as MuJoCo compiled it.
+        couplings: of its joints, as the file has them but for signs that no pose within the limits
+            allows.
+        unreadable: names of bodies that lost shapes that collide, because their mesh files can't
+            be read.
+    """
+
+    model: mujoco.MjModel
+    couplings: tuple[Coupling, ...]
+    unreadable: tuple[str, ...]
+
+
+def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
     """Compile a model file.
 
     Args:
         path: MJCF (.xml) or URDF file.
         mirror: reflect the model across its x = 0 plane, right hand to left hand.
 
-    Returns:
-        the compiled model and the couplings of its joints, as the file has them but for signs that
-        no pose within the limits allows.
-
     Raises:
         HandModelError: if there is no such file or MuJoCo can't compile it.
     """
-    if not path.is_file():
-        raise HandModelError(f"no hand model at {path}; expected an MJCF or URDF file")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise HandModelError(f"{path} is not well-formed XML: {error}") from error
-    if root.tag not in ("mujoco", "robot", "mujocoinclude"):
-        raise HandModelError(
-            f"{path} starts with <{root.tag}>; expected <mujoco> (MJCF) or <robot> (URDF)"
-        )
-    spec = _read(path, mirror)
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        if not _is_missing_asset(error):
-            raise _refused("compile", path, error) from error
-        model = _without_meshes(path, mirror)
+    root = read_model_xml(path)
+    model, _, unreadable = _compiled(path, mirror)
+    _check_finite(model, path)
     if root.tag == "robot":
         couplings = _urdf_mimics(root, path)
     else:
         equalities = _equalities(model)
         tendons = _tendons(model, {coupling.joint for coupling in equalities})
         couplings = (*equalities, *tendons)
-    return model, tuple(_possible(model, coupling) for coupling in couplings)
+    possible = tuple(_possible(model, coupling) for coupling in couplings)
+    return LoadedModel(model, possible, unreadable)
+
+
+def _check_finite(model: mujoco.MjModel, path: Path) -> None:
+    """MuJoCo compiles a NaN that stands in a position or an axis."""
+    for kind, fields in (("body", ("pos", "quat")), ("jnt", ("pos", "axis", "range"))):
+        for field in fields:
+            broken = np.flatnonzero(~np.isfinite(getattr(model, f"{kind}_{field}")).all(axis=1))
+            if len(broken):
+                raise HandModelError(
+                    f"{path}: the {field} of {getattr(model, kind)(int(broken[0])).name!r} is not "
+                    "made of finite numbers; mend them in the file"
+                )
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
@@ -91,8 +101,8 @@ def driven_joints(model: mujoco.MjModel) -> set[int]:
 
 def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
+        spec = _parsed(path)
+    except _MUJOCO_ERRORS as error:
         raise _refused("read", path, error) from error
     _name_all(spec)
     # Links on fixed joints, such as a URDF's palm and fingertips, are to keep their names.
@@ -103,6 +113,18 @@ def _read(path: Path, mirror: bool) -> mujoco.MjSpec:
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, 1e-9)
     if mirror:
         mirror_spec(spec)
+    return spec
+
+
+def _parsed(path: Path) -> mujoco.MjSpec:
+    """MuJoCo reads UTF-8 only, whatever encoding the file declares."""
+    data = path.read_bytes()
+    text = decode_xml(data, path)
+    # without the declaration, which is not part of the text
+    if data.isascii() or data.endswith(text.encode("utf-8")):
+        return mujoco.MjSpec.from_file(str(path))
+    spec = mujoco.MjSpec.from_string(text)
+    spec.modelfiledir = str(path.parent)
     return spec
 
 
@@ -119,8 +141,8 @@ def _name_all(spec: mujoco.MjSpec) -> None:
                 taken.add(name)
 
 
-def _refused(what: str, path: Path, error: ValueError) -> HandModelError:
-    reason = " ".join(str(error).split())
+def _refused(what: str, path: Path, error: Exception) -> HandModelError:
+    reason = re.sub(r"\b(XML )?Error: *", "", " ".join(str(error).split()))
     return HandModelError(
         f"MuJoCo can't {what} {path}: {reason}; mend that in the file, or export the model again"
     )
@@ -136,34 +158,76 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     Raises:
         HandModelError: MuJoCo can't compile it.
     """
-    try:
-        _read(path, mirror).compile()
-    except ValueError as error:
-        if not _is_missing_asset(error):
-            raise _refused("compile", path, error) from error
-        return _meshless(path, mirror)
-    return _read(path, mirror)  # afresh: compiling fills in what is then no longer derived
-
-
-def _without_meshes(path: Path, mirror: bool) -> mujoco.MjModel:
-    """Kinematics needs no mesh: drop what is drawn with one."""
-    try:
-        return _meshless(path, mirror).compile()
-    except ValueError as error:
-        raise _refused("compile without its meshes", path, error) from error
-
-
-def _meshless(path: Path, mirror: bool) -> mujoco.MjSpec:
-    spec = _read(path, mirror)  # afresh: a spec that failed to compile can't be edited
-    for geom in list(spec.geoms):
-        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
-            spec.delete(geom)
-    for asset in [*spec.meshes, *spec.skins, *spec.hfields]:
-        spec.delete(asset)
+    _, meshes, _ = _compiled(path, mirror)
+    # afresh: compiling fills in what is then no longer derived
+    spec = _read(path, mirror)
+    if meshes:
+        _drop_meshes(spec, meshes)
     return spec
 
 
-def _is_missing_asset(error: ValueError) -> bool:
+def _compiled(path: Path, mirror: bool) -> tuple[mujoco.MjModel, frozenset[str], tuple[str, ...]]:
+    """The model with as many of its meshes as can be read, the names of the other meshes, and the
+    bodies that lost shapes that collide.
+
+    Kinematics needs no mesh, so one that can't be read is no reason to refuse a model.
+    """
+    try:
+        return _read(path, mirror).compile(), frozenset(), ()
+    except _MUJOCO_ERRORS as error:
+        if not _is_missing_asset(error):
+            raise _refused("compile", path, error) from error
+    every = frozenset(mesh.name for mesh in _read(path, mirror).meshes)
+    some = _unreadable_meshes(path, mirror)
+    for meshes in dict.fromkeys((some, every)):
+        spec = _read(path, mirror)  # afresh: a spec that failed to compile can't be edited
+        lost = _drop_meshes(spec, meshes)
+        try:
+            return spec.compile(), meshes, lost
+        except _MUJOCO_ERRORS as error:
+            if meshes == every:
+                raise _refused("compile without its meshes", path, error) from error
+    raise AssertionError  # the last of them returns or raises
+
+
+def _unreadable_meshes(path: Path, mirror: bool) -> frozenset[str]:
+    """Names of the meshes that MuJoCo can't read, each tried in a model of its own."""
+    spec = _read(path, mirror)
+    out = set()
+    for mesh in spec.meshes:
+        if not mesh.file:
+            continue  # its points are in the model file
+        trial = mujoco.MjSpec()
+        trial.modelfiledir, trial.meshdir = spec.modelfiledir, spec.meshdir
+        trial.strippath = spec.strippath
+        trial.add_mesh(name="trial", file=mesh.file, inertia=mesh.inertia)
+        trial.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="trial")
+        try:
+            trial.compile()
+        except _MUJOCO_ERRORS:
+            out.add(mesh.name)
+    return frozenset(out)
+
+
+def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
+    """Takes meshes, and every terrain and skin, out of a model.
+
+    Returns:
+        names of the bodies that lost a shape that collides.
+    """
+    lost = []
+    for geom in list(spec.geoms):
+        terrain = geom.type == mujoco.mjtGeom.mjGEOM_HFIELD
+        if terrain or geom.meshname in meshes:
+            if geom.contype or geom.conaffinity:
+                lost.append(geom.parent.name)
+            spec.delete(geom)
+    for asset in [*(m for m in spec.meshes if m.name in meshes), *spec.skins, *spec.hfields]:
+        spec.delete(asset)
+    return tuple(dict.fromkeys(lost))
+
+
+def _is_missing_asset(error: Exception) -> bool:
     text = str(error).lower()
     return any(word in text for word in ("opening file", "mesh", "resource", "decoder"))
 
@@ -182,6 +246,11 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
                     f"{path}: mimic of joint {name!r}: multiplier and offset must be numbers "
                     f"({error})"
                 ) from error
+            if not (math.isfinite(multiplier) and math.isfinite(offset)):
+                raise HandModelError(
+                    f"{path}: mimic of joint {name!r}: multiplier and offset must be finite, not "
+                    f"{multiplier} and {offset}; mend them in the file"
+                )
             couplings.append(Coupling(name, mimic.get("joint", ""), multiplier, offset))
     return tuple(couplings)
 

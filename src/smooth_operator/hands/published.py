@@ -44,7 +44,7 @@ def on_model(hand: Hand, path: str | Path) -> Hand:
             f"the {hand.spec.side} hand {hand.name!r} is a mirror image, so there is no model that "
             "it was made from; ask for the other side"
         )
-    model, _ = load_model(path)
+    model = load_model(path).model
     names = {model.joint(j).name for j in range(model.njnt)}
     if missing := [name for name in hand.joint_names if name not in names]:
         raise HandModelError(

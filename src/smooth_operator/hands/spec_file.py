@@ -38,14 +38,14 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.errors import HandModelError, SmoothOperatorError
+from smooth_operator.documents import brief, read_toml
+from smooth_operator.errors import DocumentError, HandModelError, SmoothOperatorError
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
@@ -61,6 +61,7 @@ dip, tip."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _MOST_BYTES = 1_000_000  # a spec file has 2 kB: what is larger is something else
+_LONGEST = 80  # name in a message
 
 _Table: TypeAlias = Mapping[str, Any]
 
@@ -87,24 +88,20 @@ def check_hand_name(name: str) -> str:
     """
     if not _NAME.fullmatch(name):
         raise HandModelError(
-            f"a hand can't be named {name!r}; use letters, digits, '_' and '-', and a letter or "
-            "digit first"
+            f"a hand can't be named {brief(name)}; use letters, digits, '_' and '-', and a "
+            "letter or digit first"
         )
     return name
 
 
 def _parse(path: Path) -> _Table:
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise HandModelError(f"{path} is {path.stat().st_size} bytes: that is no spec file")
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return read_toml(path, most_bytes=_MOST_BYTES)
     except FileNotFoundError:
         raise HandModelError(f"no spec file at {path}") from None
     except OSError as error:
         raise HandModelError(f"can't read the spec file {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise HandModelError(f"{path} is not UTF-8 text, so it is no spec file") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except DocumentError as error:
         raise HandModelError(f"{path} is not well-formed TOML: {error}") from error
 
 
@@ -134,13 +131,15 @@ class _Reader:
         )  # fmt: skip
         side = self.get(table, "side", str, "")
         if side not in ("right", "left"):
-            raise self.error("side", f"expected 'right' or 'left', not {side!r}")
+            raise self.error("side", f"expected 'right' or 'left', not {brief(side)}")
         fingers = self.get(table, "fingers", dict, "")
         more: dict[str, Any] = {}
         if "align" in table:
             names = self.get(table, "align", list, "")
             if not all(isinstance(name, str) for name in names):
-                raise self.error("align", f"expected names of fingers or 'wrist', not {names}")
+                raise self.error(
+                    "align", f"expected names of fingers or 'wrist', not {brief(names)}"
+                )
             more["align"] = tuple(names)
         try:
             return HandSpec(
@@ -188,7 +187,9 @@ class _Reader:
         self.only(table, ("body", "offset"), where)
         offset = self.get(table, "offset", list, where, [0.0, 0.0, 0.0])
         if len(offset) != 3:
-            raise self.error(f"{where}.offset", f"expected [x, y, z] in metres, not {offset}")
+            raise self.error(
+                f"{where}.offset", f"expected [x, y, z] in metres, not {brief(offset)}"
+            )
         x, y, z = (self.number(value, f"{where}.offset") for value in offset)
         if max(abs(x), abs(y), abs(z)) > 1.0:
             raise self.error(
@@ -223,14 +224,14 @@ class _Reader:
         value = table[key]
         # True is an int for Python, not for a person
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise self.error(full, f"expected {_KINDS[kind]}, not {value!r}")
+            raise self.error(full, f"expected {_KINDS[kind]}, not {brief(value)}")
         if isinstance(value, str) and not value and key != "source":
             raise self.error(full, f"expected {_KINDS[kind]}, not an empty text")
         return value
 
     def number(self, value: Any, where: str) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not _finite(value):
-            raise self.error(where, f"expected a finite number, not {value!r}")
+            raise self.error(where, f"expected a finite number, not {brief(value)}")
         return float(value)
 
     def only(self, table: _Table, known: Collection[str], where: str) -> None:
@@ -239,7 +240,7 @@ class _Reader:
                 close = get_close_matches(key, list(known), n=1)
                 hint = f" Did you mean {close[0]!r}?" if close else ""
                 raise self.error(
-                    f"{where}.{key}" if where else key,
+                    _entry(where, key),
                     f"no such entry.{hint} Known here: {', '.join(known)}",
                 )
 
@@ -254,6 +255,12 @@ _KINDS: Final[dict[type, str]] = {
     list: "a list",
     dict: "a table",
 }
+
+
+def _entry(where: str, key: str) -> str:
+    """Name of an entry for a message, cut where it is too long."""
+    name = f"{where}.{key}" if where else key
+    return name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
 
 
 def _finite(value: float) -> bool:

@@ -38,6 +38,11 @@ def spec_name(name: str, side: Side) -> str:
     return f"{name}.{side}.toml"
 
 
+def model_folder(name: str, side: Side) -> Path:
+    """Where the copy of a hand's model is, which ``hands add`` makes."""
+    return user_hands_folder() / "models" / f"{name}.{side}"
+
+
 def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
     """The spec files of a folder, by name and side; empty where there is no such folder."""
     found: dict[str, dict[Side, Path]] = {}

@@ -243,24 +243,31 @@ class OperatorProfile:
         known = [gap for gap in seen if gap is not None]
         return float(np.median(known)) if known else None
 
+    @cached_property
+    def pinch_gaps(self) -> dict[str, float]:
+        """Finger, but for the thumb -> what is left between it and the thumb in a pinch [m], at
+        human size; empty if no pinch was seen."""
+        if self.residual_gap is None:
+            return {}
+        tips = self.has("tips")
+        gaps = {f.name: f.pinch_gap_after if tips else f.pinch_gap for f in self.fingers[1:]}
+        middle = self.residual_gap
+        return {name: middle if gap is None else gap for name, gap in gaps.items()}
+
     def _closed(self, points: Any, scale: Any, hand: Hand, xp: ModuleType) -> Any:
         """Thumb and finger moved to each other by what is left between them in a pinch.
 
         In full where they nearly touch, and the less the further they are apart, so that an open
         hand is left as it is and no distance ever shrinks by a jump.
         """
-        if self.residual_gap is None:
+        if not self.pinch_gaps:
             return points
         fingers = [FINGERS.index(name) for name in hand.fingers]
-        gaps = [
-            self._of[name].pinch_gap_after if self.has("tips") else self._of[name].pinch_gap
-            for name in hand.fingers[1:]
-        ]
-        left = np.array([self.residual_gap if gap is None else gap for gap in gaps])
+        left = np.array([self.pinch_gaps[name] for name in hand.fingers[1:]])
         tips = points[..., [TIPS[i] for i in fingers], :]
         apart = tips[..., 1:, :] - tips[..., :1, :]
         distance = xp.sqrt((apart**2).sum(axis=-1))
-        share = _nearness(distance, xp)
+        share = pinch_nearness(distance, xp)
         amount = share * xp.minimum(left.astype(points.dtype) * scale[..., None], distance)
         step = apart * (0.5 * amount / xp.maximum(distance, _TINY))[..., None]
         total = xp.maximum(share.sum(axis=-1), 1.0)
@@ -280,7 +287,7 @@ class OperatorProfile:
         bases = points[..., [BASES[i] for i in fingers], :]
         moved = growth.astype(points.dtype)[:, None] * (tips - bases)
         apart = tips[..., 1:, :] - tips[..., :1, :]
-        share = _nearness(xp.sqrt((apart**2).sum(axis=-1)), xp)[..., None]
+        share = pinch_nearness(xp.sqrt((apart**2).sum(axis=-1)), xp)[..., None]
         thumb = (moved[..., :1, :] + (share * moved[..., 1:, :]).sum(axis=-2, keepdims=True)) / (
             1 + share.sum(axis=-2, keepdims=True)
         )
@@ -323,8 +330,14 @@ def tip_frames(
     return along, _unit(xp.cross(hinge, along), xp)
 
 
-def _nearness(distance: Any, xp: ModuleType) -> Any:
-    """1 where thumb and tip nearly touch, 0 where they are far apart, smooth in between."""
+def pinch_nearness(distance: Any, xp: ModuleType) -> Any:
+    """How much a thumb-to-tip distance counts as a pinch: 1 under 10 mm, 0 over 45 mm, smooth in
+    between.
+
+    Args:
+        distance: (...) [m].
+        xp: NumPy or JAX.
+    """
     share = xp.clip((_FAR - distance) / (_FAR - _NEAR), 0, 1)
     return share * share * (3 - 2 * share)
 

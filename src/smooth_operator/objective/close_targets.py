@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.human.operator import pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import Targets, base_weights, unlatched
 
@@ -30,6 +31,10 @@ class CloseTargets:
         floor: length below which weights rise no more [m].
         apart: soft lower bound of thumb-to-tip targets, since pads touch before tips meet: a length
             g becomes (g^4 + apart^4)^(1/4); 0 leaves them the human's [m].
+        pinch_gaps: what a tracker leaves between thumb and finger in a pinch of a calibrated
+            operator: (finger, length at the robot's size [m]). It is taken off the lengths of
+            thumb-to-tip targets: in full under 10 mm, not at all over 45 mm. Directions stay the
+            human's. Empty without a calibration.
     """
 
     w_wrist: float = 1.0
@@ -40,6 +45,7 @@ class CloseTargets:
     at: float = 0.06
     floor: float = 0.01
     apart: float = 0.0035
+    pinch_gaps: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if (
@@ -51,6 +57,9 @@ class CloseTargets:
             )
         if isinstance(self.apart, int | float) and not self.apart >= 0:
             raise ConfigError(f"apart must not be a negative length [m]: {self.apart}")
+        for finger, gap in self.pinch_gaps:
+            if not 0 <= gap < 0.1:
+                raise ConfigError(f"pinch_gaps: {finger} must have 0 to 0.1 m, not {gap}")
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
@@ -75,6 +84,10 @@ class CloseTargets:
             + between * self.w_between * ratio ** (self.focus_between / 2)
         )
         near = length[layout.thumb]
-        longer = (near**4 + self.apart**4) ** 0.25 / near
+        if self.pinch_gaps:
+            gaps = dict(self.pinch_gaps)
+            left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)
+            near = near - jnp.minimum(pinch_nearness(near, jnp) * left, near)
+        longer = (near**4 + self.apart**4) ** 0.25 / length[layout.thumb]
         vectors = human.at[layout.thumb].multiply(longer[:, None])
         return unlatched(vectors, weights, latched, closure)

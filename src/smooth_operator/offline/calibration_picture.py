@@ -10,15 +10,13 @@ import numpy as np
 
 from smooth_operator.human.calibration.estimate import Calibration
 from smooth_operator.human.calibration.report import closed_gaps
-from smooth_operator.landmarks import FINGERS
+from smooth_operator.landmarks import FINGER_COLORS, FINGERS
 from smooth_operator.recording import atomic_write
 from smooth_operator.types import HandRecording
 
-_COLORS: Final = dict(
-    zip(FINGERS, ("#64748b", "#2563eb", "#059669", "#d97706", "#c026d3"), strict=True)
-)
-_POSES: Final = {"flat": "#0ea5e9", "spread": "#14b8a6", "fist": "#ef4444"}
-_BEFORE, _AFTER, _ROBOT = "#cbd5e1", "#2563eb", "#0f172a"
+_COLORS: Final = dict(zip(FINGERS, FINGER_COLORS, strict=True))
+_POSES: Final = {"flat": "#94a3b8", "spread": "#64748b", "fist": "#334155"}
+_BEFORE, _AFTER, _ROBOT = "#cbd5e1", "#64748b", "#0f172a"
 _SEEN_MM: Final = 120.0
 
 
@@ -131,7 +129,9 @@ def _pinches(axes: Any, calibration: Calibration) -> None:
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("thumb to tip in a pinch [mm]")
-    axes.set_title("pinches, as tracked (grey) and corrected", loc="left", fontsize=10)
+    axes.set_title(
+        "pinches, as tracked (light) and corrected by the other half", loc="left", fontsize=10
+    )
 
 
 def _tips(axes: Any, calibration: Calibration) -> None:
@@ -140,8 +140,8 @@ def _tips(axes: Any, calibration: Calibration) -> None:
     along = [1e3 * f.tip_along for f in operator.fingers]
     pad = [1e3 * f.tip_pad for f in operator.fingers]
     axes.axhline(0, color=_ROBOT, lw=0.8)
-    axes.bar(at - 0.2, along, 0.38, color="#0ea5e9", label="along the last bone")
-    axes.bar(at + 0.2, pad, 0.38, color="#f59e0b", label="to the pad")
+    axes.bar(at - 0.2, along, 0.38, color=_BEFORE, label="along the last bone")
+    axes.bar(at + 0.2, pad, 0.38, color=_AFTER, label="to the pad")
     axes.set_xticks(at, [f.name for f in operator.fingers], fontsize=9)
     span = max(2.0, 1.5 * max(map(abs, (*along, *pad))))
     axes.set_ylim(-span, span)

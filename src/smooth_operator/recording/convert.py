@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.recording.checks import reading_notes
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
 from smooth_operator.recording.lerobot import (
@@ -58,17 +57,15 @@ class Source:
     dataset: Dataset | None = None
     number: int = 0
 
-    def read(
-        self, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
-    ) -> Episode:
-        """Reads it; see :func:`read_episode`.
+    def read(self, *, rate: float | None = None, side: Side | None = None) -> Episode:
+        """Reads it.
 
         Raises:
             RecordingError, ConfigError, MissingExtraError: as the reader of its format.
         """
         if self.dataset is not None:
             return read_dataset_episode(self.dataset, self.number, rate=rate, side=side)
-        return read_episode(self.path, rate=rate, side=side, layout=layout)
+        return read_episode(self.path, rate=rate, side=side)
 
 
 def read_episode(
@@ -76,7 +73,6 @@ def read_episode(
     *,
     rate: float | None = None,
     side: Side | None = None,
-    layout: str | None = None,
     episode: int = 0,
 ) -> Episode:
     """Reads an episode: whatever hand and commands a file of any format holds.
@@ -87,8 +83,6 @@ def read_episode(
             content.
         rate: frames a second [Hz], needed where the file has no stamps.
         side: which hand; needed where the file does not say and it is a left one.
-        layout: the order of the landmarks in a plain array of 21, as of
-            :func:`~smooth_operator.recording.read_recording`.
         episode: which one of a LeRobot dataset.
 
     Returns:
@@ -97,7 +91,6 @@ def read_episode(
     Raises:
         RecordingError: as :func:`~smooth_operator.recording.read_recording`.
         ConfigError: ``rate`` or ``side`` is not a possible one; there is no such ``episode``.
-        UnknownNameError: there is no such ``layout``.
         MissingExtraError: the format needs an extra that is not installed.
     """
     path = Path(path)
@@ -110,13 +103,17 @@ def read_episode(
     if kind == "hdf5":
         return read_hdf5_episode(path, rate=rate, side=side)
     if kind == "npz":
-        found = read_npz_episode(path, rate=rate, side=side, layout=layout)
+        found = read_npz_episode(path, rate=rate, side=side)
     else:
-        recording = read_recording(path, rate=rate, side=side, layout=layout)
+        recording = read_recording(path, rate=rate, side=side)
         found = Episode(recording, name=recording.name)
-    if found.recording is None:
-        return found
-    return replace(found, notes=(*found.notes, *reading_notes(found.recording, str(path))))
+    if found.recording is not None and found.recording.meta.get("side_assumed"):
+        note = (
+            f"{path} does not say which hand it is: taken for a right one; say --side left if it "
+            "is not"
+        )
+        found = replace(found, notes=(*found.notes, note))
+    return found
 
 
 def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | None = None) -> None:

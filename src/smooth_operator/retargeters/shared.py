@@ -84,6 +84,7 @@ def fingerprint(hand: Hand) -> str:
         hand.align_indices,
         hand.actuated_names,
         hand.joint_names,
+        hand.unreadable,
         tuple(tree.names),
         [(j.parent, j.offset, j.source, j.slide) for j in tree.joints],
         [(name, point.joint) for name, point in tree.keypoints.items()],

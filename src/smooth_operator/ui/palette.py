@@ -12,14 +12,12 @@ from typing import Final
 import numpy as np
 from jaxtyping import UInt8
 
+from smooth_operator import landmarks
+
 Rgb = tuple[int, int, int]
 
-FINGER_COLORS: Final[tuple[Rgb, ...]] = (
-    (213, 94, 0),  # vermillion: thumb
-    (86, 180, 233),  # sky blue: index
-    (0, 158, 115),  # bluish green: middle
-    (204, 121, 167),  # reddish purple: ring
-    (0, 114, 178),  # blue: pinky
+FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
+    (int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)) for code in landmarks.FINGER_COLORS
 )
 """One colour per finger, thumb first."""
 RUN_COLORS: Final[tuple[Rgb, ...]] = (

@@ -14,6 +14,7 @@ from smooth_operator.errors import HandModelError
 from smooth_operator.hands.discovery.shapes import geom_points, urdf_mesh_points
 from smooth_operator.hands.discovery.skeleton import Skeleton
 from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.model_xml import read_model_xml
 
 _UNIQUE: Final = {"robot": ("link", "joint"), "mujoco": ("body", "joint", "site")}
 
@@ -34,7 +35,8 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     root = _parse(path)
     _check_names(root, path)
     _check_limits(root, path)
-    model, couplings = load_model(path)
+    loaded = load_model(path)
+    model = loaded.model
     if not model.njnt:
         raise HandModelError(
             f"{path} has no joints, so no fingers; give the model of a hand whose joints can move "
@@ -76,7 +78,7 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
             "will not move as the real ones do; describe them with joint couplings instead"
         )
     shapes_of = {b: tuple(shapes) for b, shapes in clouds.items()}
-    return Skeleton(model, couplings, shapes_of), tuple(notes)
+    return Skeleton(model, loaded.couplings, shapes_of), tuple(notes)
 
 
 def _parse(path: Path) -> ElementTree.Element:
@@ -86,18 +88,7 @@ def _parse(path: Path) -> ElementTree.Element:
             f"{path} is a folder; name the model file in it"
             + (f": {', '.join(inside[:5])}" + (", …" if len(inside) > 5 else "") if inside else "")
         )
-    if not path.is_file():
-        raise HandModelError(f"no hand model at {path}; expected an MJCF (.xml) or URDF file")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
-        raise HandModelError(
-            f"{path} is not well-formed XML ({error}); mend it there, or export the model again"
-        ) from error
-    if root.tag not in _UNIQUE and root.tag != "mujocoinclude":
-        raise HandModelError(
-            f"{path} starts with <{root.tag}>; expected <robot> (URDF) or <mujoco> (MJCF)"
-        )
+    root = read_model_xml(path)
     if any("xacro" in element.tag for element in root.iter()):
         raise HandModelError(
             f"{path} is a xacro template; expand it first: xacro {path.name} > hand.urdf"

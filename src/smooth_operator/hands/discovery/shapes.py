@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.hands.model_files import resolve_in_package
+
 _RINGS: Final = 13  # along a cylinder or the edge of a box
 _COARSE: Final = 300  # vertices of a mesh
 _ROUND: Final = 400  # points on a sphere: its extent along any direction to half a per cent
@@ -59,7 +61,7 @@ def urdf_mesh_points(
             mesh = part.find("geometry/mesh")
             if mesh is None:
                 continue
-            found = _resolve(mesh.get("filename", ""), path)
+            found = resolve_in_package(mesh.get("filename", ""), path)
             vertices = _vertices(found) if found else None
             if vertices is None:
                 missing += 1
@@ -72,21 +74,6 @@ def urdf_mesh_points(
                 continue
             out[link.get("name", "")].append(vertices * scale @ rotation.T + position)
     return dict(out), missing
-
-
-def _resolve(name: str, path: Path) -> Path | None:
-    """The file that a URDF means: beside it, or in a package above it."""
-    plain = name.split("://", 1)[-1]
-    parts = Path(plain).parts
-    if Path(plain).is_absolute() and Path(plain).is_file():
-        return Path(plain)
-    for folder in path.resolve().parents:
-        # package://name/rest: the folder of that name, or the package is what the file is in
-        for tail in (parts, parts[1:]):
-            candidate = folder.joinpath(*tail)
-            if tail and candidate.is_file():
-                return candidate
-    return None
 
 
 def _vertices(path: Path) -> np.ndarray | None:

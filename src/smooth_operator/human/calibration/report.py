@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.human.calibration.estimate import Calibration
 from smooth_operator.types import HandRecording
+
+FEWEST: Final = 10
+"""Frames of a pinch from which it is said what a correction leaves of others."""
 
 
 def report(calibration: Calibration, recording: HandRecording) -> dict[str, Any]:
@@ -71,14 +74,27 @@ def report(calibration: Calibration, recording: HandRecording) -> dict[str, Any]
 
 
 def closed_gaps(calibration: Calibration, finger: str) -> Float[np.ndarray, " N"] | None:
-    """Thumb to tip in pinches with all that the profile applies [m], at human size."""
+    """What the profile leaves between thumb and tip in pinches that it was not fitted on.
+
+    The correction closes the middle pinch by what it was fitted on, so on those frames it leaves
+    nothing by construction. Here each half of a finger's pinch frames is corrected by the other
+    half's.
+
+    Returns:
+        (N,) [m], at human size; None if the finger was not seen pinching, or in fewer than
+        :data:`FEWEST` frames.
+    """
     gaps, operator = calibration.gaps.get(finger), calibration.operator
     if gaps is None:
         return None
     gap = gaps[:, 1 if operator.has("tips") else 0]
     if not operator.has("pinch"):
         return gap
-    return np.asarray(np.maximum(gap - np.median(gap), 0.0))
+    if len(gap) < FEWEST:
+        return None
+    early, late = np.array_split(gap, 2)  # in the order of time
+    left = [early - np.median(late), late - np.median(early)]
+    return np.asarray(np.maximum(np.concatenate(left), 0.0))
 
 
 def spread_of(values: np.ndarray | None, column: int | None) -> dict[str, float] | None:

@@ -1,0 +1,156 @@
+"""The files that a robot model consists of, and copying them to another folder."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.model_xml import is_file, read_model_xml
+from smooth_operator.recording.atomic import output_error
+
+MOST_BYTES: Final = 500_000_000
+"""Models with their meshes have 0.1 to 100 MB; what is larger is left where it is."""
+_DEEPEST: Final = 20  # files that include each other
+_HIGHEST: Final = 4
+"""Folders above the model's own from which files are taken; what lies further away is not part of
+the model's package, and stays where it is."""
+_FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront",
+                 "fileback")  # fmt: skip
+
+
+def model_files(path: Path) -> tuple[Path, ...]:
+    """The model file, what it includes, and its meshes and textures, as far as they are there.
+
+    Args:
+        path: MJCF or URDF file.
+
+    Raises:
+        HandModelError: the file is no model.
+    """
+    found: dict[Path, None] = {}
+    _collect(path.absolute(), path.absolute().parent, (), found, 0)
+    return tuple(found)
+
+
+def copy_model(path: Path, folder: Path) -> Path | None:
+    """Copies a model with all its files, so that it no longer depends on where it came from.
+
+    The files keep their places relative to each other. The folder is replaced as a whole, and only
+    if the copy can be loaded.
+
+    Args:
+        path: MJCF or URDF file that can be loaded.
+        folder: where to; what is there is replaced.
+
+    Returns:
+        the copy of the model file; None if the files are too large, or the copy is not the same
+        model, as where files are named by absolute paths. Then nothing was changed.
+
+    Raises:
+        HandModelError: the file is no model.
+        OutputError: the copy can't be written.
+    """
+    path = path.absolute()
+    top = path.parents[min(_HIGHEST, len(path.parents) - 1)]
+    files = [file for file in model_files(path) if file.is_relative_to(top)]
+    if sum(file.stat().st_size for file in files) > MOST_BYTES:
+        return None
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        trial = Path(tempfile.mkdtemp(prefix=".copying-", dir=folder.parent))
+    except OSError as error:
+        raise output_error(folder, error) from error
+    try:
+        for file in files:
+            target = trial / file.relative_to(root)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
+        if not _same_model(path, trial / path.relative_to(root)):
+            return None
+        if folder.exists():
+            shutil.rmtree(folder)
+        trial.replace(folder)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    finally:
+        shutil.rmtree(trial, ignore_errors=True)
+    return folder / path.relative_to(root)
+
+
+def _same_model(one: Path, other: Path) -> bool:
+    try:
+        ours, theirs = load_model(one), load_model(other)
+    except HandModelError:
+        return False
+    return (
+        ours.model.nq == theirs.model.nq
+        and ours.model.ngeom == theirs.model.ngeom
+        and ours.unreadable == theirs.unreadable
+    )
+
+
+def resolve_in_package(name: str, path: Path) -> Path | None:
+    """The file that a URDF means by a name: beside it, or in a package above it.
+
+    Args:
+        name: relative or absolute path, or a ``package://`` or ``file://`` address.
+        path: of the URDF.
+    """
+    plain = Path(name.split("://", 1)[-1])
+    if plain.is_absolute() and is_file(plain):
+        return plain
+    for folder in path.resolve().parents:
+        # package://name/rest: the folder of that name, or the package is what the file is in
+        for tail in (plain.parts, plain.parts[1:]):
+            candidate = folder.joinpath(*tail)
+            if tail and is_file(candidate):
+                return candidate
+    return None
+
+
+def _collect(
+    path: Path, base: Path, above: tuple[str, ...], found: dict[Path, None], depth: int
+) -> None:
+    """Adds a file and what it names to the files that were found."""
+    if path in found or depth > _DEEPEST:
+        return
+    found[path] = None
+    root = read_model_xml(path)
+    folders = (*above, *_asset_folders(root))
+    for name in _named_files(root):
+        for folder in ("", *folders):
+            for last in (name, os.path.basename(name)):
+                candidate = Path(os.path.normpath(base / folder / last))
+                if is_file(candidate):
+                    found.setdefault(candidate)
+        if (packaged := resolve_in_package(name, path)) is not None:
+            found.setdefault(Path(os.path.normpath(packaged)))
+    for tag in ("include", "model"):
+        for element in root.iter(tag):
+            name = element.get("file", "")
+            if name and is_file(inner := Path(os.path.normpath(base / name))):
+                found.pop(inner, None)
+                _collect(inner, base, folders, found, depth + 1)
+
+
+def _asset_folders(root: ElementTree.Element) -> Iterator[str]:
+    for compiler in root.iter("compiler"):
+        for key in ("meshdir", "texturedir", "assetdir"):
+            if folder := compiler.get(key):
+                yield folder
+
+
+def _named_files(root: ElementTree.Element) -> Iterator[str]:
+    for element in root.iter():
+        if element.tag in ("mesh", "texture", "hfield", "skin"):
+            for key in _FILES:
+                if name := element.get(key):
+                    yield name

@@ -1,0 +1,282 @@
+"""Capsules along a hand's bones, for links whose collision shapes can't be read.
+
+Vendors' URDFs are often passed on without their mesh files. The kinematics needs none, but the
+self-collision term does. A stand-in is a capsule along the bone of such a link, with a radius that
+is estimated from the hand's own lengths; a palm becomes parallel capsules from heel to knuckles.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, TypeAlias
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hands.collision import solid_shapes
+from smooth_operator.hands.hand import Hand, landmark_points
+from smooth_operator.hands.solids import Capsule, shape_capsules
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
+
+LENGTH_SHARE: Final = 0.095
+"""Radius of a finger over its length, base to tip. Of the built-in hands the middle one is 0.094;
+they have 0.073 to 0.144."""
+SPACING_SHARE: Final = 0.42
+"""Radius of a finger over the distance of neighbouring knuckles, at most. The built-in hands have
+0.26 to 0.44."""
+_THUMB: Final = 1.1  # thumbs are thicker
+_PALM: Final = 1.3  # half the thickness of a palm over a finger's radius
+_TIP: Final = 0.9  # a tip landmark lies about this share of a radius beyond the capsule's end
+_SHORTEST: Final = 0.003  # bones shorter than this carry no capsule of their own [m]
+Piece: TypeAlias = tuple[int, np.ndarray, np.ndarray]
+"""A stretch of a bone: the body that carries it, and its two ends in the world [m]."""
+
+_SAMPLES: Final = 33  # of a bone
+_LEAST: Final = 0.12  # of a bone that is bare
+_TINY: Final = 1e-12  # [m^2]
+_OVERLAP: Final = 1.5  # distance of a palm's parallel capsules over their radius, at most
+
+
+@dataclass(frozen=True)
+class StandIns:
+    """What stands in for a hand's shapes.
+
+    Attributes:
+        capsules: the estimated ones; ``geom`` is -1.
+        replaced: indices of the parts whose own shapes are not to be used. A part is what has no
+            joint inside: bodies that are fixed to each other, named by the first.
+    """
+
+    capsules: tuple[Capsule, ...] = ()
+    replaced: frozenset[int] = frozenset()
+
+
+def stand_in_links(hand: Hand) -> tuple[str, ...]:
+    """Names of the links that get a stand-in, in the model's order; empty for most hands."""
+    bodies = sorted({capsule.body for capsule in stand_ins(hand).capsules})
+    return tuple(str(hand.model.body(body).name) for body in bodies)
+
+
+def stand_in_note(hand: Hand) -> str:
+    """One sentence for a person about a hand's stand-ins; empty if it has none."""
+    links = stand_in_links(hand)
+    if not links:
+        return ""
+    shown = ", ".join(links[:3]) + (f" and {len(links) - 3} more" if len(links) > 3 else "")
+    return (
+        f"{hand.name}: the collision shapes of {len(links)} links ({shown}) could not be read; "
+        "'smooth' keeps estimated capsules along their bones apart in their place. Put the mesh "
+        "files where the model file names them for the real shapes"
+    )
+
+
+def stand_ins(hand: Hand) -> StandIns:
+    """Capsules for the links of a hand that lack shapes.
+
+    Those are the links that lost shapes because mesh files can't be read, where their other shapes
+    leave the bone bare. Where half of the fingers or more have such a link, all finger links get a
+    stand-in in place of what shapes they have: estimates of one kind measure better than a mix
+    (docs/hands.md). A hand without any shape that collides gets them for the palm and all links
+    from it to a fingertip.
+
+    Args:
+        hand: the robot hand.
+    """
+    lacking = _lacking(hand)
+    if not lacking:
+        return StandIns()
+    model, data = hand.model, mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    mujoco.mj_kinematics(model, data)
+    bones = _bones(hand, data)
+    radius = _finger_radius(hand, bones)
+    part = model.body_weldid
+    links = {
+        finger: {int(part[body]) for bone in own for body, _, _ in bone}
+        for finger, own in bones.items()
+    }
+    replaced = frozenset[int]()
+    if 2 * sum(bool(own & lacking) for own in links.values()) >= len(links):
+        replaced = frozenset().union(*links.values()) - {_palm_part(hand)}
+        lacking |= replaced
+    covers = _covers(hand, replaced)
+    out = []
+    for finger, own in bones.items():
+        thick = radius * (_THUMB if finger == "thumb" else 1.0)
+        for k, bone in enumerate(own):
+            for body, start, end in bone:
+                along = float(np.linalg.norm(end - start))
+                if along < _SHORTEST or int(part[body]) not in lacking:
+                    continue
+                if k == len(own) - 1:
+                    end = end - (end - start) * min(_TIP * thick / along, 0.9)
+                segment = _uncovered(data, np.stack([start, end]), covers.get(int(part[body]), []))
+                if segment is not None:
+                    out.append(Capsule(-1, body, _local(data, body, segment), thick, root=k == 0))
+    palm = model.body(hand.spec.palm).id
+    if _palm_part(hand) in lacking:
+        for row in _palm_segments(hand, data, _PALM * radius):
+            segment = _uncovered(data, row, covers.get(_palm_part(hand), []))
+            if segment is not None:
+                out.append(Capsule(-1, palm, _local(data, palm, segment), _PALM * radius))
+    return StandIns(tuple(out), replaced)
+
+
+def _palm_part(hand: Hand) -> int:
+    return int(hand.model.body_weldid[hand.model.body(hand.spec.palm).id])
+
+
+def _lacking(hand: Hand) -> set[int]:
+    """Parts that lost shapes; all parts of a hand without any shape that collides."""
+    model = hand.model
+    part = np.asarray(model.body_weldid)
+    if solid_shapes(hand).any():
+        return {int(part[model.body(name).id]) for name in hand.unreadable}
+    return {int(p) for p in part[hand.bodies]}
+
+
+def _covers(hand: Hand, replaced: frozenset[int]) -> dict[int, list[Capsule]]:
+    """Part -> the shapes that it has and keeps, as capsules."""
+    out: dict[int, list[Capsule]] = defaultdict(list)
+    for geom in np.flatnonzero(solid_shapes(hand)):
+        part = int(hand.model.body_weldid[hand.model.geom_bodyid[geom]])
+        if part not in replaced:
+            out[part] += shape_capsules(hand.model, int(geom))
+    return out
+
+
+def _uncovered(
+    data: mujoco.MjData, segment: Float[np.ndarray, "2 3"], covers: list[Capsule]
+) -> Float[np.ndarray, "2 3"] | None:
+    """The stretch of a segment that is in none of some capsules; None if that is hardly any."""
+    share = np.linspace(0, 1, _SAMPLES)
+    points = segment[0] + share[:, None] * (segment[1] - segment[0])
+    bare = np.ones(_SAMPLES, bool)
+    for capsule in covers:
+        turn, at = data.xmat[capsule.body].reshape(3, 3), data.xpos[capsule.body]
+        start, end = capsule.ends @ turn.T + at
+        axis = end - start
+        along = np.clip((points - start) @ axis / max(float(axis @ axis), _TINY), 0, 1)
+        distance = np.linalg.norm(points - start - along[:, None] * axis, axis=1)
+        bare &= distance > capsule.radius
+    if bare.mean() < _LEAST:
+        return None
+    first, last = np.flatnonzero(bare)[[0, -1]]
+    stretch: np.ndarray = points[[first, last]]
+    return stretch
+
+
+def _bones(hand: Hand, data: mujoco.MjData) -> dict[str, list[list[Piece]]]:
+    """Finger -> its bones, base to tip, each in the pieces that different bodies carry.
+
+    Bones run between landmarks, since these are on the finger's middle line, which joint origins
+    need not be. Where a finger has no landmark between base and tip, joint origins serve.
+    """
+    placed = landmark_points(hand.model, hand.spec)
+    out = {}
+    for finger in hand.spec.fingers:
+        first = BASES[FINGERS.index(finger.name)]
+        names = [LANDMARKS[first + i] for i in range(4)]
+        points = [
+            (body, data.xpos[body] + data.xmat[body].reshape(3, 3) @ local)
+            for body, local in (placed[name] for name in names if name in placed)
+        ]
+        if len(points) == 2:
+            points[1:1] = _joint_origins(hand, data, points[1][0])
+        out[finger.name] = [_pieces(hand, data, *ends) for ends in pairwise(points)]
+    return out
+
+
+def _pieces(
+    hand: Hand, data: mujoco.MjData, before: tuple[int, np.ndarray], after: tuple[int, np.ndarray]
+) -> list[Piece]:
+    """A bone between two landmarks, cut where a joint between them turns a part of it.
+
+    A landmark lies on the axis of the joint that moves its own body, so the bone before it ends
+    with the link above that joint.
+    """
+    model, (start, end) = hand.model, (before[1], after[1])
+    part = [int(p) for p in model.body_weldid]
+    first, last = part[before[0]], part[after[0]]
+    if first == last:
+        return [(after[0], start, end)]
+    carriers: list[int] = []
+    body = part[model.body_parentid[last]]
+    while body not in (0, _palm_part(hand)):
+        carriers.insert(0, body)
+        if body == first:
+            break
+        body = part[model.body_parentid[body]]
+    if not carriers:
+        return [(int(model.body_parentid[last]), start, end)]
+    along, at = end - start, [0.0]
+    for body in carriers[1:]:
+        anchor = data.xanchor[model.body_jntadr[body]]
+        share = float((anchor - start) @ along) / max(float(along @ along), _TINY)
+        at.append(float(np.clip(share, at[-1], 1.0)))
+    return [
+        (body, start + a * along, start + b * along)
+        for body, a, b in zip(carriers, at, [*at[1:], 1.0], strict=True)
+    ]
+
+
+def _joint_origins(hand: Hand, data: mujoco.MjData, tip: int) -> list[tuple[int, np.ndarray]]:
+    """The joints between palm and tip but for the first, palm first: body and origin."""
+    model, palm = hand.model, hand.model.body(hand.spec.palm).id
+    found, body = [], tip
+    while body not in (palm, 0):
+        if model.body_jntnum[body]:
+            found.append((int(body), np.array(data.xanchor[model.body_jntadr[body]])))
+        body = int(model.body_parentid[body])
+    return found[::-1][1:]
+
+
+def _finger_radius(hand: Hand, bones: dict[str, list[list[Piece]]]) -> float:
+    """Radius of the long fingers [m]."""
+    long = [own for finger, own in bones.items() if finger != "thumb"]
+    lengths = [
+        sum(float(np.linalg.norm(end - start)) for bone in own for _, start, end in bone)
+        for own in long
+    ]
+    radius = LENGTH_SHARE * float(np.median(lengths))
+    knuckles = [own[0][0][1] for own in long]
+    gaps = [float(np.linalg.norm(a - b)) for a, b in pairwise(knuckles)]
+    return min([radius, *(SPACING_SHARE * gap for gap in gaps if gap > _SHORTEST)])
+
+
+def _palm_segments(
+    hand: Hand, data: mujoco.MjData, radius: float
+) -> list[Float[np.ndarray, "2 3"]]:
+    """Parallel segments from the heel of the palm to its knuckles, in the world [m]."""
+    placed = landmark_points(hand.model, hand.spec)
+
+    def world(name: str) -> np.ndarray:
+        body, local = placed[name]
+        at: np.ndarray = data.xpos[body] + data.xmat[body].reshape(3, 3) @ local
+        return at
+
+    wrist = world(LANDMARKS[WRIST])
+    knuckles = [world(LANDMARKS[BASES[FINGERS.index(f)]]) for f in hand.fingers[1:]]
+    rows = [knuckles[0]]
+    for a, b in pairwise(knuckles):
+        steps = max(1, int(np.ceil(np.linalg.norm(b - a) / (_OVERLAP * radius))))
+        rows += [a + (b - a) * k / steps for k in range(1, steps + 1)]
+    back = wrist - np.mean(knuckles, axis=0)
+    length = float(np.linalg.norm(back))
+    if length < 2 * radius:
+        return []
+    unit = back / length
+    # rounded ends: not into the fingers' first links, and no further than the wrist
+    return [
+        np.stack([row + unit * radius, row + unit * max(length - radius, radius)]) for row in rows
+    ]
+
+
+def _local(
+    data: mujoco.MjData, body: int, points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    local: np.ndarray = (points - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
+    return local

@@ -1,0 +1,186 @@
+"""Model files and spec files that are damaged, hostile, or in another encoding."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from discovery_hands import make_hand, mjcf, urdf
+from fuzzing import EXTREMES, ReaderProcess, mutate_bytes, mutate_table, mutate_text
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.catalogue import MODELS
+from smooth_operator.hands.discovery import discover
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.spec_file import read_hand_spec
+
+HAND = make_hand(3)
+URDF, MJCF = urdf(HAND.parts), mjcf(HAND.parts)
+SPEC = (MODELS / "shadow_hand.right.toml").read_text(encoding="utf-8")
+_ATTRIBUTE = re.compile(rb'(\w+)="([^"]*)"')
+
+
+def declared(text: str, encoding: str) -> str:
+    return f'<?xml version="1.0" encoding="{encoding}"?>\n' + re.sub(
+        r"^\s*<\?xml[^>]*\?>", "", text
+    )
+
+
+# Encodings
+
+
+@pytest.mark.parametrize("encoding", ["gb2312", "GBK", "shift_jis", "utf-16", "iso-8859-1"])
+def test_a_urdf_in_a_vendors_encoding_loads(encoding: str, tmp_path: Path) -> None:
+    plain, other = tmp_path / "plain.urdf", tmp_path / "other.urdf"
+    plain.write_text(URDF, encoding="utf-8")
+    comment = "<!-- é -->" if encoding == "iso-8859-1" else "<!-- 手 -->"
+    other.write_bytes((declared(URDF, encoding) + comment).encode(encoding))
+    model, wanted = load_model(other).model, load_model(plain).model
+    np.testing.assert_array_equal(model.body_pos, wanted.body_pos)
+    assert (
+        load_hand_spec(discover(other).spec).joint_names
+        == load_hand_spec(discover(plain).spec).joint_names
+    )
+
+
+def test_names_in_another_encoding_are_read(tmp_path: Path) -> None:
+    joint = HAND.parts[2].name
+    path = tmp_path / "hand.urdf"
+    path.write_bytes(declared(URDF.replace(f'"{joint}"', '"拇指"'), "gb2312").encode("gb2312"))
+    model = load_model(path).model
+    assert "拇指" in [model.body(b).name for b in range(model.nbody)]
+
+
+def test_utf_8_that_declares_another_encoding_loads(tmp_path: Path) -> None:
+    path = tmp_path / "hand.xml"
+    path.write_text(declared(MJCF, "gb2312") + "<!-- \u0141 -->", encoding="utf-8")
+    assert load_model(path).model.njnt
+
+
+# One sentence each
+
+
+REFUSED: dict[str, tuple[str, str, str]] = {
+    "unknown encoding": ("h.xml", declared(MJCF, "klingon"), r"encoding 'klingon'.*UTF-8"),
+    "binary encoding": ("h.xml", declared(MJCF, "hex"), r"encoding 'hex'.*UTF-8"),
+    "mimic inf": (
+        "h.urdf",
+        URDF.replace("</joint>", '<mimic joint="x" multiplier="inf"/></joint>', 1),
+        r"multiplier and offset must be finite",
+    ),
+    "mimic nan": (
+        "h.urdf",
+        URDF.replace("</joint>", '<mimic joint="x" multiplier="nan"/></joint>', 1),
+        r"multiplier and offset must be finite",
+    ),
+    "place nan": ("h.xml", re.sub(r'pos="\S+ ', 'pos="nan ', MJCF, count=2), r"finite numbers"),
+    "large terrain": (
+        "h.xml",
+        MJCF.replace(
+            "<worldbody>",
+            '<asset><hfield name="t" nrow="60000" ncol="60000" size="1 1 1 1"/></asset><worldbody>'
+            '<geom type="hfield" hfield="t"/>',
+            1,
+        ),
+        r"terrain",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_model_that_cannot_be_used_is_refused_in_a_sentence(case: str, tmp_path: Path) -> None:
+    name, text, said = REFUSED[case]
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    for reader in (load_model, discover):
+        with pytest.raises(HandModelError, match=said):
+            reader(path)
+
+
+def test_a_mesh_name_that_no_file_can_have_is_a_missing_mesh(tmp_path: Path) -> None:
+    mesh = f'<visual><geometry><mesh filename="{"y" * 400}.stl"/></geometry></visual></link>'
+    path = tmp_path / "hand.urdf"
+    path.write_text(re.sub("</link>", mesh, URDF, count=2), encoding="utf-8")
+    found = discover(path)
+    assert any("could not be read" in note for note in found.notes)
+    load_hand_spec(found.spec)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (SPEC.replace("format = 1", "format = " + "9" * 5000), r"not well-formed TOML"),
+        ("a" + ".a" * 200_000 + " = 1\n" + SPEC, r"more than 1000 dots"),
+        (SPEC.replace("format = 1", "format = " + "[" * 5000 + "]" * 5000), r"TOML|format"),
+        (SPEC + "\n" + "\n".join(f"x{'.x' * 900} = {k}" for k in range(2)), r"."),
+        (SPEC.replace('name = "shadow_hand"', f'name = "{"y" * 90_000}!"'), r"can't be named"),
+    ],
+    ids=["digits", "dots", "brackets", "deep", "name"],
+)
+def test_a_hostile_spec_file_is_refused_in_a_sentence(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "hand.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(HandModelError, match=said) as refused:
+        read_hand_spec(path)
+    assert len(str(refused.value)) < 600
+
+
+# Mutants
+
+
+def swap_attributes(rng: random.Random, data: bytes) -> bytes:
+    """Values of attributes become those of others, or extreme ones."""
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        found = list(_ATTRIBUTE.finditer(data))
+        if not found:
+            break
+        at = rng.choice(found)
+        words = [match[2] for match in found]
+        words += [word.encode(errors="replace").replace(b'"', b"") for word in EXTREMES]
+        data = data[: at.start(2)] + rng.choice(words) + data[at.end(2) :]
+    return data
+
+
+def found_and_loaded(path: Path) -> None:
+    load_hand_spec(discover(path, name="mutant").spec)
+
+
+SEEDS: dict[str, tuple[str, str, str, int]] = {
+    "urdf": ("m.urdf", URDF, "smooth_operator.hands.loading:load_model", 60),
+    "mjcf": ("m.xml", MJCF, "smooth_operator.hands.loading:load_model", 60),
+    "discovery": ("m.urdf", URDF, "test_hand_model_robustness:found_and_loaded", 12),
+    "toml": ("m.toml", SPEC, "smooth_operator.hands.spec_file:read_hand_spec", 80),
+}
+
+
+@pytest.mark.parametrize("kind", SEEDS)
+def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
+    name, text, target, count = SEEDS[kind]
+    mutators: list[Callable[[random.Random, bytes], bytes]] = [
+        mutate_bytes, mutate_table, mutate_text, swap_attributes,
+    ]  # fmt: skip
+    path, outcomes = tmp_path / name, set()
+    with ReaderProcess([str(Path(__file__).parent)]) as reader:
+        for seed in range(count):
+            rng = random.Random(seed)
+            path.write_bytes(rng.choice(mutators)(rng, text.encode()))
+            verdict = reader.read(target, path)
+            assert verdict.sound, (seed, verdict)
+            outcomes.add(verdict.outcome)
+    assert outcomes == {"read", "refused"}
+
+
+@pytest.mark.shared
+def test_what_once_crashed_is_sound(shared: Path, tmp_path: Path) -> None:
+    files = sorted((shared / "findings" / "crashers").glob("discoverhand_*"))
+    assert files
+    for file in files:
+        (copy := tmp_path / f"hand{file.suffix}").write_bytes(file.read_bytes())
+        with contextlib.suppress(HandModelError):
+            load_hand_spec(discover(copy, name="crasher").spec)
