@@ -21,6 +21,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording import foxglove
 from smooth_operator.recording.atomic import output_error
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.recording.loop_state import LoopState
@@ -68,6 +69,7 @@ class LogWriter:
         compression: of each chunk.
         chunk_bytes: size of a chunk before compression, and so the bound on what is in memory.
         flush_seconds: how long a message may wait for the disk while others come.
+        keypoints: where the robot's landmarks are, to be drawn by Foxglove; None draws none.
 
     Raises:
         OutputError: no folder, no permission, no space, or a file stands there already. After an
@@ -89,6 +91,7 @@ class LogWriter:
         compression: Literal["zstd", "lz4", "none"] = "zstd",
         chunk_bytes: int = 64 * 1024,
         flush_seconds: float = 1.0,
+        keypoints: foxglove.Keypoints | None = None,
     ) -> None:
         if compression not in _COMPRESSION:
             raise ConfigError(f"compression must be zstd, lz4 or none, not {compression!r}")
@@ -109,7 +112,8 @@ class LogWriter:
         self._hand_stamp = -math.inf
         self._side: Side | None = None
         self._names: tuple[str, ...] | None = None
-        self._sequence = dict.fromkeys(SCHEMAS, 0)
+        self._sequence = dict.fromkeys((*SCHEMAS, *foxglove.SCHEMAS), 0)
+        self._foxglove = foxglove.FoxgloveMessages(keypoints)
         self._log_time = 0
         self._stream: IO[bytes] | None = None
         # mcap's signatures are only partly annotated
@@ -144,7 +148,8 @@ class LogWriter:
                 f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
                 f"{frame.side} one; write each hand to its own log"
             )
-        self._append((HAND, hand_message(frame)))
+        shown = self._foxglove.hand(frame, _nanoseconds(frame.time))
+        self._append((HAND, hand_message(frame)), *shown)
         self._hand_stamp = frame.time
         self._side = frame.side
 
@@ -201,6 +206,7 @@ class LogWriter:
         beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
         if loop is not None:
             beside.append((LOOP, loop.message(stamp)))
+        beside += self._foxglove.command(names, positions, _nanoseconds(stamp))
         self._append(*beside, (COMMAND, message))
         self._names = names
 
@@ -309,9 +315,7 @@ class LogWriter:
             if not self._pending_bytes:
                 self._pending_since = now
             if messages:
-                # Whole nanoseconds, and MCAP has none before zero; the message keeps the stamp.
-                nanoseconds = min(max(messages[0][1]["stamp"] * 1e9, 0.0), float(_MAX_LOG_TIME))
-                self._log_time = min(round(nanoseconds), _MAX_LOG_TIME)
+                self._log_time = _nanoseconds(messages[0][1]["stamp"])
             if self._config is not None:
                 self._message(CONFIG, {"configuration": self._config})
                 self._config, self._config_written = None, True
@@ -345,7 +349,7 @@ class LogWriter:
         self._pending_bytes += len(data)
 
     def _register(self, topic: str) -> None:
-        name, schema = SCHEMAS[topic]
+        name, schema = (SCHEMAS | foxglove.SCHEMAS)[topic]
         schema_id = self._writer.register_schema(
             name, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
         )
@@ -379,3 +383,8 @@ class LogWriter:
                 os.ftruncate(file, self._whole_bytes)
             finally:
                 os.close(file)
+
+
+def _nanoseconds(stamp: float) -> int:
+    """A stamp as MCAP has it: whole, and none before zero; the message keeps it exactly."""
+    return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)

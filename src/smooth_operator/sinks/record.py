@@ -102,6 +102,7 @@ class RecordSink:
             files = take_paths(self.path, sides, overwrite=self.overwrite)
         recorder = Recorder(
             files,
+            hands,
             config,
             overwrite=self.overwrite and not self._history,
             flush_s=self.flush_s,

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import OutputError, SinkError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.recording import LogWriter
+from smooth_operator.recording.foxglove import landmark_keypoints
 from smooth_operator.recording.loop_state import LoopState
 from smooth_operator.sinks.stamps import StampMap
 from smooth_operator.sinks.tick import Driver, Tick
@@ -28,6 +30,7 @@ class Recorder:
 
     Args:
         files: side -> file.
+        hands: side -> robot hand, to be drawn.
         config: the resolved configuration, for every file.
         overwrite: replace files that stand there.
         flush_s: how long a tick may wait for the disk [s].
@@ -45,6 +48,7 @@ class Recorder:
     def __init__(
         self,
         files: Mapping[Side, Path],
+        hands: Mapping[Side, Hand],
         config: Mapping[str, Any],
         *,
         overwrite: bool,
@@ -67,7 +71,7 @@ class Recorder:
         for side, path in files.items():
             existed = path.exists()
             try:
-                self._logs[side] = _HandLog(path, config, overwrite=overwrite)
+                self._logs[side] = _HandLog(path, hands[side], config, overwrite=overwrite)
             except Exception:
                 for log in self._logs.values():
                     log.discard()
@@ -170,11 +174,17 @@ class Recorder:
 class _HandLog:
     """The log of one hand."""
 
-    def __init__(self, path: Path, config: Mapping[str, Any], *, overwrite: bool) -> None:
+    def __init__(
+        self, path: Path, hand: Hand, config: Mapping[str, Any], *, overwrite: bool
+    ) -> None:
         self.path = path
         # Flushed from outside, for both hands at once and also where nothing comes any more.
         self._log = LogWriter(
-            path, overwrite=overwrite, chunk_bytes=_CHUNK_BYTES, flush_seconds=3600.0
+            path,
+            overwrite=overwrite,
+            chunk_bytes=_CHUNK_BYTES,
+            flush_seconds=3600.0,
+            keypoints=landmark_keypoints(hand.tree.names, hand.tree.positions),
         )
         started = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         meta = f'{{"started":"{started}","clock":"{time.perf_counter():.6f}"}}'

@@ -1,0 +1,173 @@
+"""A log holds what Foxglove's 3D panel draws, in its own schemas, read here by the mcap package."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from ticks import make_tick
+
+from smooth_operator import SyntheticOperator, load_hand
+from smooth_operator.landmarks import BONES, LANDMARKS
+from smooth_operator.recording import LogWriter, read_log
+from smooth_operator.sinks.record import RecordSink
+from smooth_operator.types import JointCommand, Status
+
+# What Foxglove's published JSON schemas require, object by object.
+REQUIRED = {
+    "foxglove.SceneUpdate": {"deletions", "entities"},
+    "foxglove.SceneEntity": {
+        "timestamp", "frame_id", "id", "lifetime", "frame_locked", "metadata", "arrows", "cubes",
+        "spheres", "cylinders", "lines", "triangles", "texts", "models",
+    },
+    "foxglove.LinePrimitive": {
+        "type", "pose", "thickness", "scale_invariant", "points", "color", "colors", "indices",
+    },
+    "foxglove.FrameTransforms": {"transforms"},
+    "foxglove.FrameTransform": {
+        "timestamp", "parent_frame_id", "child_frame_id", "translation", "rotation",
+    },
+    "foxglove.JointStates": {"timestamp", "joints"},
+    "foxglove.JointState": {"name"},
+    "foxglove.Pose": {"position", "orientation"},
+    "foxglove.Quaternion": {"x", "y", "z", "w"},
+    "foxglove.Vector3": {"x", "y", "z"},
+    "foxglove.Point3": {"x", "y", "z"},
+    "foxglove.Color": {"r", "g", "b", "a"},
+}  # fmt: skip
+TOPICS = {
+    "/foxglove/hand": "foxglove.SceneUpdate",
+    "/foxglove/robot": "foxglove.SceneUpdate",
+    "/foxglove/joints": "foxglove.JointStates",
+    "/foxglove/frames": "foxglove.FrameTransforms",
+}
+
+
+def messages(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
+    """(log time, message) of Foxglove's topics, each held against the schema in the file."""
+    found: dict[str, list[tuple[int, dict[str, Any]]]] = defaultdict(list)
+    with path.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages(
+            list(TOPICS), log_time_order=False
+        ):
+            assert schema is not None
+            assert (schema.name, schema.encoding) == (TOPICS[channel.topic], "jsonschema")
+            assert channel.message_encoding == "json"
+            content = json.loads(message.data)
+            jsonschema.validate(content, json.loads(schema.data))
+            found[channel.topic].append((message.log_time, content))
+    return found
+
+
+def titled(schema: Any) -> dict[str, dict[str, Any]]:
+    """The objects with a title within a schema."""
+    out: dict[str, dict[str, Any]] = {}
+    if isinstance(schema, dict):
+        if "title" in schema and "properties" in schema:
+            out[schema["title"]] = schema
+        for part in schema.values():
+            out |= titled(part)
+    return out
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds at 100 Hz."""
+    path = tmp_path_factory.mktemp("log") / "a.mcap"
+    hand = load_hand("mimic_p050")
+    frames = SyntheticOperator(seed=1, rate_hz=100).record(2.0)
+    sink = RecordSink(path)
+    sink.open({"right": hand}, {})
+    for k, frame in enumerate(frames):
+        tick = make_tick(hand, k, at=5.0 + 0.01 * k)
+        assert tick.arrival is not None
+        landmarks = frame.landmarks + np.array([3.0, 1.0, 0.0])  # somewhere in the room
+        landmarks[8] = np.nan if k % 2 else landmarks[8]
+        shown = replace(frame, landmarks=landmarks, valid=None)
+        sink.send(replace(tick, arrival=replace(tick.arrival, frame=shown)))
+    sink.close()
+    return path
+
+
+def test_schemas_are_foxgloves(session: Path) -> None:
+    with session.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    found: dict[str, dict[str, Any]] = {}
+    for schema in summary.schemas.values():
+        if schema.name.startswith("foxglove."):
+            content = json.loads(schema.data)
+            jsonschema.Draft202012Validator.check_schema(content)
+            found |= titled(content)
+    for title, required in REQUIRED.items():
+        assert set(found[title]["required"]) == required, title
+
+
+def test_a_session_is_drawn_at_a_bounded_rate(session: Path) -> None:
+    found = messages(session)
+    assert set(found) == set(TOPICS)
+    for topic, content in found.items():
+        assert 50 <= len(content) <= 62, topic  # 2 s
+    log = read_log(session)
+    assert log.commands is not None
+    assert log.recording is not None
+    assert len(log.commands) == len(log.recording) == 200  # and its readers read what they did
+
+
+def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
+    found, log, hand = messages(session), read_log(session), load_hand("mimic_p050")
+    assert log.recording is not None
+    assert log.commands is not None
+    place = found["/foxglove/frames"][0][1]["transforms"][0]
+    assert (place["parent_frame_id"], place["child_frame_id"]) == ("robot", "tracker")
+    (first,) = found["/foxglove/hand"][0][1]["entities"]
+    wrist = xyz(first["lines"][0]["points"])[0] + xyz([place["translation"]])[0]
+    np.testing.assert_allclose(wrist, [0.25, 0.0, 0.0], atol=1e-5)
+    times = {round(stamp * 1e9): k for k, stamp in enumerate(log.recording.stamps)}
+    for at, message in found["/foxglove/hand"]:
+        (entity,) = message["entities"]
+        assert entity["frame_id"] == "tracker"
+        assert entity["timestamp"]["sec"] * 10**9 + entity["timestamp"]["nsec"] == at
+        (lines,) = entity["lines"]
+        frame = log.recording[times[at]]
+        assert frame.valid is not None
+        ends = xyz(lines["points"])[lines["indices"]].reshape(-1, 2, 3)
+        bones = [b for b in BONES if frame.valid[list(b)].all()]
+        np.testing.assert_allclose(ends, frame.landmarks[np.array(bones)], atol=1e-6)
+    commands = {round(stamp * 1e9): k for k, stamp in enumerate(log.commands.stamps)}
+    for (at, message), (_, joints) in zip(
+        found["/foxglove/robot"], found["/foxglove/joints"], strict=True
+    ):
+        q = log.commands.joint_positions[commands[at]]
+        assert [j["name"] for j in joints["joints"]] == list(hand.joint_names)
+        np.testing.assert_array_equal([j["position"] for j in joints["joints"]], q)
+        (lines,) = message["entities"][0]["lines"]
+        tip = hand.tree.positions(q)[hand.tree.names.index(LANDMARKS[8])]
+        assert np.abs(xyz(lines["points"]) - tip).max(axis=1).min() < 1e-6
+
+
+def test_stamps_that_go_back_and_unknown_joints_are_no_obstacle(tmp_path: Path) -> None:
+    path = tmp_path / "b.mcap"
+    with LogWriter(path) as log:
+        for stamp in (-3.0, 100.0, 100.001, 1.0, 1.001, 1.05):
+            positions = np.array([0.1, np.nan])
+            log.write_command(JointCommand(positions, ("a", "b"), stamp), Status.OK, 1.0)
+    found = messages(path)
+    assert set(found) == {"/foxglove/joints"}  # no hand came, and where the robot is nobody knows
+    assert [at for at, _ in found["/foxglove/joints"]] == [0, 10**11, 10**9, 1_050_000_000]
+    assert found["/foxglove/joints"][0][1]["joints"] == [
+        {"name": "a", "position": 0.1},
+        {"name": "b"},
+    ]
+
+
+def xyz(points: list[dict[str, float]]) -> np.ndarray:
+    """Points as an array (k, 3)."""
+    return np.array([[p["x"], p["y"], p["z"]] for p in points])
