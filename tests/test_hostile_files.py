@@ -23,6 +23,7 @@ from smooth_operator.cli import main
 from smooth_operator.documents import parse_json, parse_toml, read_text
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.offline.discovery import find_recordings
+from smooth_operator.offline.finished import identity
 from smooth_operator.recording import output_error, read_commands, read_log, read_recording
 from smooth_operator.recording import results as results_module
 from smooth_operator.recording.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
@@ -160,6 +161,8 @@ def test_pipes_and_sockets_are_not_opened(tmp_path: Path, capsys: Any) -> None:
                 read_recording(tmp_path / name)
             with pytest.raises(DocumentError, match=kind):
                 read_text(tmp_path / name)
+            with pytest.raises(RecordingError, match=kind):
+                identity(tmp_path / name)
         good(tmp_path)
         found, _ = find_recordings(tmp_path)
     assert {item.name for item in found} == {"x.npz", "s.npz", "good.npz"}

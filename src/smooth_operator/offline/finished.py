@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.documents import read_json
-from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.documents import check_plain_file, read_json
+from smooth_operator.errors import DocumentError, OutputError, RecordingError
 from smooth_operator.offline.environment import package_version
 from smooth_operator.offline.plan import PROGRAM
 from smooth_operator.recording import config_path, output_error, read_commands
@@ -39,8 +39,11 @@ def identity(path: Path) -> dict[str, Any]:
         RecordingError: it can't be read.
     """
     try:
+        check_plain_file(path)  # or a pipe would be waited for
         stat = path.stat()
         return {"bytes": stat.st_size, "modified_ns": stat.st_mtime_ns, "sha256": digest(path)}
+    except DocumentError as error:
+        raise RecordingError(f"{path}: {error}; give the file of a recording") from error
     except OSError as error:
         raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
 
@@ -77,6 +80,7 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
         if config["versions"][PROGRAM] != package_version():
             return None
         known, stat = config["source"], source.stat()
+        check_plain_file(source)
         if known["bytes"] != stat.st_size:
             return None
         if known["modified_ns"] != stat.st_mtime_ns and known["sha256"] != digest(source):
@@ -87,6 +91,7 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
         TypeError,
         AttributeError,
         OSError,
+        DocumentError,
     ):  # another command's, or a file is missing
         return None
 

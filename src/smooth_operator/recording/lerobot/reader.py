@@ -21,6 +21,7 @@ from smooth_operator.recording.sniff import is_dataset
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 _FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?(\d{1,2})d?)?\}", re.ASCII)
+_LONGEST_PATH = 500
 _OWN_STATUS = {int(status) for status in Status}
 
 
@@ -196,7 +197,7 @@ def _filled(template: str, **indices: int) -> str:
         return f"{indices[match[1]]:0{int(match[2] or 1)}d}"
 
     path = _FIELD.sub(number, template)
-    if "{" in path or "}" in path or "\0" in path:
+    if "{" in path or "}" in path or "\0" in path or len(path) > _LONGEST_PATH:
         raise ValueError(f"data_path can't be {brief(template)}")
     return path
 
