@@ -186,7 +186,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
     assert "Pinocchio: not installed, so there is a gap" in outcome.setup
     paper, ours = outcome.verdicts
     assert paper.held == "not shown"
-    assert "smooth-operator[fk]" in paper.paragraph
+    assert "smooth-retargeting[fk]" in paper.paragraph
     assert MUJOCO in ours.ours
     legend = [text.get_text() for text in outcome.drawings[0].figure.legends[0].get_texts()]
     assert "Pinocchio: not installed" in legend

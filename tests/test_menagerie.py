@@ -116,7 +116,7 @@ def test_without_the_package_one_line_says_how_to_install_it(
     arguments = ["hands", "render", "shadow_hand", "--model", "menagerie", "--output", str(output)]
     assert main(arguments) == 2
     said = capsys.readouterr().err
-    assert "python -m pip install 'smooth-operator[menagerie]'" in said
+    assert "python -m pip install 'smooth-retargeting[menagerie]'" in said
     assert said.count("\n") == 1
     assert not output.exists()
 

@@ -9,6 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Final
+
+
+DISTRIBUTION: Final = "smooth-retargeting"
+"""Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
 
 class SmoothOperatorError(Exception):
@@ -44,7 +49,7 @@ class MissingExtraError(SmoothOperatorError, ImportError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(
-            f"{feature} needs the extra '{extra}': python -m pip install 'smooth-operator[{extra}]'"
+            f"{feature} needs the extra '{extra}': python -m pip install '{DISTRIBUTION}[{extra}]'"
         )
 
 

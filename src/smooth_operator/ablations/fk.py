@@ -233,7 +233,7 @@ def _paper_verdict(found: Timing) -> Verdict:
             told, "fastest, no figure", "not measured", "not shown",
             f"The paper: of Pinocchio, PyTorch Kinematics and MJX only the last has the speed that "
             f"is needed at large batches. Here that can't be said: {named}. "
-            "`python -m pip install 'smooth-operator[fk]'` brings them. Verdict: not shown.",
+            "`python -m pip install 'smooth-retargeting[fk]'` brings them. Verdict: not shown.",
         )  # fmt: skip
     ratios = {name: found.over(name, MJX, largest) for name in rivals}
     held = judge(Direction(1.0, upwards=True), list(ratios.values()), missing=len(absent))

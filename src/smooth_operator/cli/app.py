@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from smooth_operator.cli.options import Command, parse
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.errors import DISTRIBUTION, SmoothOperatorError
 from smooth_operator.terminal import print_note
 
 OK = 0
@@ -95,7 +95,7 @@ def _run(arguments: list[str]) -> int:
 def package_version() -> str:
     """Version of the installed package."""
     try:
-        return version("smooth-operator")
+        return version(DISTRIBUTION)
     except PackageNotFoundError:  # run from a source tree that was never installed
         return "unknown"
 

@@ -15,7 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide
 class Train(Common):
     """Train a learning-based method for a robot hand: geort."""
 
-    details: ClassVar[str] = """Needs the extra: pip install "smooth-operator[train]".
+    details: ClassVar[str] = """Needs the extra: pip install "smooth-retargeting[train]".
 
 DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv, losses.png and
 checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume goes on from there, and

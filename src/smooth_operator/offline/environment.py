@@ -10,13 +10,19 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("smooth-operator", "jax", "jaxlib", "mujoco", "numpy", "scipy")
+from smooth_operator.errors import DISTRIBUTION
+
+PACKAGES = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 
 
 def environment() -> dict[str, Any]:
     """Versions, machine and date."""
     return {
-        "versions": {"python": platform.python_version(), **{p: _version(p) for p in PACKAGES}},
+        "versions": {
+            "python": platform.python_version(),
+            "smooth-operator": package_version(),
+            **{package: _version(package) for package in PACKAGES},
+        },
         "platform": platform.platform(),
         "cpu": _cpu(),
         "cpu_cores": _cores(),
@@ -27,7 +33,7 @@ def environment() -> dict[str, Any]:
 
 def package_version() -> str:
     """Version of this package."""
-    return _version("smooth-operator")
+    return _version(DISTRIBUTION)
 
 
 def _version(package: str) -> str:
