@@ -141,7 +141,7 @@ def _print(content: dict[str, Any]) -> None:
     table.add_column("finger")
     for header in (
         "reach [mm]", "robot's [mm]", "scale", "tip along, to pad [mm]", "gap in pinch [mm]",
-        "left, other half [mm]",
+        "left, 90 % under [mm]",
     ):  # fmt: skip
         table.add_column(header, justify="right")
     for name, finger in content["fingers"].items():
@@ -153,7 +153,7 @@ def _print(content: dict[str, Any]) -> None:
             f"{finger['scale']:.3f}",
             f"{finger['tip_along_mm']:.1f}, {finger['tip_pad_mm']:.1f}",
             "–" if gap is None else f"{gap['median']:.1f} (90 %: {gap['p90']:.1f})",
-            "–" if after is None else f"{after['median']:.1f} (90 %: {after['p90']:.1f})",
+            "–" if after is None else f"{after['p90']:.1f}",
         )
     console.print(table)
     angle, project = content["palm_rotation_deg"], content["project_mm"]

@@ -9,6 +9,7 @@ from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline import configuration, plan
 from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
+from smooth_operator.retargeters.operated import left_out
 from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.types import Status
 
@@ -43,6 +44,8 @@ def retarget(options: Retarget) -> None:
     total = len(recording)
     frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
     todo = plan(recording[frames], asked)
+    if asked.operator is not None and (unused := left_out(todo.config, asked.operator)):
+        progress.note(f"{todo.method} does not use {', '.join(unused)} of the operator")
     with folder_for(options.output.parent):
         outcome = execute_shown(todo, progress)
         _, metrics = measure_shown(todo, outcome, options.definition, progress)

@@ -129,9 +129,7 @@ def _pinches(axes: Any, calibration: Calibration) -> None:
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("thumb to tip in a pinch [mm]")
-    axes.set_title(
-        "pinches, as tracked (light) and corrected by the other half", loc="left", fontsize=10
-    )
+    axes.set_title("pinches: tracked (light), left (dark)", loc="left", fontsize=10)
 
 
 def _tips(axes: Any, calibration: Calibration) -> None:

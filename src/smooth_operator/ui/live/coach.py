@@ -110,7 +110,7 @@ def _key_figures(content: dict[str, Any]) -> dict[str, Any]:
         name: {
             "scale": finger["scale"],
             "gap_mm": (finger["pinch_gap_mm"] or {}).get("median"),
-            "corrected_mm": (finger["pinch_gap_corrected_mm"] or {}).get("median"),
+            "corrected_mm": (finger["pinch_gap_corrected_mm"] or {}).get("p90"),
         }
         for name, finger in content["fingers"].items()
     }

@@ -173,7 +173,7 @@ def _figures(found: Mapping[str, Any]) -> str:
         f"<b>{html.escape(found['hand'])} {found['side']}</b>: {found['frames_used']} frames; palm "
         f"{found['palm_width_mm']:.0f} mm wide, scale {found['palm_scale']:.3f}; latch {latch}"
         f"<table><tr><th></th><th style='{_CELL}'>scale</th><th style='{_CELL}'>pinch gap</th>"
-        f"<th style='{_CELL}'>corrected [mm]</th></tr>{rows}</table>"
+        f"<th style='{_CELL}'>left, 90 % under [mm]</th></tr>{rows}</table>"
         + (f"⚠ not found: {html.escape(missing)}" if missing else "✓ all poses found")
         + "</div>"
     )
