@@ -304,7 +304,7 @@ def test_the_default_method_closes_pinches_and_keeps_its_directions(
     file = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     whole = read_recording(file)
     operator = calibrate(whole[:2500], hand).operator
-    part = whole[2600:3400]
+    part = whole[2500:]
 
     def judged(config: object) -> tuple[float, float, float]:
         commands, _ = Retargeter(hand, config=config).run(part)  # type: ignore[arg-type]
@@ -317,8 +317,8 @@ def test_the_default_method_closes_pinches_and_keeps_its_directions(
 
     config = method_config("smooth")
     before, after = judged(config), judged(operated_by(config, operator))
-    assert after[0] < before[0] - 0.1
-    assert after[1] > before[1] - 0.002
+    assert after[0] < before[0] - 0.2
+    assert after[1] > before[1] - 0.003
     assert after[2] > before[2] - 0.005
 
 
