@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
 from browser_page import new_page
 
 from smooth_operator import HandFrame, Retargeter, load_hand
@@ -34,10 +35,14 @@ from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.tick import Mode, Tick
 from smooth_operator.sources import SyntheticOperator
 from smooth_operator.sources.live import Arrival, Running, SourceHealth, ThreadedSource
+from smooth_operator.ui.live import words
 from smooth_operator.ui.live.coach import Coach
+from smooth_operator.ui.live.config_controls import ConfigControls
 from smooth_operator.ui.live.fields import changed, config_fields, field_docs
 from smooth_operator.ui.live.page import LivePage, PageSetup
+from smooth_operator.ui.live.rates import RateMeter
 from smooth_operator.ui.live.session import LiveSession
+from smooth_operator.ui.palette import PALM, SIMULATED, css
 from smooth_operator.ui.viser_server import close_server, open_server, page_url
 
 RATE = 50.0
@@ -205,7 +210,9 @@ def stage(frames: list[HandFrame], tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def test_what_is_shown_is_what_the_loop_does(stage: Stage) -> None:
-    eventually(lambda: stage.see()["status"]["rates"] and stage.see()["hands"]["right"]["human"])
+    eventually(
+        lambda: stage.see()["status"]["rates"]["right"] and stage.see()["hands"]["right"]["human"]
+    )
     first = len(stage.ticks) - 1
     seen = json.loads(json.dumps(stage.see()))  # as it goes through the pipe
     hand = seen["hands"]["right"]
@@ -223,6 +230,7 @@ def test_what_is_shown_is_what_the_loop_does(stage: Stage) -> None:
     assert hand["age_s"] >= 0
     status = seen["status"]
     assert 0 < status["rates"]["right"] < 1.1 * RATE
+    assert hand["latched"] is None  # joint_angle has no latches
     assert {"tracker", "receive", "solve", "limit", "send", "total"} == set(status["stages"])
     assert status["source"]["state"] == "running"
     controls = seen["controls"]
@@ -230,6 +238,74 @@ def test_what_is_shown_is_what_the_loop_does(stage: Stage) -> None:
     assert controls["presets"]["sbr"] == ["realtime", "paper"]
     again = stage.see(fields=controls["fields_number"])["controls"]
     assert "fields" not in again  # known already
+
+
+def test_the_trackers_rate_is_not_the_command_rate(stage: Stage) -> None:
+    """The loop commands twice as often as this tracker sends; both are shown, with their names."""
+    meter = RateMeter(2.0)
+    assert [meter.count(k, k / 25) or meter.rate for k in range(52)][-3:] == [None, 25.0, 25.0]
+    eventually(lambda: stage.see()["status"]["frame_rates"]["right"])
+    status = {**stage.see()["status"], "frame_rates": {"right": 25.0, "left": 1.4},
+              "rates": {"right": 100.0, "left": None}}  # fmt: skip
+    text = plain(words.summary(status))
+    assert text.startswith("tracker 25 / 1.4 frames/s · commands 100 / – Hz")
+    assert text.count("player") == 1  # the source is named once
+
+
+def test_the_legend_names_each_hand_by_its_sign() -> None:
+    fingers = ("thumb", "index")
+    shown = chips(words.legend(fingers, simulated=True, task=False))
+    assert shown[:3] == [
+        (css(PALM), "● human hand, as tracked"),
+        (css(PALM), "■ robot command"),
+        (css(SIMULATED), "■ simulated robot, where it differs"),
+    ]
+    assert [text for _, text in shown[3:]] == ["⬤ thumb", "⬤ index"]
+    assert chips(words.legend(fingers, simulated=True, task=True))[1:3] == [
+        (css(PALM), "■ simulated robot"),
+        (css(SIMULATED), "■ robot command, where it differs"),
+    ]
+    assert len(chips(words.legend(fingers, simulated=False, task=False))) == 4
+
+
+def test_latches_are_shown_for_methods_that_have_them() -> None:
+    hand = {"mode": "tracking", "latched": None}
+    assert "latch" not in words.modes({"right": hand})
+    assert "pinch latches: none" in words.modes({"right": {**hand, "latched": ()}})
+    assert "pinch latches: index, ring" in words.modes(
+        {"right": {**hand, "latched": ("index", "ring")}}
+    )
+
+
+def test_settings_have_one_box_each_and_headings_of_one_style() -> None:
+    """What is of no part stands above the boxes, and goes with them when the method is another."""
+    server = open_server("127.0.0.1", 0)
+    try:
+        controls = ConfigControls(server.gui, "Settings", lambda path, value: None)
+        for method, preset in (("smooth", "teleop"), ("geort", "default"), ("sbr", "paper")):
+            fields = [dataclasses.asdict(f) for f in config_fields(PRESETS[method][preset])]
+            controls.show(fields)
+            there = list(server.gui._gui_input_handle_from_uuid.values())
+            assert set(controls.handles) == {f["path"] for f in fields}
+            assert {id(h) for h in controls.handles.values()} <= {id(h) for h in there}
+            # an optional number has a box as well; nothing stays of the method before
+            assert len(there) == len(fields) + sum(f["kind"] == "optional" for f in fields)
+            boxes = [p.label for p in controls._parts if isinstance(p, viser.GuiFolderHandle)]
+            assert "Method" not in boxes
+            assert all(label[0].isupper() for label in boxes), boxes
+            assert len(boxes) == len(set(boxes))
+    finally:
+        close_server(server)
+
+
+def plain(markup: str) -> str:
+    return re.sub(r"<[^>]*>", "", markup)
+
+
+def chips(markup: str) -> list[tuple[str, str]]:
+    """(colour, words) of a legend's entries."""
+    entries = re.findall(r'<span data-chip.*?color:(#\w+)">(.*?)</span>(.*?)</span>', markup)
+    return [(color, sign + text) for color, sign, text in entries]
 
 
 def test_another_method_while_the_hand_moves(stage: Stage) -> None:
@@ -322,9 +398,9 @@ def test_takes_are_begun_and_ended(stage: Stage) -> None:
 
 
 def test_the_page_cannot_ask_for_what_is_not_there(stage: Stage) -> None:
-    for words in (("explode",), ("stop", "now", "please"), ("calibrate", "left"), ("method", "x")):
-        stage.session.do(*words)
-        assert stage.see()["controls"]["message"], words
+    for click in (("explode",), ("stop", "now", "please"), ("calibrate", "left"), ("method", "x")):
+        stage.session.do(*click)
+        assert stage.see()["controls"]["message"], click
 
 
 # -- calibration ------------------------------------------------------------------------------

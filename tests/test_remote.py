@@ -321,7 +321,7 @@ def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
     assert "fields" not in seen["controls"]
     assert seen["controls"]["loop_fields"]
     assert not {"solve", "total"} & set(seen["status"]["stages"])
-    assert seen["hands"]["right"]["latched"] == ()
+    assert seen["hands"]["right"]["latched"] is None
 
 
 def test_blind_the_panel_has_no_switch(stage: Stage) -> None:

@@ -133,6 +133,7 @@ def test_a_video_is_played_at_its_own_pace(fake: type[Fake], tmp_path: Path) -> 
     assert arrival.frame.stamp > 0.5
     assert arrival.session == 0
     assert "a hand on" in source.health().detail
+    assert source.label not in source.health().detail  # who shows it has named it
 
 
 def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(

@@ -94,6 +94,11 @@ class HandPipeline:
         self.config, self.limiter, self.supervisor.config = config, limiter, config.safety
 
     @property
+    def latches(self) -> bool:
+        """Whether the method holds pinching fingers to the thumb at all."""
+        return getattr(self._state.method, "latched", None) is not None
+
+    @property
     def latched(self) -> tuple[str, ...]:
         """Fingers that the method holds to the thumb; safe from any thread, and costs the loop
         nothing, since a state is replaced and never changed."""

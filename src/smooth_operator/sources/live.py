@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from statistics import median
@@ -68,12 +68,14 @@ class Mailbox:
 
     Attributes:
         received: frames that were posted.
+        received_of: the same, of each hand.
         overwritten: those among them that a newer one replaced before they were taken.
     """
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.clock = clock
         self.received = 0
+        self.received_of: Counter[Side] = Counter()
         self.overwritten = 0
         self._newest: dict[Side, Arrival] = {}
         self._latest: dict[Side, float] = {}
@@ -104,6 +106,7 @@ class Mailbox:
         at = self.clock() if received is None else received
         with self._arrived:
             self.received += 1
+            self.received_of[frame.side] += 1
             self.overwritten += frame.side in self._newest
             sessions = self._sessions.setdefault(frame.side, _Sessions())
             stamp = at if frame.stamp is None else frame.stamp

@@ -112,13 +112,13 @@ class Webcam(_Pictures):
                 picture = camera.newest(timeout=0.1)
                 if picture is None:
                     if camera.lost:
-                        detail = f"camera {self.camera} is gone; trying to open it again"
+                        detail = "it is gone; trying to open it again"
                         running.health = SourceHealth("waiting", detail)
                     continue
                 frames = tracker.frames(picture.pixels, picture.time)
                 for frame in frames:
                     running.mailbox.post(frame, session=picture.session)
-                _say(running, f"camera {self.camera}", frames)
+                _say(running, frames)
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Video(_Pictures):
                 if not self.loop or running.stopping.is_set():
                     break
                 video, session = VideoFile(self.path), session + 1
-        running.health = SourceHealth("running", f"{self.label}: {counts}")
+        running.health = SourceHealth("running", str(counts))
 
     def _play(
         self,
@@ -212,7 +212,7 @@ class Video(_Pictures):
             for frame in frames:
                 running.mailbox.post(frame, session=session, speed=self.speed)
             counts.hands += bool(frames)
-            _say(running, self.label, frames)
+            _say(running, frames)
 
 
 @dataclass
@@ -235,9 +235,9 @@ class Counts:
         return f"a hand on {self.hands} of {seen} pictures{late}"
 
 
-def _say(running: Running, label: str, frames: list[HandFrame]) -> None:
-    """Keep the health up to date."""
+def _say(running: Running, frames: list[HandFrame]) -> None:
+    """Keep the health up to date; who shows it names the source."""
     sides = " and ".join(sorted(frame.side for frame in frames))
-    detail = f"{label}: {sides} hand" if sides else f"{label}: no hand in the picture"
+    detail = f"{sides} hand in the picture" if sides else "no hand in the picture"
     if running.health.detail != detail or running.health.state != "running":
         running.health = SourceHealth("running", detail)

@@ -30,6 +30,8 @@ RUN_COLORS: Final[tuple[Rgb, ...]] = (
 """Of runs that are compared, in plots and tables; no finger has any of them."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
 """A pinching fingertip."""
+SIMULATED: Final[Rgb] = (240, 228, 66)
+"""Of two robot hands in one place, the one that is seen only where it differs."""
 PALM: Final[Rgb] = (205, 205, 212)
 """Palm, wrist and whatever belongs to no finger."""
 

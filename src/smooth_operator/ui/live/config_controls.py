@@ -20,9 +20,9 @@ _WORDS: Final = {
     "alignment": "Alignment",
     "safety": "Safety",
     "limits": "Limits",
-    "": "Method",
 }
-"""Part of a configuration -> heading; others are headed by their own names."""
+"""Part of a configuration -> heading; others are headed by their own names. What is of no part
+stands above them."""
 
 
 class ConfigControls:
@@ -70,8 +70,11 @@ class ConfigControls:
         for field in fields:
             headings.setdefault(field["path"].rpartition(".")[0], []).append(field)
         with self._folder:
+            for field in headings.pop("", ()):
+                self._add(field)
+            self._parts += [*self.handles.values(), *self._units.values()]
             for part, members in headings.items():
-                folder = self._gui.add_folder(_WORDS.get(part, part), expand_by_default=False)
+                folder = self._gui.add_folder(_heading(part), expand_by_default=False)
                 self._parts.append(folder)
                 with folder:
                     for field in members:
@@ -144,3 +147,8 @@ class ConfigControls:
         if handle.value != value:
             with contextlib.suppress(ValueError):  # out of the slider's range: a typed-in value
                 handle.value = value
+
+
+def _heading(part: str) -> str:
+    """A word or two for a part of a configuration, with a capital."""
+    return _WORDS.get(part) or part.rpartition(".")[2].replace("_", " ").capitalize()

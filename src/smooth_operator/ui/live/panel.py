@@ -54,42 +54,45 @@ class LivePanel:
         scene: LiveScene,
         download: Callable[[], None] | None,
     ) -> None:
-        self._blind = download is None
         self._link, self._scene, self._hands = link, scene, hands
         self.fields_number = _UNKNOWN
         self._operators: Mapping[str, Any] | None = None
         self._stopped = self._paused = False
         gui = server.gui
         hand = next(iter(hands.values()))
+        self._fingers = hand.fingers
         gui.set_panel_label(hand.name)
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        self._build_main(gui, hand)
+        self._build_main(gui)
         panel = gui.add_panel()
-        with panel.add_tab("Timing", icon=viser.Icon.CLOCK):
+        with panel.add_tab("Timing"):
             self._timing = gui.add_html("")
-        with panel.add_tab("Limits" if download is None else "Method", icon=viser.Icon.ADJUSTMENTS):
+        with panel.add_tab("Limits" if download is None else "Method"):
             if download is not None:
                 self._build_method(gui, download)
             self._limits = self._config_controls(gui, "Safety and limits", "set_loop")
-        with panel.add_tab("Calibrate", icon=viser.Icon.HAND_FINGER):
+        with panel.add_tab("Calibrate"):
             self._build_calibration(gui)
-        with panel.add_tab("View", icon=viser.Icon.EYE):
+        with panel.add_tab("View"):
             self._build_view(gui)
         gui.main_panel.dock_right()
         panel.dock_below(gui.main_panel)
 
     def show(self, seen: Mapping[str, Any]) -> None:
         """Show what :meth:`smooth_operator.ui.live.session.LiveSession.look` gave."""
-        self._modes.content = words.modes(seen["hands"], latches=not self._blind)
+        self._modes.content = words.modes(seen["hands"])
         self._show_calibration(seen["calibration"])
         if "status" in seen:
             self._summary.content = words.summary(seen["status"])
             self._timing.content = words.timing(seen["status"])
+            self._legend.content = words.legend(
+                self._fingers, self._scene.simulated, self._scene.has_task
+            )
             self._show_controls(seen["controls"])
 
     # -- building -----------------------------------------------------------------------------
 
-    def _build_main(self, gui: viser.GuiApi, hand: Hand) -> None:
+    def _build_main(self, gui: viser.GuiApi) -> None:
         do = self._link.do
         self._stop = gui.add_button(_STOP, color="red", icon=viser.Icon.HAND_STOP)
         self._release = gui.add_button(
@@ -101,7 +104,7 @@ class LivePanel:
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
         self._summary = gui.add_html("")
         self._notice = gui.add_html("")
-        gui.add_html(words.legend(hand.fingers, self._scene.simulated))
+        self._legend = gui.add_html("")
         self._stop.on_click(asked(lambda _: do("stop")))
         self._release.on_click(asked(lambda _: do("release")))
         self._pause.on_click(asked(lambda _: self._toggle_pause()))
@@ -129,7 +132,7 @@ class LivePanel:
             asked(lambda event: do("method", self._method.value, event.target.value))
         )
         save.on_click(asked(lambda _: download()))
-        self._settings = self._config_controls(gui, "Settings of the method", "set")
+        self._settings = self._config_controls(gui, "Settings", "set")
 
     def _config_controls(self, gui: viser.GuiApi, title: str, word: str) -> ConfigControls:
         return ConfigControls(

@@ -27,12 +27,11 @@ from smooth_operator.ui.hand_view import HandView
 from smooth_operator.ui.human import HumanView, keyvector_colors, thumb_lines
 from smooth_operator.ui.layout import GAP, upright
 from smooth_operator.ui.live.scenery_nodes import SceneryNodes
-from smooth_operator.ui.palette import Rgb
+from smooth_operator.ui.palette import SIMULATED
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
 _GHOST: Final = 0.45  # opacity of a hand that another stands in
 _WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
-_SIMULATED: Final[Rgb] = (240, 228, 66)
 _FOREARM: Final = 0.03  # how much of what is below the wrist is framed [m]
 _LABEL: Final = 0.012  # label above the highest fingertip [m]
 _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up, toward the viewer
@@ -80,10 +79,15 @@ class LiveScene:
             view.put(*places)
         spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
         middle = (low + high + np.array([*spread, 0.0])) / 2
-        if any(view.scenery.there for view in self._sides.values()):
+        if self.has_task:
             middle[2] = high[2]  # what is nearest, which looks largest, is to fit in, too
         half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1] + _LABEL) / 2)
         return middle @ _VIEW, half
+
+    @property
+    def has_task(self) -> bool:
+        """Whether a hand works on the object of a task."""
+        return any(view.scenery.there for view in self._sides.values())
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the hands; see :meth:`smooth_operator.ui.live.session.LiveSession.look`."""
@@ -154,7 +158,7 @@ class _SideView:
                 {body: mesh for body, mesh in view.meshes.items() if owner[body] >= 0},
                 owner,
                 f"{model_root}/simulated",
-                color=_SIMULATED,
+                color=SIMULATED,
                 opacity=_GHOST,
                 scale=_WITHIN,
             )
@@ -206,7 +210,7 @@ class _SideView:
                 every, other = other, every
             self._simulated.draw(hand.qpos(other))
         self._robot.draw(hand.qpos(every))
-        latched = np.array([finger in state["latched"] for finger in hand.fingers[1:]])
+        latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
         robot_tips = hand.tips(every)
         self._balls.draw(robot_tips, latched)
         landmarks = self._aligned(state)

@@ -24,12 +24,16 @@ from smooth_operator.sources.live import Arrival
 from smooth_operator.types import Side
 from smooth_operator.ui.live.coach import Coach
 from smooth_operator.ui.live.fields import changed, config_fields
+from smooth_operator.ui.live.rates import RateMeter
 from smooth_operator.ui.live.scenery import Scenery
 from smooth_operator.ui.live.takes import Takes
 
 _SEEN_S: Final = 1.0
 """A hand that was not tracked for so long is no longer drawn [s]."""
 _EVENTS: Final = 6
+_RATE_S: Final = 0.9
+_FRAME_RATE_S: Final = 2.0
+"""Over how long commands, and the tracker's frames, are counted [s]; a tracker may be slow."""
 _TELLING: Final = ("solve", "total")
 """Stages that take so long that one knows the method by them."""
 
@@ -70,8 +74,8 @@ class LiveSession:
         self._ticks: dict[Side, Tick] = {}
         self._arrivals: dict[Side, Arrival] = {}
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
-        self._counted: dict[Side, Tick] = {}
-        self._rates: dict[Side, float] = {}
+        self._commands = {side: RateMeter(_RATE_S) for side in loop.pipelines}
+        self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
         self._fields_changed = 0
         self._actions: dict[str, Callable[..., None]] = {
@@ -176,25 +180,25 @@ class LiveSession:
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
             "age_s": age,
-            "latched": () if self.blind else pipeline.latched,  # which not all methods do
+            # a method without latches has None, and so has one that is not to be known
+            "latched": pipeline.latched if pipeline.latches and not self.blind else None,
             "scale": pipeline.retargeter.config.alignment.scale,
         }
 
     def _status(self, now: float) -> dict[str, Any]:
         statistics, loop = self.loop.statistics, self.loop
         for side, tick in self._ticks.items():
-            before = self._counted.get(side)
-            if before is None or tick.time - before.time >= 0.9:
-                if before is not None:
-                    self._rates[side] = (tick.number - before.number) / (tick.time - before.time)
-                self._counted[side] = tick
+            self._commands[side].count(tick.number, tick.time)
+        for side, meter in self._frames.items():
+            meter.count(loop.mailbox.received_of[side], now)
         stages = {
             name: {key: round(found[key], 3) for key in ("p50", "p99")}
             for name, found in statistics.recent(500).items()
             if found and not (self.blind and name in _TELLING)
         }
         return {
-            "rates": {side: round(rate, 1) for side, rate in self._rates.items()},
+            "rates": {side: meter.rate for side, meter in self._commands.items()},
+            "frame_rates": {side: meter.rate for side, meter in self._frames.items()},
             "blind": self.blind,
             "stages": stages,
             "missed_share": statistics.missed_share,

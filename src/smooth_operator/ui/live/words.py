@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from smooth_operator.ui.palette import css, finger_colors
+from smooth_operator.ui.palette import PALM, SIMULATED, css, finger_colors
 
 # Okabe and Ito's colours; the sign and the word say the same to who can't tell them apart.
 _MODES: Final[dict[str, tuple[str, str, str]]] = {
@@ -31,38 +31,39 @@ _SMALL: Final = "padding:0.2em 0.8em;font-size:0.8em;font-variant-numeric:tabula
 _CELL: Final = "padding:0 0.9em 0 0;text-align:right"
 
 
-def modes(hands: Mapping[str, Mapping[str, Any]], *, latches: bool = True) -> str:
-    """What the loop does with each hand, and which fingers are latched, if that may be known."""
+def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
+    """What the loop does with each hand; latched fingers where the method has latches."""
     rows = []
     for side, state in hands.items():
         sign, words, color = _MODES[state["mode"]]
-        latched = ", ".join(state["latched"]) or "none"
+        latched = state["latched"]
         rows.append(
             f'<div data-side="{html.escape(side)}" data-mode="{state["mode"]}" style="'
             f'border-left:0.5em solid {color};padding-left:0.6em;margin:0.25em 0">'
             f"<b>{sign} {side}: {words}</b>"
-            + (f"<br><span data-latched>pinch latches: {html.escape(latched)}</span>"
-               if latches else "")
+            + ("" if latched is None else "<br><span data-latched>pinch latches: "
+               f"{html.escape(', '.join(latched) or 'none')}</span>")
             + "</div>"
         )  # fmt: skip
     return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
 
 
 def summary(status: Mapping[str, Any]) -> str:
-    """Rate, latency and the tracker, in two lines."""
+    """The tracker's rate, the commands' rate, the latency, and how the source is."""
     total = status["stages"].get("total", {})
-    rates = " / ".join(f"{rate:.0f}" for rate in status["rates"].values()) or "–"
     latency = (
-        f" · received to sent <b>{total['p50']:.1f}</b> ms p50, <b>{total['p99']:.1f}</b> ms p99"
+        f"<br>received to sent <b>{total['p50']:.1f}</b> ms p50, <b>{total['p99']:.1f}</b> ms p99"
         if total
         else ""
         if status["blind"]
-        else " · no frame answered yet"
+        else "<br>no frame answered yet"
     )
     source = status["source"]
     return (
-        f'<div id="live-summary" style="{_BOX}"><b>{rates}</b> Hz{latency}<br>'
-        f"{_sign(source['state'])} {html.escape(source['label'])}: {source['state']}"
+        f'<div id="live-summary" style="{_BOX}"><span data-rate="frames">tracker '
+        f"<b>{_rates(status['frame_rates'])}</b> frames/s</span> · "
+        f'<span data-rate="commands">commands <b>{_rates(status["rates"])}</b> Hz</span>'
+        f"{latency}<br>{_sign(source['state'])} {html.escape(source['label'])}: {source['state']}"
         f"{_detail(source['detail'])}</div>"
     )
 
@@ -107,20 +108,33 @@ def notice(controls: Mapping[str, Any]) -> str:
     return f'<div id="live-notice" role="alert" style="{_BOX}">{"<br>".join(parts)}</div>'
 
 
-def legend(fingers: Sequence[str], simulated: bool) -> str:
-    """Finger colours."""
-    chips = "".join(
-        f'<span style="white-space:nowrap;margin-right:0.7em"><span style="color:{css(color)}">'
-        f"⬤</span> {html.escape(name)}</span>"
+def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
+    """What is drawn, each with its sign: the hands, and the colours of the fingers.
+
+    Args:
+        fingers: of the robot hand, thumb first.
+        simulated: whether a simulated robot is drawn.
+        task: whether it works on a task, and then it is the solid one.
+    """
+    solid, other = "robot command", "simulated robot, where it differs"
+    if task:
+        solid, other = "simulated robot", "robot command, where it differs"
+    hands = [("●", css(PALM), "human hand, as tracked"), ("■", css(PALM), solid)]
+    if simulated:
+        hands.append(("■", css(SIMULATED), other))
+    colors = [
+        ("⬤", css(color), name)
         for name, color in zip(fingers, finger_colors(len(fingers)), strict=True)
+    ]
+    rows = "<br>".join("".join(_chip(*chip) for chip in row) for row in (hands, colors))
+    return f'<div id="live-legend" style="padding:0 0.8em 0.5em;font-size:0.75em">{rows}</div>'
+
+
+def _chip(sign: str, color: str, text: str) -> str:
+    return (
+        '<span data-chip style="white-space:nowrap;margin-right:0.7em">'
+        f'<span style="color:{color}">{sign}</span> {html.escape(text)}</span>'
     )
-    ghost = (
-        "<br>yellow, where it leaves the command: the simulated hand (with a task: the command, "
-        "where it leaves the simulated hand)"
-        if simulated
-        else ""
-    )
-    return f'<div style="padding:0 0.8em 0.5em;font-size:0.75em">{chips}{ghost}</div>'
 
 
 def calibration(state: Mapping[str, Any]) -> str:
@@ -177,6 +191,13 @@ def _figures(found: Mapping[str, Any]) -> str:
         + (f"⚠ not found: {html.escape(missing)}" if missing else "✓ all poses found")
         + "</div>"
     )
+
+
+def _rates(rates: Mapping[str, float | None]) -> str:
+    """Of each hand, the slow ones with a decimal."""
+    words = ["–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
+             for r in rates.values()]  # fmt: skip
+    return " / ".join(words)
 
 
 def _mm(value: float | None) -> str:
