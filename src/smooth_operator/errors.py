@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
 
-
 DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
