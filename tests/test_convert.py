@@ -24,6 +24,7 @@ from smooth_operator.errors import (
     OutputError,
     RecordingError,
 )
+from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.recording import (
     Episode,
     read_commands,
@@ -36,6 +37,7 @@ from smooth_operator.recording import (
 from smooth_operator.recording.convert import Format
 from smooth_operator.recording.lerobot import write_dataset
 from smooth_operator.recording.lerobot.stats import column_statistics, joint_statistics
+from smooth_operator.sources import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FRAMES = 40
@@ -674,6 +676,48 @@ def test_what_stands_there(tmp_path: Path, run: Run) -> None:
         status, err = run(source, "--output", target, "--overwrite")
         assert (status, "was not written by this program" in err) == (2, True), err
     assert not list(tmp_path.glob(".*")), "no debris"
+
+
+def test_the_rate_is_of_those_without_stamps(tmp_path: Path, run: Run) -> None:
+    """As for ``retarget FOLDER``: files with stamps keep theirs, the others are counted."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    stamped = save(folder / "a.npz", episode(parts="hand"))
+    np.save(folder / "b.npy", hand(rich=False).landmarks)
+    out = tmp_path / "out"
+    status, err = run(folder, "--to", "npz", "--output", out)
+    assert (status, "no time stamps; say how many" in err) == (2, True)
+    assert run(folder, "--to", "npz", "--rate", 30, "--output", out, "--overwrite")[0] == 0
+    kept, counted = (read_episode(out / f"{name}.npz").recording for name in "ab")
+    assert kept is not None
+    assert counted is not None
+    np.testing.assert_array_equal(kept.stamps, read_recording(stamped).stamps)
+    np.testing.assert_allclose(counted.stamps, np.arange(FRAMES) / 30.0)
+    # one file that is named is another matter: there the two contradict each other
+    status, err = run(stamped, "--rate", 30, "--output", tmp_path / "x.npz")
+    assert (status, "contradict --rate 30" in err) == (2, True)
+
+
+def test_a_dataset_never_becomes_another_unasked(tmp_path: Path, run: Run) -> None:
+    root = write(tmp_path, episode(), "lerobot")
+    status, err = run(root, "--output", tmp_path / "back")
+    assert (status, "say --to npz, mcap or hdf5" in err) == (2, True)
+    assert not (tmp_path / "back").exists()
+    assert run(root, "--to", "npz", "--output", tmp_path / "back")[0] == 0
+    assert run(root, "--to", "lerobot", "--output", tmp_path / "again")[0] == 0
+    assert (tmp_path / "again" / "meta" / "info.json").is_file()
+
+
+def test_another_order_is_converted_by_its_name(tmp_path: Path, run: Run) -> None:
+    landmarks = SyntheticOperator(seed=3).record(0.5).landmarks
+    points = np.empty_like(landmarks)
+    points[:, LAYOUTS["mano"]] = landmarks
+    np.save(tmp_path / "a.npy", points)
+    asked = (tmp_path / "a.npy", "--rate", 100, "--output", tmp_path / "b.npz")
+    status, err = run(*asked)
+    assert (status, "say --layout mano" in err) == (2, True)
+    assert run(*asked, "--layout", "mano")[0] == 0
+    np.testing.assert_array_equal(read_recording(tmp_path / "b.npz").landmarks, landmarks)
 
 
 def test_an_input_is_never_the_output(tmp_path: Path, run: Run) -> None:

@@ -247,12 +247,14 @@ def test_both_sides(retargeter: Retargeter) -> None:
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("method", "cosine", "flatness"),
-    [("dexpilot", 0.998, 6.3e-6), ("keyvector", 0.971, 1.6e-5), ("hybrid", 0.975, 2.4e-5),
-     ("ako", 0.995, 4.8e-6)],
+    [("dexpilot", 0.9981, 6.3e-6), ("keyvector", 0.9981, 6.3e-6), ("hybrid", 0.9981, 7.7e-6),
+     ("ako", 0.9985, 4.6e-6)],
 )  # fmt: skip
-def test_each_is_at_least_as_good_as_published_code_on_a_glove(
+def test_figures_of_our_presets_on_a_glove(
     shared: Path, hand: Hand, method: str, cosine: float, flatness: float
 ) -> None:
+    """Our own figures, so that they don't get worse unseen. They were tuned on these frames, so
+    that says nothing about other recordings; the authors' are in test_published_methods.py."""
     path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     recording = read_recording(path)[:500]
     commands, _ = Retargeter(hand, method=method).run(recording)
@@ -264,7 +266,7 @@ def test_each_is_at_least_as_good_as_published_code_on_a_glove(
         np.linalg.norm(ours, axis=-1) * np.linalg.norm(theirs, axis=-1)
     )
     bend = ((tips[2:] + tips[:-2] - 2 * tips[1:-1]) ** 2).sum(-1).mean()
-    assert alike.mean() >= cosine - 5e-4  # the figure has three places
+    assert alike.mean() >= cosine - 2e-4  # the figure has four places
     assert bend <= flatness
     assert (np.abs(np.diff(commands.joint_positions, axis=0)).max(axis=1) > 1e-6).mean() > 0.95
 

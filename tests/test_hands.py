@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from trees import limited_poses, mujoco_points, pincer, pincer_spec
@@ -484,3 +485,14 @@ def test_a_model_file_can_be_read_on_its_own(tmp_path: Path) -> None:
     model, couplings = loaded.model, loaded.couplings
     assert model.njnt == 5
     assert [c.joint for c in couplings] == ["i3"]
+
+
+def test_mujoco_writes_no_file_into_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    data = mujoco.MjData(model := load_hand("allegro_hand").model)
+    data.qpos[0] = np.nan
+    mujoco.mj_step(model, data)
+    assert "unstable" in caplog.text  # told, by logging
+    assert not list(tmp_path.iterdir())

@@ -9,14 +9,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, load_hand
+from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import Hand
 from smooth_operator.recording import read_recording
-
-pytestmark = pytest.mark.shared
+from smooth_operator.retargeters.descent import Descent
+from smooth_operator.retargeters.joint_angle import JointAngleMap
+from smooth_operator.retargeters.published_angles import PublishedAngles
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
@@ -65,6 +68,7 @@ def commands(shared: Path, retargeter: Retargeter, frames: tuple[int, int]) -> n
     return np.asarray(found.joint_positions)
 
 
+@pytest.mark.shared
 @pytest.mark.parametrize("method", METHODS)
 def test_on_a_glove_each_has_the_figures_of_its_authors_code(
     shared: Path, hand: Hand, score: Scorer, method: str
@@ -83,6 +87,7 @@ def test_on_a_glove_each_has_the_figures_of_its_authors_code(
     assert np.median(np.abs(mine - q[:, columns])) < 1e-4  # [rad]
 
 
+@pytest.mark.shared
 @pytest.mark.parametrize(
     ("method", "cosine", "gap"),
     [("keyvector", 0.7877, 12.4), ("hybrid", 0.7289, 17.6), ("dexpilot", None, 10.0),
@@ -96,3 +101,22 @@ def test_where_the_operator_pinches(
     if cosine is not None:
         assert found["cosine_thumb"] == pytest.approx(cosine, abs=2e-3)
     assert found["pinch_gap_mm"] == pytest.approx(gap, abs=0.1)
+
+
+@pytest.mark.shared
+def test_hybrid_begins_where_the_authors_does(shared: Path, hand: Hand) -> None:
+    with np.load(shared / "peers/joint_angle_subject-000_frames-0-500.npz") as archive:
+        names = [str(name) for name in archive["joint_names"]]
+        theirs = archive["joint_positions"][:, [names.index(n) for n in hand.actuated_names]]
+    human = jnp.asarray(read_recording(shared / GLOVE)[:500].landmarks, jnp.float32)
+    ours = jax.jit(jax.vmap(PublishedAngles(hand).positions))(human)
+    np.testing.assert_allclose(ours, np.clip(theirs, *hand.limits.T), atol=1e-5)
+
+
+def test_another_hand_begins_at_our_joint_angles(hand: Hand) -> None:
+    config = method_config("hybrid", "published")
+    ours, other = config.build(hand), config.build(load_hand("shadow_hand"))
+    assert isinstance(ours, Descent)
+    assert isinstance(other, Descent)
+    assert isinstance(ours.joint_angles, PublishedAngles)
+    assert isinstance(other.joint_angles, JointAngleMap)

@@ -505,3 +505,11 @@ def test_two_fingers_are_aligned_by_their_bases_and_the_wrist(tmp_path: Path) ->
     assert fit.condition > MIN_CONDITION
     assert fit.scale == pytest.approx(0.8)
     np.testing.assert_allclose(fit.apply(landmarks), reference_landmarks(hand), atol=1e-12)
+
+
+def test_published_is_a_preset_of_each_baseline_and_of_sbr() -> None:
+    assert method_config("sbr", "published") is method_config("sbr", "paper")
+    for method in ("keyvector", "hybrid", "dexpilot", "ako"):
+        assert method_config(method, "published") != method_config(method)
+    with pytest.raises(UnknownNameError, match="'published' is a preset of keyvector"):
+        method_config("joint_angle", "published")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +13,8 @@ import pytest
 from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LAYOUTS
+from smooth_operator.recording.anatomy import FEWEST_FRAMES
 from smooth_operator.recording.readers import read_recording
 from smooth_operator.runtime import statistics as run_statistics
 from smooth_operator.runtime.delay import TrackerDelay
@@ -196,6 +199,30 @@ def test_every_refusal_is_counted_by_its_reason(
     assert sum(n for why, n in refused.items() if "left hand?" in why) == len(wrong)
     # figures in a reason would make a reason of every frame
     assert [n for why, n in refused.items() if "metres" in why] == [30]
+
+
+def test_a_session_of_the_other_hand_or_in_another_order_is_refused(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    """From its first few frames on, whatever the pose; the next session is judged by itself."""
+    mano = np.argsort(LAYOUTS["mano"])
+    faults = {
+        "by its shape it is a left hand": lambda points: points * [-1.0, 1.0, 1.0],
+        "landmarks in the order 'mano'; give the source layout=mano": lambda points: points[mano],
+    }
+    for why, fault in faults.items():
+        stage = Stage(retargeter)
+        frames = list(motion[100:160])
+        stage.play([replace(frame, landmarks=fault(frame.landmarks)) for frame in frames])
+        refused = stage.pipeline.supervisor.refused
+        assert sum(refused.values()) >= 60 - FEWEST_FRAMES
+        assert sum(n for told, n in refused.items() if told.startswith(why)) >= 30
+        before = sum(refused.values())
+        for frame in motion[160:200]:
+            stage.now += PERIOD
+            stage.ticks.append(stage.pipeline.step(stage.now, Arrival(frame, stage.now, session=1)))
+        assert sum(refused.values()) == before
+        assert stage.ticks[-1].mode.moves
 
 
 def test_the_delay_of_a_tracker_with_another_clock(motion: HandRecording) -> None:
@@ -422,3 +449,23 @@ def test_times_of_a_long_run_take_no_more_memory(monkeypatch: pytest.MonkeyPatch
     assert sorted(times.newest()) == list(range(950, 1050))
     assert sorted(times.newest(7)) == list(range(1043, 1050))
     assert times._kept.nbytes == 400
+
+
+def test_numbers_of_any_size_are_refused_without_a_warning(motion: HandRecording) -> None:
+    frame = motion[10]
+    assert implausible(frame) is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for value in (1e300, -1e308, 1e155, 1e39, 20.0):
+            for rows in ([0], [3], [9], [17], range(21)):
+                landmarks = frame.landmarks.copy()
+                landmarks[rows, 1] = value * np.linspace(0.1, 1.0, len(rows))
+                assert implausible(replace(frame, landmarks=landmarks, valid=None)) is not None
+        for value in (np.nan, np.inf, 5e-324, 0.0):
+            landmarks = frame.landmarks.copy()
+            landmarks[5] = value
+            implausible(replace(frame, landmarks=landmarks, valid=None))
+            finger_curl(replace(frame, landmarks=np.zeros((21, 3)), valid=None))
+    lost = frame.landmarks.copy()
+    lost[8] = 1e6  # where the tracker says that it has none
+    assert implausible(replace(frame, landmarks=lost, valid=np.arange(21) != 8)) is None

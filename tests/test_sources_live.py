@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -285,7 +286,7 @@ def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path: Path) -> Non
     with pytest.raises(RecordingError, match=r"nothing\.npz"):
         Replay(tmp_path / "nothing.npz").start(Mailbox())
     plain = tmp_path / "plain.npy"
-    np.save(plain, SyntheticOperator().record(0.1).landmarks)
+    np.save(plain, SyntheticOperator(side="left").record(0.1).landmarks)
     with pytest.raises(RecordingError, match="rate"):
         Replay(plain).start(Mailbox())
     source = Replay(plain, rate=100.0, side="left")
@@ -432,3 +433,19 @@ def test_frames_of_the_other_hand_are_not_taken_and_that_is_said() -> None:
     assert mailbox.all == []
     assert running.health.state == "waiting"
     assert "other hand" in running.health.detail
+
+
+def test_overflow_in_a_source_says_nothing_on_the_terminal() -> None:
+    class Overflowing(ThreadedSource):
+        label = "overflowing"
+
+        def run(self, running: Running) -> None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                np.linalg.norm(np.full((21, 3), 1e300), axis=1)
+                np.full(3, np.inf) - np.inf
+
+    source = Overflowing()
+    source.start(Mailbox())
+    source._running.end()  # type: ignore[attr-defined]
+    assert source.health().state == "ended", source.health()

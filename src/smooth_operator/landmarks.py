@@ -53,6 +53,27 @@ FINGER_COLORS: Final = ("#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2")
 bluish green, reddish purple, blue. Source: Okabe and Ito's palette, which stays apart under the
 common forms of colour blindness."""
 
+LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
+    "mediapipe": tuple(range(21)),
+    "openpose": tuple(range(21)),
+    "mano": (0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20),
+    "minimal_ik": (0, 13, 14, 15, 20, 1, 2, 3, 16, 4, 5, 6, 17, 10, 11, 12, 19, 7, 8, 9, 18),
+    "mano_fingers": (0, *(f + k for f in (17, 1, 5, 13, 9) for k in range(4))),
+    "rhd": (0, *(f + k for f in BASES for k in (3, 2, 1, 0))),
+    "interhand": (20, *(f - 1 + k for f in BASES for k in (3, 2, 1, 0))),
+    "fpha": (0, *(i for f in range(5) for i in (1 + f, 6 + 3 * f, 7 + 3 * f, 8 + 3 * f))),
+    "pinky_first": (0, *(f + k for f in reversed(BASES) for k in range(4))),
+}
+"""Orders of 21 points: name -> the index of each landmark of ours in that order.
+
+``mediapipe`` (the same as ``openpose``) is the order of this project. ``mano`` is MANO's 16 joints
+(wrist, index, middle, pinky, ring, thumb) with the five tips after them, thumb to pinky, as HO-3D
+has it; ``minimal_ik`` the same with the tips in the joints' order of fingers; ``mano_fingers`` the
+joints' order of fingers with each tip after its joints. ``rhd`` goes from tip to base;
+``interhand`` (InterHand2.6M) does, too, and has the wrist last; ``fpha`` has the five bases first.
+``pinky_first`` is ours with the fingers reversed.
+"""
+
 
 def index(name: str) -> int:
     """Index of a landmark by name.

@@ -31,6 +31,7 @@ class Settings:
         methods: names as :func:`select_methods` takes them.
         frames: ``A:B``, of each recording that brings no range of its own.
         rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
         side: side of recordings that do not say theirs.
         seed: of the methods' random numbers.
         definition: of the metrics.
@@ -51,6 +52,7 @@ class Settings:
     methods: tuple[str, ...] = (ALL,)
     frames: str | None = None
     rate: float | None = None
+    layout: str | None = None
     side: Side | None = None
     seed: int = 0
     definition: Definition = "sound"

@@ -2,9 +2,9 @@
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
 and may bring settings of its own after an ``@``, separated by commas: a range of frames, a rate, a
-side; for the built-in operator also the noise of its tracker, the length of its hand and its tempo.
-``glove.npz@:500``, ``video.npz@30hz``, ``synthetic:3@left,100:300``, ``synthetic:3@0.5mm``,
-``synthetic:3@17.5cm,1.2x``.
+side, an order of landmarks; for the built-in operator also the noise of its tracker, the length of
+its hand and its tempo. ``glove.npz@:500``, ``video.npz@30hz,mano``, ``synthetic:3@left,100:300``,
+``synthetic:3@0.5mm``, ``synthetic:3@17.5cm,1.2x``.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.offline.discovery import SUFFIXES, find_recordings
 from smooth_operator.recording import frame_slice, read_recording
+from smooth_operator.recording.readers import rated_if_unstamped
 from smooth_operator.sources import SyntheticOperator, TrackerModel
 from smooth_operator.types import HandRecording, Side, as_side
 
@@ -28,6 +30,7 @@ SYNTHETIC: Final = "synthetic"
 SYNTHETIC_SECONDS: Final = 20.0
 """How long the built-in operator moves [s]."""
 
+_TOLD: Final = ("side_assumed", "implausible_frames")  # what a person is told of a recording
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 _NOISE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)
@@ -47,6 +50,7 @@ class Request:
         noise: of the built-in operator's tracker: standard deviation of each coordinate [m].
         hand_length: of the built-in operator [m]; None as it comes.
         speed: tempo of the built-in operator; 1 is natural.
+        layout: order of the landmarks in a plain array; None for the project's own.
     """
 
     path: Path | None
@@ -57,6 +61,7 @@ class Request:
     noise: float = 0.0
     hand_length: float | None = None
     speed: float = 1.0
+    layout: str | None = None
 
     @property
     def unit(self) -> str:
@@ -123,7 +128,12 @@ class Source:
 
 
 def parse_request(
-    text: str, *, frames: str | None = None, rate: float | None = None, side: Side | None = None
+    text: str,
+    *,
+    frames: str | None = None,
+    rate: float | None = None,
+    side: Side | None = None,
+    layout: str | None = None,
 ) -> Request:
     """A recording and its settings from one word.
 
@@ -132,6 +142,7 @@ def parse_request(
         frames: where the text has no range.
         rate: where the text has no rate.
         side: where the text has no side.
+        layout: where the text has no layout.
 
     Raises:
         ConfigError: the part after the ``@`` is no setting, or the seed no number.
@@ -153,12 +164,14 @@ def parse_request(
             frames = option
         elif option.lower() in ("left", "right", "l", "r"):
             side = as_side(option)
+        elif option.lower() in LAYOUTS:
+            layout = option.lower()
         else:
             raise ConfigError(
                 f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
-                "frames (:500), a rate (60hz), a side (left) or, for the built-in operator, the "
-                "noise of its tracker (0.5mm), the length of its hand (17.5cm) and its tempo "
-                "(1.2x), with commas between them"
+                "frames (:500), a rate (60hz), a side (left), an order of landmarks (mano) or, for "
+                "the built-in operator, the noise of its tracker (0.5mm), the length of its hand "
+                "(17.5cm) and its tempo (1.2x), with commas between them"
             )
     if frames is not None:
         frame_slice(frames, 10**12)  # a text that is no range is refused before anything is read
@@ -173,7 +186,7 @@ def parse_request(
             f"{text!r}: noise, length and tempo are for the built-in operator, as in "
             f"{SYNTHETIC}:3@1mm,17.5cm,1.2x"
         )
-    return Request(Path(name), 0, frames, rate, side)
+    return Request(Path(name), 0, frames, rate, side, layout=layout)
 
 
 def load_sources(requests: Iterable[Request]) -> list[Source]:
@@ -258,7 +271,7 @@ def _load(request: Request) -> Source:
     return Source(
         request,
         recording.name if request.path is None else name,
-        replace(chosen, meta={"side_assumed": recording.meta.get("side_assumed", False)}),
+        replace(chosen, meta={key: recording.meta[key] for key in _TOLD if key in recording.meta}),
         frames=(cut.start, cut.stop),
         digest=_digest(chosen),
     )
@@ -273,16 +286,13 @@ def _read(request: Request) -> HandRecording:
             f"{request.path}: no recordings in it or in its folders; expected names that end in "
             f"{', '.join(SUFFIXES)}"
         )
-    try:
-        return read_recording(request.path, rate=request.rate, side=request.side)
-    except RecordingError:
-        if request.rate is None:
-            raise
-        # The rate is meant for those files among many that hold no stamps.
-        with_its_own = _or_none(request)
-        if with_its_own is None:
-            raise
-        return with_its_own
+    path = request.path
+
+    def read(rate: float | None) -> HandRecording:
+        return read_recording(path, rate=rate, side=request.side, layout=request.layout)
+
+    # The rate is meant for those files among many that hold no stamps.
+    return rated_if_unstamped(read, request.rate)[0]
 
 
 def _suffix(request: Request) -> str:
@@ -291,14 +301,6 @@ def _suffix(request: Request) -> str:
     speed = "" if request.speed == 1.0 else f"+{request.speed:g}x"
     noise = f"+{1e3 * request.noise:g}mm" if request.noise else ""
     return length + speed + noise
-
-
-def _or_none(request: Request) -> HandRecording | None:
-    assert request.path is not None  # a file was read just now
-    try:
-        return read_recording(request.path, side=request.side)
-    except RecordingError:
-        return None
 
 
 def _digest(recording: HandRecording) -> str:

@@ -57,7 +57,13 @@ def plan_cells(settings: Settings) -> list[Cell]:
     """
     check_folder(settings.output)
     requests = [
-        parse_request(text, frames=settings.frames, rate=settings.rate, side=settings.side)
+        parse_request(
+            text,
+            frames=settings.frames,
+            rate=settings.rate,
+            side=settings.side,
+            layout=settings.layout,
+        )
         for text in settings.recordings
     ]
     return cells_of(load_sources(requests), settings, select_methods(settings.methods))

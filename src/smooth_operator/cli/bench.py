@@ -35,6 +35,7 @@ from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.offline.finished import claimed
+from smooth_operator.recording import reading_notes
 from smooth_operator.retargeters.notes import method_notes
 from smooth_operator.terminal import open_console
 
@@ -60,6 +61,7 @@ def bench(options: Bench) -> None:
         methods=_words(options.methods),
         frames=options.frames,
         rate=options.rate,
+        layout=options.layout,
         side=options.side,
         seed=options.seed,
         definition=options.definition,
@@ -109,12 +111,9 @@ def _say_what_is_odd(cells: Sequence[Cell], console: Console) -> None:
     for source in dict.fromkeys(cell.source for cell in cells):
         if source.error is not None:
             _note(console, f"left out: {source.error}")
-        elif source.facts["side_assumed"]:
-            _note(
-                console,
-                f"{source.name} does not say which hand it is: taken for a right one; give it "
-                "@left if it is not",
-            )
+        elif source.recording is not None:
+            for note in reading_notes(source.recording, source.name):
+                _note(console, note)
 
     said = set()
     for cell in cells:

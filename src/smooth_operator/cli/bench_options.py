@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(Common):
+class Bench(Ordered, Common):
     """Measure methods on recordings and hands, side by side, and report which is how good."""
 
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and

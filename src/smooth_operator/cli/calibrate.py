@@ -23,7 +23,13 @@ from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.offline.calibration_picture import draw_calibration
 from smooth_operator.offline.environment import environment
 from smooth_operator.offline.plan import PROGRAM
-from smooth_operator.recording import atomic_write, frame_slice, read_recording, to_json
+from smooth_operator.recording import (
+    atomic_write,
+    frame_slice,
+    read_recording,
+    reading_notes,
+    to_json,
+)
 from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.sources.catalogue import build_source
 from smooth_operator.terminal import open_console
@@ -78,13 +84,11 @@ def _read(options: Calibrate, progress: Progressing) -> HandRecording:
         raise ConfigError(
             "there is nothing to calibrate on: name a recording, or a live source with --source"
         )
-    recording = read_recording(options.recording, rate=options.rate, side=options.side)
-    if recording.meta.get("side_assumed"):
-        progress.note(
-            f"{options.recording} does not say which hand it is: taken for a right one; "
-            "say --side left if it is not",
-            matters=True,
-        )
+    recording = read_recording(
+        options.recording, rate=options.rate, side=options.side, layout=options.layout
+    )
+    for note in reading_notes(recording, str(options.recording)):
+        progress.note(note, matters=True)
     if options.frames is not None:
         recording = recording[frame_slice(options.frames, len(recording))]
     return recording

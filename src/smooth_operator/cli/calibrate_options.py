@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibrate(Common):
+class Calibrate(Ordered, Common):
     """Fit a robot hand to its operator: poses found in a recording, into a file for --operator."""
 
     details: ClassVar[

@@ -24,6 +24,16 @@ class Common:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ordered:
+    """Options of every command that reads recordings of hands."""
+
+    layout: Annotated[str | None, arg(metavar="NAME")] = None
+    """Order of the 21 points in a plain .npy or .npz, where it is not MediaPipe's: mano,
+    minimal_ik, mano_fingers, rhd, interhand, fpha or pinky_first (docs/conventions.md). Other
+    files' order is known."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Retargeting:
     """Options of every command that retargets."""
 

@@ -28,6 +28,8 @@ from smooth_operator.recording.convert import (
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.frames import frame_slice
 from smooth_operator.recording.lerobot import write_dataset
+from smooth_operator.recording.readers import rated_if_unstamped
+from smooth_operator.recording.sniff import is_dataset
 from smooth_operator.sources.picture_tracker import PictureConfig
 from smooth_operator.sources.video_file import is_video
 from smooth_operator.sources.video_recording import track_video
@@ -56,10 +58,11 @@ def convert(options: Convert) -> None:
     for note in notes:
         progress.note(note)
     beside = _commands_of(options.commands, sources)
+    several = len(sources) > 1 or _in_folder(options)
     said: set[str] = set()
 
     def load(source: Source, commands: Path | None) -> Episode:
-        episode = _load(source, commands, options)
+        episode = _load(source, commands, options, several)
         for note in (*episode.notes, *losses(episode, to)):
             if note not in said:  # a dataset looks at its episodes twice
                 said.add(note)
@@ -77,6 +80,12 @@ def _write_dataset(
     options: Convert, loads: list[functools.partial[Episode]], progress: Progressing
 ) -> None:
     check_target(options.output, "lerobot", options.inputs, options.overwrite)
+    if options.to is None and any(is_dataset(path) for path in options.inputs):
+        raise ConfigError(
+            f"the input is a LeRobot dataset, and without --to {options.output.name!r} would be "
+            "another; say --to npz, mcap or hdf5 for a file of each episode, or --to lerobot for a "
+            "dataset"
+        )
     with folder_for(options.output.resolve().parent):
         written = 0
 
@@ -181,11 +190,16 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
     return list(found)
 
 
-def _load(source: Source, commands: Path | None, options: Convert) -> Episode:
+def _load(source: Source, commands: Path | None, options: Convert, several: bool) -> Episode:
     if is_video(source.path):
         episode = _track(source.path, options)
     else:
-        episode = source.read(rate=options.rate, side=options.side)
+
+        def read(rate: float | None) -> Episode:
+            return source.read(rate=rate, side=options.side, layout=options.layout)
+
+        # Of several, the rate is that of those without stamps.
+        episode = rated_if_unstamped(read, options.rate)[0] if several else read(options.rate)
     if commands is not None:
         episode = episode.joined(read_episode(commands), str(commands))
         answered = len(set(episode.answered().tolist()))

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 
 
 @dataclass(frozen=True, kw_only=True)
-class Convert(Common):
+class Convert(Ordered, Common):
     """Turn recordings and their commands into another file format, and back."""
 
     details: ClassVar[str] = """Formats, of inputs by what they hold and of the output by its name:
@@ -33,7 +33,7 @@ Examples:
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
   smooth-operator convert recordings --commands results --task "pinch" --output dataset
   smooth-operator convert dataset --episode 3 --output demo.h5
-  smooth-operator convert dataset --to npz --output episodes
+  smooth-operator convert dataset --to npz --output episodes    (there and back)
   smooth-operator convert clip.mp4 --side right --output clip.npz
 """
 
@@ -50,10 +50,11 @@ Examples:
     to: Annotated[
         Literal["mcap", "npz", "hdf5", "lerobot"] | None, arg(metavar="mcap|npz|hdf5|lerobot")
     ] = None
-    """Format of the output; by its name if left out."""
+    """Format of the output; by its name if left out. Of a dataset into a folder it must be said."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of a recording that holds no time stamps [Hz]."""
+    """Frames a second of a recording that holds no time stamps [Hz]; of several recordings or a
+    folder, of those."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Which hand; as the recording says if left out, and in a video the one seen more often."""

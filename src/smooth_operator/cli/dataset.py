@@ -50,7 +50,15 @@ def retarget_folder(options: Retarget) -> None:
             f"can't write {str(account)!r}, the account of the run: it holds something else; give "
             "another folder, or remove it first"
         )
-    asked = checked(requested(options, side=options.side, rate=options.rate, frames=options.frames))
+    asked = checked(
+        requested(
+            options,
+            side=options.side,
+            rate=options.rate,
+            layout=options.layout,
+            frames=options.frames,
+        )
+    )
     with folder_for(output), claimed(output):
         with progress.waiting(f"looking through {folder}"):
             todo = survey(folder, output, asked, overwrite=options.overwrite)

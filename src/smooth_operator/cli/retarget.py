@@ -8,7 +8,13 @@ from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline import configuration, plan
-from smooth_operator.recording import frame_slice, read_recording, to_json, write_commands
+from smooth_operator.recording import (
+    frame_slice,
+    read_recording,
+    reading_notes,
+    to_json,
+    write_commands,
+)
 from smooth_operator.retargeters.operated import left_out
 from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.types import Status
@@ -33,14 +39,18 @@ def retarget(options: Retarget) -> None:
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording)
-    asked = requested(options, side=options.side, rate=options.rate, frames=options.frames)
-    recording = read_recording(options.recording, rate=options.rate, side=options.side)
-    if recording.meta.get("side_assumed"):
-        progress.note(
-            f"{options.recording} does not say which hand it is: taken for a right one; "
-            "say --side left if it is not",
-            matters=True,
-        )
+    asked = requested(
+        options,
+        side=options.side,
+        rate=options.rate,
+        layout=options.layout,
+        frames=options.frames,
+    )
+    recording = read_recording(
+        options.recording, rate=options.rate, side=options.side, layout=options.layout
+    )
+    for note in reading_notes(recording, str(options.recording)):
+        progress.note(note, matters=True)
     total = len(recording)
     frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
     todo = plan(recording[frames], asked)
@@ -54,6 +64,7 @@ def retarget(options: Retarget) -> None:
             todo,
             source={"path": options.recording, "frames": [frames.start, frames.stop]},
             rate=options.rate,
+            layout=options.layout,
         )
         write_commands(options.output, outcome.commands, config)
     held = int((outcome.commands.status != Status.OK).sum())

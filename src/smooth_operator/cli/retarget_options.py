@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Retargeting
+from smooth_operator.cli.common_options import Common, HandSide, Ordered, Retargeting
 
 
 @dataclass(frozen=True, kw_only=True)
-class Retarget(Common, Retargeting):
+class Retarget(Common, Ordered, Retargeting):
     """Turn a recording of a human hand, or a folder of them, into joint commands."""
 
     details: ClassVar[str] = """OUT.npz holds joint_positions (T, n) [rad], joint_names (n,),

@@ -19,6 +19,7 @@ def requested(
     *,
     side: Side | None = None,
     rate: float | None = None,
+    layout: str | None = None,
     frames: str | None = None,
 ) -> Request:
     """What the options ask for, every text and file in them read.
@@ -34,6 +35,7 @@ def requested(
         scale=options.scale,
         side=side,
         rate=rate,
+        layout=layout,
         frames=frames,
         fingers=options.fingers,
         operator=options.operator,

@@ -24,7 +24,7 @@ from smooth_operator.cli.train_options import Train
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.offline.cache import enable_cache, healing
-from smooth_operator.recording import frame_slice, read_recording
+from smooth_operator.recording import frame_slice, read_recording, reading_notes
 from smooth_operator.terminal import open_console
 from smooth_operator.training import (
     LOSSES,
@@ -108,13 +108,11 @@ def _recordings(
             return synthetic_recordings(options.side or "right", options.seed)
     found = []
     for path in options.recordings:
-        recording = read_recording(path, rate=options.rate, side=options.side)
-        if recording.meta.get("side_assumed"):
-            progress.note(
-                f"{path} does not say which hand it is: taken for a right one; say --side left if "
-                "it is not",
-                matters=True,
-            )
+        recording = read_recording(
+            path, rate=options.rate, side=options.side, layout=options.layout
+        )
+        for note in reading_notes(recording, str(path)):
+            progress.note(note, matters=True)
         if options.frames is not None:
             recording = recording[frame_slice(options.frames, len(recording))]
         found.append(recording)

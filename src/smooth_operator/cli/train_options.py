@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide
+from smooth_operator.cli.common_options import Common, HandSide, Ordered
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train(Common):
+class Train(Ordered, Common):
     """Train a learning-based method for a robot hand: geort."""
 
     details: ClassVar[str] = """Needs the extra: pip install "smooth-retargeting[train]".

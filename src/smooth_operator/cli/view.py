@@ -86,7 +86,12 @@ def _run(options: View, out: Path, source: Path) -> _Run:
     commands = _chosen(read_commands(out), options.frames)
     config = read_configuration(config_path(out)) or {}
     rate = options.rate if options.rate is not None else config.get("rate")
-    recording = read_recording(source, rate=rate, side=options.side or config.get("side"))
+    recording = read_recording(
+        source,
+        rate=rate,
+        side=options.side or config.get("side"),
+        layout=options.layout or config.get("layout"),
+    )
     recording = _answered(commands, recording, out, source)
     name = options.hand or config.get("hand", "mimic_p050")
     hand = load_hand(name, recording.side, fingers=_fingers(options, config))

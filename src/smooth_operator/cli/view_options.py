@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from smooth_operator.cli.common_options import Common, HandSide, Meshes, Page
+from smooth_operator.cli.common_options import Common, HandSide, Meshes, Ordered, Page
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Common, Page, Meshes):
+class View(Common, Page, Ordered, Meshes):
     """Play joint commands beside the hand that they came from, in the browser."""
 
     details: ClassVar[

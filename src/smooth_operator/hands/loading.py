@@ -7,6 +7,7 @@ and mirroring a right hand into a left one.
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 import xml.etree.ElementTree as ElementTree
@@ -19,12 +20,18 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.hands.mirroring import mirror_spec
 from smooth_operator.hands.model_xml import decode_xml, read_model_xml
 
 NO_ROOM: Final = 0.25
 """A coupling that can use less of its joints' ranges, see :func:`shared_range`, is a mistake."""
 _ROOM: Final = 0.75
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
+
+# Without a listener of its own MuJoCo writes its warnings to a file in the working folder.
+_LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_LOGGER.warning)
 
 
 @dataclass(frozen=True)
@@ -371,29 +378,3 @@ def _actuated(model: mujoco.MjModel) -> set[int]:
         for i in range(model.nu)
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
     }
-
-
-def mirror_spec(spec: mujoco.MjSpec) -> None:
-    """Reflect a model across the x = 0 plane of every local frame, in place.
-
-    A reflection turns positions (x, y, z) into (-x, y, z) and rotations (w, x, y, z) into
-    (w, x, -y, -z). A hinge axis is a pseudo-vector: (x, y, z) becomes (x, -y, -z), so that the same
-    joint angle gives the mirrored pose and limits keep their sign; a slide's axis is an ordinary
-    vector.
-
-    Raises:
-        HandModelError: if the model has meshes, whose points are not ours to mirror.
-    """
-    if list(spec.meshes):
-        raise HandModelError(
-            "a model with meshes can't be mirrored; give a model of the other side"
-        )
-    for element in [*spec.bodies, *spec.geoms, *spec.sites, *spec.cameras]:
-        element.pos = element.pos * (-1, 1, 1)
-        element.quat = element.quat * (1, 1, -1, -1)
-    for element in [*spec.geoms, *spec.sites]:
-        element.fromto = element.fromto * (-1, 1, 1, -1, 1, 1)  # NaN where unused, and stays so
-    for joint in spec.joints:
-        slide = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
-        joint.pos = joint.pos * (-1, 1, 1)
-        joint.axis = joint.axis * ((-1, 1, 1) if slide else (1, -1, -1))

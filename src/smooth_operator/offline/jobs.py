@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.offline.discovery import Found
 from smooth_operator.offline.dispatch import dispatch_here
@@ -20,6 +20,7 @@ from smooth_operator.offline.scan import Scan, find_scan
 from smooth_operator.offline.whole import WholeRetargeter, check_method
 from smooth_operator.recording import frame_slice, read_recording, to_json
 from smooth_operator.recording.checks import stamps_from_rate
+from smooth_operator.recording.readers import rated_if_unstamped
 from smooth_operator.recording.results import encode_commands, write_encoded_commands
 from smooth_operator.types import HandRecording, Side, Status
 
@@ -156,12 +157,11 @@ def retarget_one(job: Job) -> Entry:
 
 def _read(path: Path, asked: Request) -> tuple[HandRecording, float | None]:
     """The recording, and the rate if it needed one: others of the folder may have their own."""
-    try:
-        return read_recording(path, side=asked.side), None
-    except RecordingError:
-        if asked.rate is None:
-            raise
-        return read_recording(path, rate=asked.rate, side=asked.side), asked.rate
+
+    def read(rate: float | None) -> HandRecording:
+        return read_recording(path, rate=rate, side=asked.side, layout=asked.layout)
+
+    return rated_if_unstamped(read, asked.rate)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ class Request:
         scale: robot size over human size; None for the configuration's own.
         side: which hand; None for what each recording says.
         rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
         frames: only these of each recording, as text.
         fingers: robot finger -> human finger that drives it; None for all, each by its own.
         operator: the calibrated operator; None for none.
@@ -54,6 +55,7 @@ class Request:
     scale: Scale | None = None
     side: Side | None = None
     rate: float | None = None
+    layout: str | None = None
     frames: str | None = None
     fingers: Mapping[str, str] | None = None
     operator: OperatorProfile | None = None
@@ -68,6 +70,7 @@ def request(
     scale: Scale | None = None,
     side: Side | None = None,
     rate: float | None = None,
+    layout: str | None = None,
     frames: str | None = None,
     fingers: str | None = None,
     operator: Path | None = None,
@@ -88,6 +91,7 @@ def request(
         scale,
         side,
         rate,
+        layout,
         frames,
         None if fingers is None else parse_fingers(fingers),
         None if operator is None else read_operator(operator),

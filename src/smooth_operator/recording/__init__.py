@@ -3,11 +3,13 @@
 Reading dispatches on what a file holds, never on its name alone, and nothing here unpickles.
 """
 
+from smooth_operator.recording.anatomy import check_hand as check_hand
 from smooth_operator.recording.atomic import atomic_write as atomic_write
 from smooth_operator.recording.atomic import output_error as output_error
 from smooth_operator.recording.checks import check_recording as check_recording
 from smooth_operator.recording.checks import check_stamps as check_stamps
 from smooth_operator.recording.checks import check_units as check_units
+from smooth_operator.recording.checks import reading_notes as reading_notes
 from smooth_operator.recording.convert import read_episode as read_episode
 from smooth_operator.recording.convert import write_episode as write_episode
 from smooth_operator.recording.episode import Episode as Episode

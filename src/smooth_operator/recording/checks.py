@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -26,6 +27,8 @@ RATE_RANGE_HZ = (1.0, 2000.0)
 """Bounds [Hz] on a tracker's median rate. Stamps of 2 to 1000 Hz in another unit fall outside."""
 
 _TYPICAL_PALM_M = 0.095
+_PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
+_REACH = 3.0  # palm lengths from the wrist; a straight middle finger ends at 2
 _TYPICAL_RATE_HZ = 60.0
 _LENGTH_UNITS = {
     "micrometres": 1e-6,
@@ -107,6 +110,48 @@ def _length_hint(palm: float) -> str:
         f"operator's hand (for a palm of {_TYPICAL_PALM_M} m: multiply by "
         f"{_TYPICAL_PALM_M / palm:.3g}); otherwise look at the order of the landmarks"
     )
+
+
+def without_outliers(recording: HandRecording) -> HandRecording:
+    """A recording in which what no hand could do is flagged invalid; for one in metres.
+
+    A frame is flagged whose palm is less than half or more than twice the usual length, such as one
+    in another unit; a landmark, that is more than three palm lengths from the wrist. How many
+    frames are concerned stands in ``meta["implausible_frames"]``, if any.
+    """
+    points, valid = recording.landmarks, recording.valid
+    assert valid is not None  # filled in by HandRecording
+    with np.errstate(over="ignore", invalid="ignore"):
+        from_wrist = np.linalg.norm(points - points[:, :1], axis=-1)
+    palms = np.where(valid[:, WRIST] & valid[:, index("middle_mcp")], from_wrist[:, 9], np.nan)
+    if np.isnan(palms).all():
+        return recording
+    usual = float(np.nanmedian(palms))
+    with np.errstate(invalid="ignore"):
+        frame = (palms < usual / _PALM_RATIO) | (palms > usual * _PALM_RATIO)
+        far = valid & (from_wrist > _REACH * usual) & valid[:, :1]
+    wrong = valid & (frame[:, None] | far)
+    if not wrong.any():
+        return recording
+    meta = {**recording.meta, "implausible_frames": int(wrong.any(axis=1).sum())}
+    return replace(recording, valid=valid & ~wrong, meta=meta)
+
+
+def reading_notes(recording: HandRecording, where: str) -> list[str]:
+    """What a person should know of how a recording was read: sentences, none if nothing."""
+    notes = []
+    if recording.meta.get("side_assumed"):
+        notes.append(
+            f"{where} does not say which hand it is: taken for a right one; say --side left if it "
+            "is not"
+        )
+    odd = recording.meta.get("implausible_frames", 0)
+    if odd:
+        notes.append(
+            f"{where}: {odd} of {len(recording)} frames have a palm or a landmark that is too "
+            "large or too small for the hand; what is wrong in them counts as not seen"
+        )
+    return notes
 
 
 def check_stamps(stamps: Float[np.ndarray, " T"], where: str) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.recording.checks import reading_notes
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
 from smooth_operator.recording.lerobot import (
@@ -57,15 +58,17 @@ class Source:
     dataset: Dataset | None = None
     number: int = 0
 
-    def read(self, *, rate: float | None = None, side: Side | None = None) -> Episode:
-        """Reads it.
+    def read(
+        self, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
+    ) -> Episode:
+        """Reads it; see :func:`read_episode`.
 
         Raises:
             RecordingError, ConfigError, MissingExtraError: as the reader of its format.
         """
         if self.dataset is not None:
             return read_dataset_episode(self.dataset, self.number, rate=rate, side=side)
-        return read_episode(self.path, rate=rate, side=side)
+        return read_episode(self.path, rate=rate, side=side, layout=layout)
 
 
 def read_episode(
@@ -73,6 +76,7 @@ def read_episode(
     *,
     rate: float | None = None,
     side: Side | None = None,
+    layout: str | None = None,
     episode: int = 0,
 ) -> Episode:
     """Reads an episode: whatever hand and commands a file of any format holds.
@@ -83,6 +87,8 @@ def read_episode(
             content.
         rate: frames a second [Hz], needed where the file has no stamps.
         side: which hand; needed where the file does not say and it is a left one.
+        layout: the order of the landmarks in a plain array of 21, as of
+            :func:`~smooth_operator.recording.read_recording`.
         episode: which one of a LeRobot dataset.
 
     Returns:
@@ -91,6 +97,7 @@ def read_episode(
     Raises:
         RecordingError: as :func:`~smooth_operator.recording.read_recording`.
         ConfigError: ``rate`` or ``side`` is not a possible one; there is no such ``episode``.
+        UnknownNameError: there is no such ``layout``.
         MissingExtraError: the format needs an extra that is not installed.
     """
     path = Path(path)
@@ -103,17 +110,13 @@ def read_episode(
     if kind == "hdf5":
         return read_hdf5_episode(path, rate=rate, side=side)
     if kind == "npz":
-        found = read_npz_episode(path, rate=rate, side=side)
+        found = read_npz_episode(path, rate=rate, side=side, layout=layout)
     else:
-        recording = read_recording(path, rate=rate, side=side)
+        recording = read_recording(path, rate=rate, side=side, layout=layout)
         found = Episode(recording, name=recording.name)
-    if found.recording is not None and found.recording.meta.get("side_assumed"):
-        note = (
-            f"{path} does not say which hand it is: taken for a right one; say --side left if it "
-            "is not"
-        )
-        found = replace(found, notes=(*found.notes, note))
-    return found
+    if found.recording is None:
+        return found
+    return replace(found, notes=(*found.notes, *reading_notes(found.recording, str(path))))
 
 
 def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | None = None) -> None:

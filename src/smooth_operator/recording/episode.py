@@ -20,7 +20,7 @@ Commands carry the stamps of their frames, so they are equal; what is left for i
 held them as whole microseconds.
 """
 
-DERIVED_META: Final = ("format", "truncated", "side_assumed")
+DERIVED_META: Final = ("format", "truncated", "side_assumed", "implausible_frames", "layout")
 """Entries of :attr:`HandRecording.meta` that every reader makes anew, and that no file keeps."""
 
 

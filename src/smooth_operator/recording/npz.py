@@ -45,7 +45,9 @@ _COMMANDS: Final = ("joint_positions", "joint_names", "latency_ms", "status")
 _HANDS: Final = ("landmarks", "joints")
 
 
-def read_npz_episode(path: Path, *, rate: float | None = None, side: Side | None = None) -> Episode:
+def read_npz_episode(
+    path: Path, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
+) -> Episode:
     """Reads a recording, a file of commands, or one of both.
 
     The configuration is the one in the file, or else the one beside it (``OUT.json``).
@@ -59,7 +61,7 @@ def read_npz_episode(path: Path, *, rate: float | None = None, side: Side | None
     commands = read_commands(path) if has_commands else None
     recording = None
     if not has_commands or any(name in arrays for name in _HANDS):
-        recording = read_recording(path, rate=rate, side=side)
+        recording = read_recording(path, rate=rate, side=side, layout=layout)
     stored = _json(arrays, "episode") or {}
     config = _json(arrays, "configuration")
     if config is None and commands is not None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -13,18 +14,22 @@ from jaxtyping import Float
 from smooth_operator import landmarks as schema
 from smooth_operator.documents import brief, listed
 from smooth_operator.errors import RecordingError
+from smooth_operator.recording.anatomy import doubt, layout_order
 from smooth_operator.recording.arrays import StoredArray, StoredArrays, open_arrays
 from smooth_operator.recording.checks import (
     check_rate,
     check_recording,
     check_side,
     stamps_from_rate,
+    without_outliers,
 )
 from smooth_operator.recording.hdf5 import read_hdf5_episode
 from smooth_operator.recording.log_reader import read_log
 from smooth_operator.recording.manus import manus_nodes
 from smooth_operator.recording.sniff import PICKLE_REMEDY, READABLE, file_kind
 from smooth_operator.types import HandRecording, Side, as_side
+
+_Read = TypeVar("_Read")
 
 # Nodes per frame -> indices of the 21 landmarks and of the four metacarpal bases among them.
 _LAYOUTS: dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]] = {
@@ -40,7 +45,11 @@ _SIDE_KEYS = ("chirality", "side")
 
 
 def read_recording(
-    path: str | os.PathLike[str], *, rate: float | None = None, side: Side | None = None
+    path: str | os.PathLike[str],
+    *,
+    rate: float | None = None,
+    side: Side | None = None,
+    layout: str | None = None,
 ) -> HandRecording:
     """Read a recording of one hand.
 
@@ -59,35 +68,83 @@ def read_recording(
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
     "no hand") without flags of the file's own, are flagged in ``valid``. Where neither file nor
     caller says which hand it is, it is taken for a right one and ``meta["side_assumed"]`` is True.
-    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``.
+    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``. Frames and landmarks of
+    a size that no hand has among others that have it are flagged invalid, their number being
+    ``meta["implausible_frames"]``. A hand that is of the other side by its shape, or whose
+    landmarks are in another order, is refused (:func:`~smooth_operator.recording.check_hand`).
 
     Args:
         path: the file.
         rate: frames a second [Hz], needed where the file has no stamps.
         side: which hand; needed where the file does not say and it is a left one.
+        layout: the order of the landmarks in an array of 21, by its name in
+            :data:`smooth_operator.landmarks.LAYOUTS`; None for the project's own, which is checked.
+            The order of other files is known.
 
     Returns:
-        The recording, its units and stamps checked.
+        The recording, its units, stamps, side and order checked.
 
     Raises:
         RecordingError: missing, empty, damaged, pickled or foreign file; wrong shape, units or
-            stamps; no valid landmark; sides that are mixed or contradict ``side``. The message says
-            what was expected, what came and what to do.
+            stamps; no valid landmark; sides that are mixed or contradict ``side``; another hand or
+            order by its shape. The message says what was expected, what came and what to do.
         ConfigError: ``rate`` or ``side`` is not a possible one.
+        UnknownNameError: there is no such ``layout``.
         MissingExtraError: the file needs an extra that is not installed.
     """
     path = Path(path)
     side = None if side is None else as_side(side)
+    layout_order(layout)  # an unknown one is refused, whatever the file
     kind = file_kind(path)
     if kind == "log":
         recording = _from_log(path, side)
     elif kind == "hdf5":
         recording = _from_hdf5(path, rate, side)
     else:
-        recording = _from_arrays(open_arrays(path), rate, side)
+        recording = _from_arrays(open_arrays(path), rate, side, layout)
+    layout = recording.meta.get("layout")
+    as_it_came = np.argsort(layout_order(layout))
+    assert recording.valid is not None  # filled in by HandRecording
+    found = doubt(
+        recording.landmarks[:, as_it_came],
+        recording.side,
+        recording.valid[:, as_it_came],
+        layout=layout,
+    )
+    if found is not None:
+        labelled = found.side is not None and side is None and not recording.meta["side_assumed"]
+        remedy = (
+            f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
+            if labelled
+            else found.remedy
+        )
+        raise RecordingError(f"{path}: {found.what}; {remedy}")
     check_recording(recording, str(path))
     check_rate(recording.stamps, rate, str(path))
-    return recording
+    return without_outliers(recording)
+
+
+def rated_if_unstamped(
+    read: Callable[[float | None], _Read], rate: float | None
+) -> tuple[_Read, float | None]:
+    """One of many files, of which those without stamps need a rate and the others have their own.
+
+    Args:
+        read: reads it, with a rate or without.
+        rate: for a file without stamps; None if there is none.
+
+    Returns:
+        what was read, and the rate if it was needed.
+
+    Raises:
+        RecordingError: as ``read``.
+    """
+    try:
+        return read(None), None
+    except RecordingError:
+        if rate is None:
+            raise
+        return read(rate), rate
 
 
 def _from_log(path: Path, side: Side | None) -> HandRecording:
@@ -106,7 +163,9 @@ def _from_hdf5(path: Path, rate: float | None, side: Side | None) -> HandRecordi
     return replace(recording, name=path.stem)
 
 
-def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) -> HandRecording:
+def _from_arrays(
+    arrays: StoredArrays, rate: float | None, side: Side | None, layout: str | None
+) -> HandRecording:
     path = arrays.path
     where = str(path)
     data = arrays.get("data")
@@ -118,6 +177,8 @@ def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) ->
         nodes = _frames(_find_landmarks(arrays))
         quaternions, meta = None, {"format": "array"}
     picked, metacarpals = _LAYOUTS[nodes.shape[1]]
+    if layout is not None and nodes.shape[1] == 21 and meta["format"] == "array":
+        picked, meta["layout"] = layout_order(layout), layout
     positions = nodes[:, picked]
     if quaternions is not None:
         orientations = quaternions[:, picked]
@@ -128,6 +189,8 @@ def _from_arrays(arrays: StoredArrays, rate: float | None, side: Side | None) ->
     own: dict[str, np.ndarray] = {}
     if nodes.shape[1] == 21 and meta["format"] == "array":
         own = _beside_landmarks(arrays, len(positions), meta)
+        for name in own.keys() & {"valid", "orientations"}:
+            own[name] = own[name][:, picked]
     if "valid" in own:  # the file knows better than a guess from zeros
         valid = own["valid"]
     elif lost.any():
@@ -221,6 +284,8 @@ def _shape_hint(shape: tuple[int, ...]) -> str:
         return "; swap the last two axes: array.transpose(0, 2, 1)"
     if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] > 3:
         return "; if x, y, z come first: array[..., :3]"
+    if len(shape) == 3 and shape[1:] == (16, 3):
+        return "; MANO's 16 joints have no tips: add those of its mesh, then say --layout mano"
     if len(shape) == 4:
         return "; if there are several hands in it, save one: array[:, 0]"
     return ""

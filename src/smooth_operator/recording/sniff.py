@@ -73,6 +73,12 @@ def file_kind(path: Path) -> FileKind:
         return "log"
     if head.startswith(HDF5_MAGIC):
         return "hdf5"
+    if is_video_head(head):
+        raise RecordingError(
+            f"{path}: this is a video; track the hand in it first: smooth-operator convert {path} "
+            f"--output {path.with_suffix('.npz').name}; or drive a hand from it live: "
+            f"smooth-operator teleop --source video:{path} (extra webcam)"
+        )
     if len(head) < len(MCAP_MAGIC) and any(
         magic.startswith(head) for magic in (NPY_MAGIC, MCAP_MAGIC, HDF5_MAGIC, *_ZIP_MAGICS)
     ):
@@ -90,6 +96,15 @@ def file_kind(path: Path) -> FileKind:
             raise RecordingError(f"{path}: this is {what}. What is read: {READABLE}")
     raise RecordingError(
         f"{path}: not a recording: it starts with {head[:8]!r}. What is read: {READABLE}"
+    )
+
+
+def is_video_head(head: bytes) -> bool:
+    """Whether a file is a video, by its first 12 bytes: MP4 and MOV, AVI, Matroska and WebM."""
+    return (
+        head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free")
+        or head.startswith(b"\x1aE\xdf\xa3")
+        or (head.startswith(b"RIFF") and head[8:12] == b"AVI ")
     )
 
 

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.recording.anatomy import HandCheck
 from smooth_operator.recording.checks import stamps_from_rate
 from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.retargeters.method import HostMethod, Method, MethodConfig
@@ -96,6 +97,7 @@ class Retargeter:
         self.rate = rate
         self._clock = clock
         self._stamped: bool | None = None
+        self._input = HandCheck(self.hand.spec.side)
         self.method: Method | HostMethod = self.config.build(self.hand)
         self.shared = shared_program(self.hand, self.config)
         self._state = self.init()
@@ -172,10 +174,13 @@ class Retargeter:
         A frame without a stamp is of this moment, unless there is a rate.
 
         Raises:
-            ConfigError, RecordingError: as :meth:`step`; or frames with and without stamps are
-                mixed, which two clocks would time.
+            ConfigError, RecordingError: as :meth:`step`; frames with and without stamps are
+                mixed, which two clocks would time; or the first frames are of the other hand or in
+                another order by their shape (:func:`smooth_operator.recording.check_hand`).
         """
         frame = self._framed(frame)
+        if self._input.judged < HandCheck.WINDOW:
+            self._check_input(frame)
         stamped = frame.stamp is not None
         if self._stamped not in (None, stamped):
             raise ConfigError(
@@ -187,6 +192,14 @@ class Retargeter:
         self._state, result = self.step(self._state, frame)
         self._stamped = stamped
         return result
+
+    def _check_input(self, frame: HandFrame) -> None:
+        """One of the first frames since the start: once they pass, nothing more is looked at."""
+        assert frame.valid is not None  # filled in on construction
+        found = self._input.see(frame.landmarks, frame.valid)
+        if found is not None:
+            self._input = HandCheck(self.hand.spec.side)
+            raise RecordingError(f"the last frames: {found.what}; {found.in_python}")
 
     def _framed(self, frame: HandFrame | ArrayLike) -> HandFrame:
         if isinstance(frame, HandFrame):
@@ -209,6 +222,7 @@ class Retargeter:
         """Back to the start: latches, random numbers, last command. Never recompiles."""
         self._state = self.init(seed)
         self._stamped = None
+        self._input = HandCheck(self.hand.spec.side)
 
     def warm_up(self) -> float:
         """Compile, without touching the state kept inside.

@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.retargeters.retargeter import Retargeter
 from smooth_operator.runtime.delay import TrackerDelay
 from smooth_operator.runtime.limiter import Limiter
-from smooth_operator.runtime.plausible import implausible
+from smooth_operator.runtime.plausible import SessionCheck, implausible
 from smooth_operator.runtime.settings import LoopConfig
 from smooth_operator.runtime.supervisor import Supervisor
 from smooth_operator.sinks.tick import Driver, Mode, Tick
@@ -58,6 +58,7 @@ class HandPipeline:
         self._wanted = self.limiter.q  # what the operator asked for last
         self._from = self.limiter.q  # where a blend began
         self._delay = TrackerDelay()
+        self._session = SessionCheck(self.side)
         self._last: float | None = None
         self._number = 0
         self.seen: Arrival | None = None
@@ -127,6 +128,8 @@ class HandPipeline:
                 why = self.supervisor.admits(arrival, now)
             else:
                 self.supervisor.refuse(why)
+            if why is None and (doubt := self._session.doubt(arrival)) is not None:
+                why = self.supervisor.refuse(doubt.live)
             if why is not None:
                 events.append(f"frame refused: {why}")
                 arrival = None

@@ -7,11 +7,18 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.sources.live import LATEST_STAMP_S
-from smooth_operator.types import HandFrame
+from smooth_operator.recording.anatomy import Doubt, HandCheck
+from smooth_operator.sources.live import LATEST_STAMP_S, Arrival
+from smooth_operator.types import HandFrame, Side
 
 PALM_M = (0.05, 0.14)
 """Wrist to the base of the middle finger of a human hand [m]."""
+
+REACH_M = 0.5
+"""No landmark of a hand is farther than this from its wrist, by any axis [m]."""
+_FAR = (
+    f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
+)
 
 CURL = -0.6
 """Least curl of a hand, as share of its fingers' length.
@@ -27,6 +34,7 @@ _INDEX, _MIDDLE, _PINKY = BASES[1], BASES[2], BASES[4]
 _FINGERS = np.array(BASES[1:])
 
 
+@np.errstate(all="ignore")  # numbers of any size may come
 def implausible(frame: HandFrame) -> str | None:
     """Why a frame can't be a human hand of its side; None if it may be one.
 
@@ -36,6 +44,8 @@ def implausible(frame: HandFrame) -> str | None:
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
         return "a stamp that is no time in seconds"
     p = frame.landmarks
+    if (np.abs(p[frame.valid] - p[WRIST]) > REACH_M).any():
+        return _FAR
     palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
     if not np.isfinite(palm):
         return None
@@ -46,6 +56,29 @@ def implausible(frame: HandFrame) -> str | None:
         other = "left" if frame.side == "right" else "right"
         return f"the fingers bend to the back of the hand: is it a {other} hand?"
     return None
+
+
+class SessionCheck:
+    """Whether the frames of a tracker are of the side and in the order that they should be.
+
+    Each start of a tracker is judged by itself: over its first frames, and then now and then.
+
+    Args:
+        side: of the hand that is driven.
+    """
+
+    def __init__(self, side: Side) -> None:
+        self._side = side
+        self._session: int | None = None
+        self._check = HandCheck(side)
+
+    def doubt(self, arrival: Arrival) -> Doubt | None:
+        """What speaks against the frames up to this one; None if nothing does."""
+        if arrival.session != self._session:
+            self._session, self._check = arrival.session, HandCheck(self._side)
+        frame = arrival.frame
+        assert frame.valid is not None  # filled in by HandFrame
+        return self._check.see(frame.landmarks, frame.valid)
 
 
 def finger_curl(frame: HandFrame) -> float:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Final, cast, get_type_hints
 
 from smooth_operator.components import Component, build_component
+from smooth_operator.errors import ConfigError
 from smooth_operator.sources.live import LiveSource
 from smooth_operator.sources.stream import Hands
+from smooth_operator.sources.video_file import is_video
 
 _HERE: Final = "smooth_operator.sources"
 
@@ -39,11 +42,24 @@ def build_source(text: str, hands: Hands | None = None) -> LiveSource:
 
     Raises:
         UnknownNameError: there is no such source or setting.
-        ConfigError: a setting can't be read.
+        ConfigError: a setting can't be read, or the text is the name of a file.
     """
+    if text.partition(":")[0] not in SOURCES:
+        word = _word_for(Path(text.partition(",")[0]))
+        if word is not None:
+            raise ConfigError(
+                f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
+            )
     made = build_component("source", text, SOURCES)
     if hands is not None and get_type_hints(type(made)).get("side") == Hands:
         settings = text.partition(":")[2].split(",")
         if not any(part.startswith("side=") for part in settings):
             made = dataclasses.replace(made, side=hands)
     return cast(LiveSource, made)
+
+
+def _word_for(path: Path) -> str | None:
+    """The source that a file is for, by its name."""
+    if is_video(path):
+        return "video"
+    return "replay" if path.suffix.lower() in (".npz", ".npy", ".mcap", ".h5", ".hdf5") else None

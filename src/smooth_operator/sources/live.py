@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final, Literal, Protocol, TypeAlias
 
+import numpy as np
+
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.types import HandFrame, Side
 
@@ -307,7 +309,10 @@ class Running:
 
         def guarded() -> None:
             try:
-                run(self)
+                # What a message holds may be of any size; what overflows is refused, without a word
+                # of NumPy's on the terminal.
+                with np.errstate(all="ignore"):
+                    run(self)
             except SmoothOperatorError as error:
                 self.health = SourceHealth("failed", str(error))
             except Exception as error:  # a library's: the loop must go on, and say what happened

@@ -24,6 +24,7 @@ from jaxtyping import Float
 from smooth_operator import documents
 from smooth_operator import landmarks as schema
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError
+from smooth_operator.recording.anatomy import layout_order
 from smooth_operator.recording.checks import PALM_RANGE_M, check_units
 from smooth_operator.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
@@ -57,37 +58,41 @@ class Reading:
     session: str | None = None
 
 
-def read_payload(data: bytes, *, side: Side | None, received: float) -> tuple[Reading, ...]:
+def read_payload(
+    data: bytes, *, side: Side | None, received: float, layout: str | None = None
+) -> tuple[Reading, ...]:
     """Read a message.
 
     Args:
         data: the message.
         side: which hand it is where it does not say; None refuses a message that does not say.
         received: when it came, the stamp where it has none [s].
+        layout: order of the landmarks in a message of 21; None for the project's own.
 
     Raises:
         RecordingError: it can't be read: too long, of no known size, broken JSON, a wrong shape,
             no stamp in seconds, no side, landmarks in another unit (with the likely factor).
     """
     check_size(data)
-    layout = _BINARY.get(len(data))
+    binary = _BINARY.get(len(data))
     if data[:1] in (b"{", b"["):
         try:
             message = parse_json(data)
         except RecordingError:
-            if layout is None:  # of 128 messages of numbers, one starts with such a byte
+            if binary is None:  # of 128 messages of numbers, one starts with such a byte
                 raise
         else:
-            return _read_json(message, side, received)
-    if layout is None:
+            return _read_json(message, side, received, layout)
+    if binary is None:
         sizes = ", ".join(str(size) for size in _BINARY)
         raise RecordingError(
             f"a message of {len(data)} bytes is neither JSON (an object or a list) nor 21 x 3 "
             f"numbers: float32 has 252 bytes, float64 504 (sizes that are read: {sizes})"
         )
-    count, dtype = layout
+    count, dtype = binary
     points = np.frombuffer(data, dtype).reshape(count, 3).astype(np.float64)
-    return (Reading(hand_frame(points, stamp=received, side=_known(side))),)
+    frame = hand_frame(points, stamp=received, side=_known(side), layout=layout)
+    return (Reading(frame),)
 
 
 def check_size(data: bytes) -> None:
@@ -122,6 +127,7 @@ def hand_frame(
     valid: Any = None,
     orientations: Float[np.ndarray, "n 4"] | None = None,
     metacarpals: Float[np.ndarray, "4 3"] | None = None,
+    layout: str | None = None,
 ) -> HandFrame:
     """A hand frame from a tracker's own points.
 
@@ -133,6 +139,7 @@ def hand_frame(
         valid: flags of the points, or of the 21 landmarks.
         orientations: quaternions wxyz of the points; made unit quaternions.
         metacarpals: where the points do not hold them.
+        layout: order of 21 points; None for the project's own.
 
     Raises:
         RecordingError: a wrong shape, or another unit than metres.
@@ -143,6 +150,8 @@ def hand_frame(
             "or 26 (OpenXR)"
         )
     rows, bases = _LAYOUTS[len(points)]
+    if len(points) == schema.NUM_LANDMARKS:
+        rows = np.array(layout_order(layout))
     landmarks = points[rows]
     flags = np.isfinite(landmarks).all(axis=1)
     if valid is not None:
@@ -211,19 +220,23 @@ def read_session(message: Mapping[str, Any]) -> str | None:
     return None if session is None else str(session)[:64]
 
 
-def _read_json(message: Any, side: Side | None, received: float) -> tuple[Reading, ...]:
+def _read_json(
+    message: Any, side: Side | None, received: float, layout: str | None
+) -> tuple[Reading, ...]:
     if isinstance(message, list):
-        return (_read_hand({"landmarks": message}, side, received),)
+        return (_read_hand({"landmarks": message}, side, received, layout),)
     hands = message.get("hands")
     if hands is None:
-        return (_read_hand(message, side, received),)
+        return (_read_hand(message, side, received, layout),)
     if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
         raise RecordingError("'hands' must be a list of objects, one for each hand")
     shared = {key: message[key] for key in ("stamp", "timestamp", "session") if key in message}
-    return tuple(_read_hand({**shared, **hand}, side, received) for hand in hands)
+    return tuple(_read_hand({**shared, **hand}, side, received, layout) for hand in hands)
 
 
-def _read_hand(message: Mapping[str, Any], side: Side | None, received: float) -> Reading:
+def _read_hand(
+    message: Mapping[str, Any], side: Side | None, received: float, layout: str | None
+) -> Reading:
     found = next((key for key in ("landmarks", "joints") if key in message), None)
     if found is None:
         keys = ", ".join(map(_short, list(message)[:8])) or "nothing"
@@ -241,6 +254,7 @@ def _read_hand(message: Mapping[str, Any], side: Side | None, received: float) -
         valid=message.get("valid"),
         orientations=_beside(message, "orientations", (len(points), 4)),
         metacarpals=_beside(message, "metacarpals", (4, 3)),
+        layout=layout,
     )
     return Reading(frame, stamp is not None, read_session(message))
 

@@ -10,6 +10,7 @@ from typing import Literal
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.recording import read_recording
+from smooth_operator.recording.anatomy import layout_order
 from smooth_operator.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.sources.pacing import on_time
 from smooth_operator.sources.settings import check_range
@@ -32,9 +33,11 @@ class Replay(ThreadedSource):
         loop: start again at the end, for ever.
         rate: frames a second, for a file without stamps [Hz].
         side: which hand, for a file that does not say.
+        layout: order of the landmarks in a plain array, where it is not the project's own.
 
     Raises:
         ConfigError: a setting is outside its range.
+        UnknownNameError: there is no such layout.
     """
 
     path: Path
@@ -42,12 +45,14 @@ class Replay(ThreadedSource):
     loop: bool = False
     rate: float | None = None
     side: Literal["right", "left"] | None = None
+    layout: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", Path(self.path))
         check_range("speed", self.speed, 0.01, 100.0)
         if self.side not in (None, "right", "left"):
             raise ConfigError(f"side must be 'right' or 'left', not {self.side!r}")
+        layout_order(self.layout)
 
     @property
     def label(self) -> str:
@@ -56,7 +61,7 @@ class Replay(ThreadedSource):
 
     def open(self) -> None:
         """Read the recording here, where its errors reach the caller."""
-        recording = read_recording(self.path, rate=self.rate, side=self.side)
+        recording = read_recording(self.path, rate=self.rate, side=self.side, layout=self.layout)
         object.__setattr__(self, "_recording", recording)
 
     def run(self, running: Running) -> None:

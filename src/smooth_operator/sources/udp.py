@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError, SourceError
+from smooth_operator.recording.anatomy import layout_order
 from smooth_operator.sources.intake import Message
 from smooth_operator.sources.payload import MAX_BYTES, Reading, read_payload
 from smooth_operator.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
@@ -29,19 +30,24 @@ class UdpSource(StreamSource):
         host: address to listen on; ``0.0.0.0`` for the whole network.
         side: the hand of a datagram that does not say, and the only one that is taken; with
             ``both`` each datagram must say.
+        layout: order of the landmarks in a message of 21, by its name in
+            :data:`smooth_operator.landmarks.LAYOUTS`.
 
     Raises:
         ConfigError: a setting is outside its range.
+        UnknownNameError: there is no such layout.
     """
 
     port: int = 5005
     host: str = "127.0.0.1"
     side: Hands = "right"
+    layout: str = "mediapipe"
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65_535:
             raise ConfigError(f"port must be 0 to 65535, not {self.port}")
         sides_of(self.side)
+        layout_order(self.layout)
 
     @property
     def label(self) -> str:
@@ -59,7 +65,9 @@ class UdpSource(StreamSource):
 
     def read(self, message: Message, received: float) -> Sequence[Reading]:
         """The hands of a datagram."""
-        return read_payload(message[0], side=only_side(self.side), received=received)
+        return read_payload(
+            message[0], side=only_side(self.side), received=received, layout=self.layout
+        )
 
 
 class UdpInbox:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from smooth_operator.recording.anatomy import layout_order
 from smooth_operator.sources.intake import Message
 from smooth_operator.sources.payload import Reading, read_payload
 from smooth_operator.sources.stream import Hands, StreamSource, only_side, sides_of
@@ -25,9 +26,12 @@ class ZmqSource(StreamSource):
         bind: listen on the address, for publishers that connect.
         topic: take messages that start with this only.
         pattern: ``sub`` for a publisher, ``pull`` for a pusher.
+        layout: order of the landmarks in a message of 21, by its name in
+            :data:`smooth_operator.landmarks.LAYOUTS`.
 
     Raises:
         ConfigError: a setting is outside its range.
+        UnknownNameError: there is no such layout.
     """
 
     address: str = "tcp://127.0.0.1:5557"
@@ -35,9 +39,11 @@ class ZmqSource(StreamSource):
     bind: bool = False
     topic: str = ""
     pattern: Pattern = "sub"
+    layout: str = "mediapipe"
 
     def __post_init__(self) -> None:
         sides_of(self.side)
+        layout_order(self.layout)
 
     @property
     def label(self) -> str:
@@ -64,4 +70,4 @@ class ZmqSource(StreamSource):
         data = message[-1]
         if len(message) == 1 and self.topic:
             data = data.removeprefix(self.topic.encode()).lstrip(b" ")
-        return read_payload(data, side=only_side(self.side), received=received)
+        return read_payload(data, side=only_side(self.side), received=received, layout=self.layout)

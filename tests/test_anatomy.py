@@ -1,0 +1,295 @@
+"""Hands of the wrong side and landmarks in the wrong order are noticed; right ones never."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.landmarks import LAYOUTS
+from smooth_operator.recording import (
+    check_hand,
+    read_commands,
+    read_episode,
+    read_recording,
+    write_commands,
+)
+from smooth_operator.recording.anatomy import FEWEST_FRAMES, Doubt, HandCheck, chirality, doubt
+from smooth_operator.sources import SyntheticOperator
+from smooth_operator.sources.catalogue import build_source
+from smooth_operator.sources.payload import read_payload
+from smooth_operator.types import CommandTrajectory, HandRecording
+
+MIRROR = np.array([-1.0, 1.0, 1.0])
+FOREIGN = [name for name in LAYOUTS if name not in ("mediapipe", "openpose")]
+
+
+@pytest.fixture(scope="module")
+def operator() -> HandRecording:
+    return SyntheticOperator(seed=1).record(2.0)
+
+
+def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
+    """Landmarks of ours as another tracker has them."""
+    points = np.empty_like(landmarks)
+    points[..., LAYOUTS[name], :] = landmarks
+    return points
+
+
+def saved(path: Path, landmarks: np.ndarray, **more: object) -> Path:
+    np.savez(path, landmarks=landmarks, timestamps=np.arange(len(landmarks)) / 100, **more)  # type: ignore[arg-type]
+    return path
+
+
+# The table of layouts
+
+
+def test_a_layout_is_an_order_of_all_points() -> None:
+    for order in LAYOUTS.values():
+        assert sorted(order) == list(range(21))
+    # as the programs that give these orders name their points
+    mano = ["W", *(f"{f}{k}" for f in "IMPRT" for k in (1, 2, 3)), *(f"{f}4" for f in "TIMRP")]
+    ours = [mano[i] for i in LAYOUTS["mano"]]
+    assert ours == ["W", *(f"{finger}{k}" for finger in "TIMRP" for k in range(1, 5))]
+    ends = [f"{finger}{k}" for finger in "TIMRP" for k in (4, 3, 2, 1)] + ["W"]
+    assert [ends[i] for i in LAYOUTS["interhand"]] == ours
+    bases = ["W", "T1", "I1", "M1", "R1", "P1", *(f"{f}{k}" for f in "TIMRP" for k in (2, 3, 4))]
+    assert [bases[i] for i in LAYOUTS["fpha"]] == ours
+
+
+# What is noticed
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+@pytest.mark.parametrize("name", FOREIGN)
+def test_another_order_is_recognised(operator: HandRecording, name: str, noise: float) -> None:
+    rng = np.random.default_rng(0)
+    seen = operator.landmarks[:50] + rng.normal(0, noise, (50, 21, 3))
+    found = doubt(in_layout(seen, name), "right")
+    assert found is not None
+    assert (found.layout, found.order, found.side) == (name, LAYOUTS[name], None)
+    assert f"--layout {name}" in found.remedy
+    assert doubt(in_layout(seen, name), "right", layout=name) is None
+    back = doubt(seen, "right", layout=name)  # said, but not so
+    assert back is not None
+    assert back.layout == "mediapipe"
+
+
+def test_an_order_without_a_name_is_put_right(operator: HandRecording) -> None:
+    order = [0, *range(5, 9), *range(1, 5), *range(9, 21)]  # index and thumb changed places
+    points = operator.landmarks[:30][:, order]
+    found = doubt(points, "right")
+    assert found is not None
+    assert found.layout is None
+    assert found.order is not None
+    np.testing.assert_array_equal(points[:, list(found.order)], operator.landmarks[:30])
+    assert str(list(found.order)) in found.remedy
+    assert "wrist, index, thumb, middle, ring, pinky" in found.what
+
+
+def test_a_mirror_image_is_the_other_hand(operator: HandRecording) -> None:
+    mirrored = operator.landmarks * MIRROR
+    np.testing.assert_allclose(chirality(mirrored), -chirality(operator.landmarks))
+    for points, side, other in ((mirrored, "right", "left"), (operator.landmarks, "left", "right")):
+        found = doubt(points, side)  # type: ignore[arg-type]
+        assert found is not None
+        assert (found.side, found.layout) == (other, None)
+        assert f"--side {other}" in found.remedy
+    assert doubt(mirrored, "left") is None
+    with pytest.raises(RecordingError, match=r"takes: by its shape this is a left hand.*--side"):
+        check_hand(mirrored, "right", where="takes")
+
+
+def test_what_is_no_hand_or_too_little_is_not_judged(operator: HandRecording) -> None:
+    rng = np.random.default_rng(0)
+    assert doubt(rng.normal(size=(50, 21, 3)), "right") is None
+    assert doubt(np.zeros((50, 21, 3)), "right") is None
+    mirrored = operator.landmarks[: FEWEST_FRAMES + 3] * MIRROR
+    assert doubt(mirrored, "right") is not None
+    mirrored[:4, 7] = np.nan  # whole frames are too few now
+    assert doubt(mirrored, "right") is None
+    with pytest.raises(UnknownNameError, match=r"layout 'manno'.*mano"):
+        doubt(mirrored, "right", layout="manno")
+
+
+def test_a_landmark_far_away_changes_nothing(operator: HandRecording) -> None:
+    points = operator.landmarks.copy()
+    points[7, 3] = 1e30
+    points[9] *= 1e30
+    assert doubt(points, "right") is None
+    assert doubt(points * MIRROR, "right") is not None
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_right_ones_are_never_refused(side: str) -> None:
+    """Short windows of operators of either side, with the noise of a bad tracker."""
+    rng = np.random.default_rng(2)
+    for seed in range(3):
+        made = SyntheticOperator(seed=seed, side=side).record(4.0)  # type: ignore[arg-type]
+        for first in range(0, 380, 19):
+            for noise in (0.0, 0.003, 0.005):
+                seen = made.landmarks[first : first + 8]
+                assert doubt(seen + rng.normal(0, noise, seen.shape), made.side) is None
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    "name",
+    ["manus_right_subject-000_run-010.npz", "human_alex_21x3.npy", "wilor_test_long_21x3.npz",
+     "wilor_workspace_21x3.npz"],
+)  # fmt: skip
+def test_real_recordings_pass_and_their_faults_do_not(shared: Path, name: str) -> None:
+    """Half-second windows all over the recordings, of both sides."""
+    path = shared / "recordings" / name
+    landmarks = read_recording(path, rate=None if name.startswith("manus") else 30.0).landmarks
+    mirrored, noticed, windows = landmarks * MIRROR, 0, 0
+    for first in range(0, len(landmarks) - 15, 97):
+        cut = slice(first, first + 15)
+        assert doubt(landmarks[cut], "right") is None
+        assert doubt(mirrored[cut], "left") is None
+        foreign = doubt(in_layout(landmarks[cut], "mano"), "right")
+        assert foreign is not None
+        assert foreign.layout == "mano"
+        noticed += doubt(mirrored[cut], "right") is not None
+        windows += 1
+    # a planar palm with straight fingers, as one of these trackers gives it, is no side's
+    assert noticed >= (0.6 if "alex" in name else 1.0) * windows
+
+
+# Reading files
+
+
+def test_a_file_in_another_layout_is_refused_and_converted(
+    tmp_path: Path, operator: HandRecording
+) -> None:
+    points = in_layout(operator.landmarks[:40], "mano")
+    valid = np.ones((40, 21), bool)
+    valid[3, 16] = False  # in MANO's order: the thumb's tip
+    path = saved(tmp_path / "a.npz", points, valid=valid)
+    with pytest.raises(RecordingError, match=r"a\.npz: .* the order 'mano' .*say --layout mano"):
+        read_recording(path)
+    read = read_recording(path, layout="mano")
+    np.testing.assert_array_equal(read.landmarks, operator.landmarks[:40])
+    assert read.valid is not None
+    assert np.argwhere(~read.valid).tolist() == [[3, 4]]
+    episode = read_episode(path, layout="mano").recording
+    assert episode is not None
+    np.testing.assert_array_equal(episode.landmarks, read.landmarks)
+    with pytest.raises(RecordingError, match="order 'mediapipe'"):
+        read_recording(saved(tmp_path / "b.npz", operator.landmarks), layout="mano")
+
+
+def test_a_mirrored_file_is_refused_whether_it_says_its_side_or_not(
+    tmp_path: Path, operator: HandRecording
+) -> None:
+    mirrored = operator.landmarks * MIRROR
+    with pytest.raises(RecordingError, match=r"a left hand.*say --side left"):
+        read_recording(saved(tmp_path / "a.npz", mirrored))
+    assert read_recording(tmp_path / "a.npz", side="left").side == "left"
+    labelled = saved(tmp_path / "b.npz", mirrored, side=np.array("right"))
+    with pytest.raises(RecordingError, match=r"a left hand.*the file says right: correct that"):
+        read_recording(labelled)
+
+
+def test_frames_of_another_size_are_not_seen(tmp_path: Path, operator: HandRecording) -> None:
+    points = operator.landmarks.copy()
+    points[10:14] *= 1000.0  # a stretch in millimetres
+    points[20] *= 1e30
+    points[30, 8] = 5.0  # one landmark in the next room
+    read = read_recording(saved(tmp_path / "a.npz", points))
+    assert read.meta["implausible_frames"] == 6
+    assert read.valid is not None
+    wrong = ~read.valid
+    assert np.flatnonzero(wrong.all(axis=1)).tolist() == [10, 11, 12, 13, 20]
+    assert np.argwhere(wrong[21:]).tolist() == [[9, 8]]
+    notes = read_episode(tmp_path / "a.npz").notes
+    assert any("6 of 200 frames have a palm or a landmark" in note for note in notes)
+    clean = read_recording(saved(tmp_path / "b.npz", operator.landmarks))
+    assert "implausible_frames" not in clean.meta
+
+
+# Live
+
+
+def test_live_frames_are_judged_from_the_first_few_on(operator: HandRecording) -> None:
+    check = HandCheck("right")
+    valid = np.ones(21, bool)
+    for i in range(20):
+        found = check.see(in_layout(operator.landmarks[i], "mano"), valid)
+        assert (found is not None) == (i >= FEWEST_FRAMES - 1)
+    assert isinstance(found, Doubt)
+    assert "layout=mano" in found.live
+    # the source is told, and goes on: its frames count again after a window at most
+    verdicts = [check.see(points, valid) for points in operator.landmarks[20:80]]
+    assert verdicts[-1] is None
+
+
+def test_a_hand_that_changes_its_side_is_noticed(operator: HandRecording) -> None:
+    check = HandCheck("right")
+    valid = np.ones(21, bool)
+    assert all(check.see(points, valid) is None for points in operator.landmarks[:90])
+    verdicts = [check.see(points * MIRROR, valid) for points in operator.landmarks[90:160]]
+    assert verdicts[-1] is not None
+    assert verdicts[-1].side == "left"
+    lost = np.zeros(21, bool)
+    assert check.see(operator.landmarks[0], lost) is verdicts[-1]  # no news of it
+
+
+@pytest.mark.parametrize("form", ["bytes", "json"])
+def test_messages_in_another_layout_are_converted(operator: HandRecording, form: str) -> None:
+    points = in_layout(operator.landmarks[5], "mano")
+    data = points.astype("<f8").tobytes() if form == "bytes" else str(points.tolist()).encode()
+    (reading,) = read_payload(data, side="right", received=1.0, layout="mano")
+    np.testing.assert_array_equal(reading.frame.landmarks, operator.landmarks[5])
+    (as_it_came,) = read_payload(data, side="right", received=1.0)
+    assert not np.array_equal(as_it_came.frame.landmarks, operator.landmarks[5])
+
+
+def test_the_synthetic_operator_may_lose_frames(operator: HandRecording) -> None:
+    """Frames with landmarks missing are left out of the judgement, not taken for faults."""
+    assert operator.valid is not None
+    valid = operator.valid.copy()
+    valid[::2, 12] = False
+    holes = replace(operator, valid=valid)
+    assert doubt(holes.landmarks, "right", holes.valid) is None
+    assert doubt(holes.landmarks * MIRROR, "right", holes.valid) is not None
+
+
+# Files that are no recordings
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [("clip.mp4", b"\x00\x00\x00\x20ftypisom"), ("clip.mkv", b"\x1aE\xdf\xa3\x01\x00\x00\x00"),
+     ("clip.avi", b"RIFF\x00\x00\x00\x00AVI LIST")],
+)  # fmt: skip
+def test_a_video_is_told_where_it_goes(tmp_path: Path, name: str, head: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(head + bytes(64))
+    with pytest.raises(RecordingError, match=r"a video; .*convert .*clip\.npz.*--source video:"):
+        read_recording(path)
+
+
+def test_a_file_is_no_source_but_names_one() -> None:
+    for text, word in (("clip.mp4", "video"), ("a/glove.npz,speed=2", "replay")):
+        with pytest.raises(ConfigError, match=f"write {word}:{text}"):
+            build_source(text)
+    with pytest.raises(UnknownNameError, match="source 'clip'"):
+        build_source("clip")
+    with pytest.raises(UnknownNameError, match="layout 'manno'"):
+        build_source("udp:0,layout=manno")
+
+
+def test_commands_without_times_are_refused(tmp_path: Path) -> None:
+    stamps = np.arange(3.0)
+    commands = CommandTrajectory(np.zeros((3, 2)), ("a", "b"), stamps, stamps, np.zeros(3, np.int8))
+    write_commands(tmp_path / "a.npz", commands, {})
+    arrays = dict(np.load(tmp_path / "a.npz"))
+    for value in (np.nan, np.inf):
+        arrays["timestamps"] = np.array([0.0, value, 2.0])
+        np.savez(tmp_path / "b.npz", **arrays)
+        with pytest.raises(RecordingError, match="must be finite"):
+            read_commands(tmp_path / "b.npz")
