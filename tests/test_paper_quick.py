@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+ROOT = Path(__file__).resolve().parents[1]
 EXPERIMENTS = {"compute", "fk", "hessian", "noise", "rate", "solver", "table", "velocity"}
 
 
@@ -16,6 +18,39 @@ def quickly(folder: Path, *words: str) -> tuple[str, str]:
     run = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
     assert run.returncode == 0, run.stderr[-3000:]
     return run.stdout, run.stderr
+
+
+def _check_tables_of_the_page(folder: Path) -> None:
+    """Every table of docs/paper.md has the columns and rows that its program makes."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        import paper_tables
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    blocks = {found[1]: found[2] for found in paper_tables.BLOCK.finditer(page)}
+    assert len(blocks) >= 12
+    loose = paper_tables.BLOCK.sub("", page)
+    assert not re.search(r"^\|", loose, re.MULTILINE)  # none is written by hand
+    results = paper_tables.read_results(folder)
+    assert set(results) == EXPERIMENTS
+    for name, text in blocks.items():
+        if name == "coverage":
+            continue  # tests/test_ablations.py
+        made = paper_tables.block(name, paper_tables.TABLES[name](results, results))
+        ours, theirs = ([line for line in t.splitlines() if line[:1] == "|"] for t in (made, text))
+        assert _unnumbered(ours[0]) == _unnumbered(theirs[0]), name
+        rows = [{_unnumbered(line.split(" | ")[0]) for line in t[2:]} for t in (ours, theirs)]
+        assert rows[0] == rows[1], name
+    written = paper_tables.replaced(page, "solver", "new")
+    assert paper_tables.replaced(page, "none", "new") == page
+    assert "new" in written
+    assert blocks["velocity"] in written
+
+
+def _unnumbered(text: str) -> str:
+    """Without its figures, which are the study's size."""
+    return re.sub(r"[\d.,]+", "#", text)
 
 
 def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path: Path) -> None:
@@ -33,6 +68,7 @@ def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path: Path) -> None:
     assert "its verdicts say little" in page
     for name in EXPERIMENTS:
         assert f'id="{name}"' in page, name
+    _check_tables_of_the_page(folder)
     kept = {path: path.stat().st_mtime_ns for path in sorted((folder / "cells").rglob("*.*"))}
     assert kept
     quickly(folder, "ablate", "solver")

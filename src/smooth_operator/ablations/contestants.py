@@ -1,7 +1,8 @@
 """The solvers that are set side by side on one objective: single-start, and N starts in parallel.
 
 Each starts at its own last answer, keeps within the joint limits, and knows nothing of the others.
-The descending ones stop alike: where an iteration gains less than 1e-6, or after 100 evaluations.
+The descending ones stop alike: where an iteration gains less than 1e-6, or after 100 evaluations;
+SLSQP in the published form after 20 iterations.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import ClassVar, Final, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.ablations.rmsprop import RmspropConfig, rmsprop_minimise
@@ -20,7 +22,13 @@ from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal, Objective
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator.solvers.slsqp import SlsqpConfig
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
+from smooth_operator.solvers.slsqp import (
+    SlsqpConfig,
+    SlsqpResult,
+    ValueAndGradient,
+    slsqp_minimise,
+)
 
 SPREAD: Final = 0.2
 """Standard deviation of parallel starts about the last answer [rad]: the sampler's own."""
@@ -259,17 +267,37 @@ class Newton(_FromStarts):
 
 @dataclass(frozen=True)
 class Slsqp(_FromStarts):
-    """NLopt's SLSQP, single-start or from N starts one after the other: it runs on the host."""
+    """SLSQP, single-start or from N starts one after the other: it runs on the host.
 
-    config: SlsqpConfig = field(default_factory=SlsqpConfig)
+    NLopt's, until it gains nothing more; or SciPy's with the limit of the paper's authors.
+    """
+
+    config: SlsqpConfig | ScipySlsqpConfig = field(default_factory=SlsqpConfig)
     starts: Starts = field(default_factory=Starts)
     name: ClassVar[str] = "SLSQP"
     family: ClassVar[str] = "slsqp"
 
     @property
+    def label(self) -> str:
+        """With the limit of iterations, where there is one, and the number of starts."""
+        limited = isinstance(self.config, ScipySlsqpConfig)
+        return f"{self.name}, published limit{self.starts}" if limited else super().label
+
+    @property
     def effort(self) -> float:
         """By starts."""
         return 2.5 * self.starts.count
+
+    def minimise(
+        self,
+        objective: ValueAndGradient,
+        start: Float[np.ndarray, " m"],
+        limits: Float[np.ndarray, "m 2"],
+    ) -> SlsqpResult:
+        """From one start."""
+        if isinstance(self.config, ScipySlsqpConfig):
+            return scipy_slsqp_minimise(objective, start, limits, self.config)
+        return slsqp_minimise(objective, start, limits, self.config)
 
 
 def _many_gradients(

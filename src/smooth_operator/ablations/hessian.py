@@ -191,7 +191,7 @@ def _thirds(ranked: Ranked) -> tuple[slice, slice]:
 
 
 def _ratios(found: Comparison, ranked: Ranked, ranks: slice) -> dict[str, Estimate]:
-    labels = (found.lineup.slsqp, found.lineup.batched("slsqp"))
+    labels = found.lineup.of("slsqp")
     sampled = _share(found, ranked, SAMPLING, ranks)
     return {one: contrast(_share(found, ranked, one, ranks), sampled, "ratio") for one in labels}
 

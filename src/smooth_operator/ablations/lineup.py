@@ -20,6 +20,7 @@ from smooth_operator.ablations.rmsprop import RmspropConfig
 from smooth_operator.ablations.runs import measure_run
 from smooth_operator.ablations.sizes import Size
 from smooth_operator.ablations.study import Study
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 
 SAMPLING: Final = "sampling"
 TUNED: Final = "sampling, tuned"
@@ -60,6 +61,10 @@ class Lineup:
         """Label of single-start SLSQP."""
         return SLSQP
 
+    def of(self, family: str) -> list[str]:
+        """Labels of all forms of a solver."""
+        return [label for label, one in self.contestants.items() if one.family == family]
+
     def batched(self, family: str) -> str:
         """Label of the batched form of a solver."""
         return next(
@@ -88,6 +93,7 @@ def make_lineup(study: Study, velocity_weight: float) -> Lineup:
         # where the published deviation is the best of those tried, there is no second one
         *([sampling] if sampling.sigma != published.sigma else []),
         Slsqp(),
+        Slsqp(config=ScipySlsqpConfig()),
         Slsqp(starts=Starts(size.slsqp_starts)),
         rmsprop,
         rmsprops,

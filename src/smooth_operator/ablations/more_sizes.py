@@ -55,15 +55,23 @@ DEFAULT: Final = MoreSize(
     fk_rounds=7,
     table_frames=300,
     latency_frames=100,
-    frames=120,
-    noises=(0.0, 0.5e-3, 1e-3, 2e-3, 5e-3),
-    losses=(0.0, 0.05, 0.1, 0.2),
+    frames=80,
+    noises=(0.0, 0.5e-3, 1e-3, 5e-3),
+    losses=(0.0, 0.2),
     seeds=1,
-    rates=(15.0, 30.0, 60.0, 100.0, 200.0),
+    rates=(15.0, 30.0, 100.0),
     seconds=2.0,
 )
 
-PUBLISHED: Final = replace(DEFAULT, table_frames=500, seconds=5.0)
+PUBLISHED: Final = replace(
+    DEFAULT,
+    table_frames=500,
+    frames=200,
+    noises=(0.0, 0.5e-3, 1e-3, 2e-3, 5e-3),
+    losses=(0.0, 0.05, 0.1, 0.2),
+    rates=(15.0, 30.0, 60.0, 100.0, 200.0),
+    seconds=5.0,
+)
 
 _SIZES: Final = {"quick": QUICK, "default": DEFAULT, "published": PUBLISHED}
 

@@ -1,4 +1,4 @@
-"""Experiment ``noise``: every method behind a worse and worse tracker."""
+"""Experiment ``noise``: methods behind a worse and worse tracker."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ class TrackerNoise:
             "each coordinate of each landmark and each frame; frames are lost in bursts of 30 ms "
             "in the mean, whose commands repeat the last. Methods see the bad tracker and are "
             "measured against the hand as it was; a recording of a real tracker has its own noise "
-            f"in both. The first frame is shown {LEAD} times before anything counts. Methods are "
-            "as they come here (sbr is our preset realtime); those of the paper's table are in it "
-            "as their authors run them, too (sbr:paper, dexpilot:published, hybrid:published), and "
-            f"verdicts are on these, with GeoRT by our model.{field.told()}",
+            f"in both. The first frame is shown {LEAD} times before anything counts. Those of "
+            "the paper's table are as their authors run them (sbr:paper, dexpilot:published, "
+            "hybrid:published), but for GeoRT, which has our model; the others are as they come "
+            f"here, sbr being our preset realtime.{field.told()}",
             [_smooth_verdict(sweep, noises), _step_verdict(sweep, losses),
              _price_verdict(sweep, noises)],
             [

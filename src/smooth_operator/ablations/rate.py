@@ -1,4 +1,4 @@
-"""Experiment ``rate``: every method at frame rates from 15 to 200 Hz."""
+"""Experiment ``rate``: methods at several frame rates."""
 
 from __future__ import annotations
 

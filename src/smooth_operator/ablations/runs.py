@@ -26,7 +26,6 @@ from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.objective.loss import FrameGoal, Objective
 from smooth_operator.retargeters.program import compiled
 from smooth_operator.solvers.normals import frame_key, seed_words
-from smooth_operator.solvers.slsqp import slsqp_minimise
 
 CHUNK: Final = 20
 """Frames in one call of a program: few enough that Ctrl-C is heard and a bar moves."""
@@ -218,8 +217,7 @@ def _on_host(
             return np.asarray(evaluate(x.astype(np.float32), goal), np.float64)
 
         results = [
-            slsqp_minimise(objective, np.clip(q + move, limits[:, 0], limits[:, 1]), limits,
-                           contestant.config)
+            contestant.minimise(objective, np.clip(q + move, limits[:, 0], limits[:, 1]), limits)
             for move in moves
         ]  # fmt: skip
         costs = np.array([result.value for result in results])

@@ -109,7 +109,7 @@ QUICK: Final = Size(
 DEFAULT: Final = Size(
     name="default",
     recordings=synthetic_operators(20, 300),
-    frames=150,
+    frames=80,
     seeds=1,  # a seed's chance is in the spread among the operators
     samples=8192,
     cycles=20,
@@ -123,7 +123,7 @@ DEFAULT: Final = Size(
     grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384),
     grid_cycles=(5, 10, 20, 40, 80, 160),
     grid_budget=163_840,
-    grid_frames=30,
+    grid_frames=25,
 )
 """For two cores: twenty independent operators, so that a direction that is there can be shown."""
 

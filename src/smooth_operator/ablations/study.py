@@ -17,7 +17,7 @@ from smooth_operator.ablations.sizes import Size
 from smooth_operator.ablations.store import Store
 from smooth_operator.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.retargeters.presets import DEXPILOT
+from smooth_operator.retargeters.presets import DEXPILOT_PUBLISHED
 
 TUNING_OPERATOR: Final = 1001
 """Seed of the built-in operator whose frames are tuned on, and never judged."""
@@ -131,7 +131,7 @@ class Study:
     @cached_property
     def judged(self) -> list[Problem]:
         """DexPilot's loss on the recordings, for the experiments that change the solver."""
-        return self.problems(DEXPILOT.objective, self.size.frames)
+        return self.problems(DEXPILOT_PUBLISHED.objective, self.size.frames)
 
     @cached_property
     def tuning(self) -> Problem:
@@ -144,7 +144,9 @@ class Study:
             (source,) = load_sources([parse_request(f"synthetic:{seed}@{frames}", side=side)])
             if source.digest not in taken:
                 break
-        (problem,) = make_problems([source], self.hand, DEXPILOT.objective, self.size.tuning_frames)
+        (problem,) = make_problems(
+            [source], self.hand, DEXPILOT_PUBLISHED.objective, self.size.tuning_frames
+        )
         return problem
 
     def run_job(

@@ -51,15 +51,15 @@ class Ablate(Experimenting):
   velocity  the same with a velocity term
   hessian   in which directions of the loss a solver jitters
   table     the six metrics of all methods, in the paper's layout
-  noise     all methods behind a tracker with noise and drop-outs
-  rate      all methods at frame rates from 15 to 200 Hz
+  noise     methods behind a tracker with noise and drop-outs
+  rate      methods at frame rates from 15 to 100 Hz
 
 FOLDER gets NAME/results.json, NAME/*.png, report.html (all experiments in the folder), and cells/
 (what was computed, shared by the experiments). Run the same command again to go on where it was
 stopped. Without recordings twenty people of the built-in operator are used (four with --quick); a
 recording may bring a range of frames, a rate or a side after an @, as for bench. Of each at most
-300 frames are used (solvers 150, --published 500). Files count as independent, parts of one file as
-one.
+300 frames are used (for the solvers 80, with --published 500). Files count as independent,
+parts of one file as one.
 
 Examples:
   smooth-operator ablate solver --output out
