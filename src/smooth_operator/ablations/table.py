@@ -52,6 +52,9 @@ _TITLES: Final = {
     LATENCY: "latency [ms] (↓)",
 }
 
+_BOUNDS: Final = {"cosine_similarity": (-1, 1), "motion_preservation": (-1, 1),
+                  "workspace_utilisation": (0, 1)}  # fmt: skip
+
 Definition = str
 """``paper`` or ``sound``, of the metrics."""
 
@@ -137,15 +140,15 @@ class BenchmarkTable:
         environment = study.store.environment
         return Outcome(
             f"{len(field.choices)} methods on {study.hand}, {frames:,} frames of "
-            f"{study.recordings}. DexPilot, Hybrid and SBR are as their authors run "
-            "them (dexpilot:published, hybrid:published, sbr:paper); GeoRT is ours, with the model "
-            "that comes with the hand; the others are as they come here. The first frame is shown "
+            f"{study.recordings}. DexPilot, Hybrid and SBR are as their authors run them "
+            "(dexpilot:published, hybrid:published, sbr:paper); GeoRT is ours, with the model that "
+            "comes with the hand; the others are as they come here. The first frame is shown "
             f"{LEAD} times before anything counts, so that no method is measured on its way from "
-            "the neutral pose. Claims are judged by the paper's "
-            "definitions of the metrics; the table of all methods follows the sound ones (means, "
-            "the human aligned as the method saw it, still frames masked). Latency is p50 over "
-            f"{size.latency_frames} frames of each recording, alone, methods taking turns, on "
-            f"{environment['cpu']}, {environment['cpu_cores']} cores, {environment['device']}. "
+            "the neutral pose. Claims are judged by the paper's definitions of the metrics; the "
+            "table of all methods follows the sound ones (means, the human aligned as the method "
+            f"saw it, still frames masked). Latency is p50 over {size.latency_frames} frames of each "
+            f"recording, alone, methods taking turns, on {environment['cpu']}, {environment['cpu_cores']} cores, "
+            f"{environment['device']}. "
             f"{PAPER_NOTE}{field.told()}",
             [_verdict(found, metric, papers) for metric in HEADLINES],
             [_paper_table(found, papers), _table(found, "sound"), _table(found, "paper")],
@@ -369,8 +372,9 @@ def _shown(mean: Estimate | None, metric: Metric, winner: bool) -> str:
         return "–"
     text = shown_value(metric, mean.value)
     if mean.low is not None and mean.high is not None:
-        ends = (shown_value(metric, mean.low), shown_value(metric, mean.high))
-        text += f" [{ends[0]}, {ends[1]}]"
+        ends = np.clip((mean.low, mean.high), *_BOUNDS.get(metric.name, (-np.inf, np.inf)))
+        low, high = (shown_value(metric, float(end)) for end in ends)
+        text += f" [{low}, {high}]"
     return f"{text} ★" if winner else text
 
 
