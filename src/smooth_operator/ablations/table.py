@@ -146,9 +146,9 @@ class BenchmarkTable:
             f"{LEAD} times before anything counts, so that no method is measured on its way from "
             "the neutral pose. Claims are judged by the paper's definitions of the metrics; the "
             "table of all methods follows the sound ones (means, the human aligned as the method "
-            f"saw it, still frames masked). Latency is p50 over {size.latency_frames} frames of each "
-            f"recording, alone, methods taking turns, on {environment['cpu']}, {environment['cpu_cores']} cores, "
-            f"{environment['device']}. "
+            f"saw it, still frames masked). Latency is p50 over {size.latency_frames} frames of "
+            f"each recording, alone, methods taking turns, on {environment['cpu']}, "
+            f"{environment['cpu_cores']} cores, {environment['device']}. "
             f"{PAPER_NOTE}{field.told()}",
             [_verdict(found, metric, papers) for metric in HEADLINES],
             [_paper_table(found, papers), _table(found, "sound"), _table(found, "paper")],
