@@ -250,6 +250,16 @@ def test_the_built_in_operator_moves_alike_at_every_rate(sources: list[Source]) 
     np.testing.assert_allclose(fast.clean.landmarks[both], base.clean.landmarks[same], atol=1e-9)
 
 
+def test_an_operators_hand_and_tempo_stay_at_every_rate() -> None:
+    (source,) = load_sources([parse_request("synthetic:1@16.5cm,1.3x,300:400")])
+    take = at_rate(source, 100.0, 0.5)
+    assert take is not None
+    assert source.recording is not None
+    at = np.flatnonzero(np.isclose(source.recording.stamps, take.clean.stamps[0]))[0]
+    same = source.recording.landmarks[at : at + len(take.clean)]
+    np.testing.assert_allclose(take.clean.landmarks, same, atol=1e-9)
+
+
 def test_of_a_file_frames_are_taken_and_never_made_up(sources: list[Source]) -> None:
     recording = sources[0].recording
     source = Source(Request(Path("glove.npz")), "glove", recording, digest="d")

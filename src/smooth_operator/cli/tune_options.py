@@ -41,7 +41,8 @@ Examples:
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING...")]
     """What to tune on: files, folders or synthetic:SEED, each with settings after an @ if need be
-    (a range of frames :500, a rate 60hz, a side, of synthetic ones noise 0.5mm)."""
+    (a range of frames :500, a rate 60hz, a side, of synthetic ones noise 0.5mm, a hand of 17.5cm, a
+    tempo of 1.2x)."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write, new, empty or of an earlier search."""
