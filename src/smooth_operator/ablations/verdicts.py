@@ -14,24 +14,22 @@ from smooth_operator.ablations.intervals import Estimate
 
 Held: TypeAlias = Literal["held", "held in part", "mixed", "not shown", "did not hold"]
 
-SHARE: Final = 0.5
+SHARE: Final = 0.8
 """The whole interval of an effect must lie beyond this share of the claimed size, logarithmic for
-ratios: a non-inferiority margin of one half."""
+ratios: a non-inferiority margin of a fifth."""
 
 RULES: Final = (
     "Intervals are Student's t over independent units: a file, or one operator of the built-in "
     "ones; parts of one recording count as one. A direction is shown where the 95 % interval "
-    "leaves "
-    "out no effect. A claim of a size held if the whole interval lies beyond half of the claimed "
-    "effect, and held in part if the direction alone is shown. A claim of equality held if the "
-    "whole "
-    "interval lies within the stated margin, and did not hold if all of it lies outside. A claim "
-    "of "
-    "several parts held if every part held. Otherwise each part is judged again with an interval "
-    "that is widened for their number (Bonferroni): held in part if at least one part is shown and "
-    "none the other way round; mixed if some are shown and some the other way round; did not hold "
-    "if "
-    "some are shown the other way round and none as claimed; not shown if none is shown."
+    "leaves out no effect. A claim of a size held if the whole interval lies beyond four fifths of "
+    "the claimed effect (logarithmic for ratios), and held in part if the direction alone is "
+    "shown. A claim of equality held if the whole interval lies within the stated margin, and did "
+    "not hold if all of it lies outside. A claim of several parts held if every part held, and "
+    "held in part if every direction is shown. Otherwise each part is judged again with an "
+    "interval that is widened for their number (Bonferroni): held in part if at least one part is "
+    "shown and none the other way round; mixed if some are shown and some the other way round; did "
+    "not hold if some are shown the other way round and none as claimed; not shown if none is "
+    "shown."
 )
 
 

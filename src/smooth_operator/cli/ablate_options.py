@@ -58,7 +58,7 @@ FOLDER gets NAME/results.json, NAME/*.png, report.html (all experiments in the f
 (what was computed, shared by the experiments). Run the same command again to go on where it was
 stopped. Without recordings twenty people of the built-in operator are used (four with --quick); a
 recording may bring a range of frames, a rate or a side after an @, as for bench. Of each at most
-300 frames are used (for the solvers 80, with --published 500). Files count as independent,
+300 frames are used (for the solvers 150, with --published 500). Files count as independent,
 parts of one file as one.
 
 Examples:
