@@ -44,7 +44,8 @@ def _check_tables_of_the_page(folder: Path) -> None:
             continue
         assert _unnumbered(ours[0]) == _unnumbered(theirs[0]), name
         rows = [{_unnumbered(line.split(" | ")[0]) for line in t[2:]} for t in (ours, theirs)]
-        assert rows[0] == rows[1], name
+        # a second sampler is there where tuning prefers another deviation than the published one
+        assert {row for row in rows[0] if "tuned" not in row} == rows[1], name
     written = paper_tables.replaced(page, "solver", "new")
     assert paper_tables.replaced(page, "none", "new") == page
     assert "new" in written
@@ -60,7 +61,7 @@ def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path: Path) -> None:
     folder = tmp_path / "quick"
     told, progress = quickly(folder, "paper")
     assert "its verdicts say little" in told.splitlines()[-1]  # below the ticks and crosses
-    assert "flatness [m²]" in told  # brackets are units, not markup
+    assert "[m²]" in told  # brackets are units, not markup
     assert f"{len(EXPERIMENTS)} of {len(EXPERIMENTS)} experiments done" in progress
     assert "grid N × L: 1 of " in progress
     for name in EXPERIMENTS:

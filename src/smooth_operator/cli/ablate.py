@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -133,7 +132,7 @@ def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]], warning: str) -> No
     for header in ("experiment", "claim", "paper", "here", "verdict"):
         table.add_column(header, no_wrap=header in ("experiment", "verdict"))
     for line in verdict_lines(outcomes):
-        table.add_row(*map(escape, line))  # units and intervals stand in brackets
+        table.add_row(*line)
     console.print(table)
     if warning:
         console.print(warning.strip(), markup=False, style="bold yellow")
