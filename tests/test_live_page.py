@@ -39,6 +39,7 @@ from smooth_operator.ui.live import words
 from smooth_operator.ui.live.coach import Coach
 from smooth_operator.ui.live.config_controls import ConfigControls
 from smooth_operator.ui.live.fields import changed, config_fields, field_docs
+from smooth_operator.ui.live.pace import period_for
 from smooth_operator.ui.live.page import LivePage, PageSetup
 from smooth_operator.ui.live.rates import RateMeter
 from smooth_operator.ui.live.session import LiveSession
@@ -266,6 +267,15 @@ def test_the_legend_names_each_hand_by_its_sign() -> None:
         (css(SIMULATED), "■ robot command, where it differs"),
     ]
     assert len(chips(words.legend(fingers, simulated=False, task=False))) == 4
+
+
+def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
+    assert period_for(0.01) == pytest.approx(1 / 30)
+    assert period_for(0.1) == 0.1
+    assert period_for(0.2) == pytest.approx(0.6)  # three of its pictures
+    assert period_for(9.0) == 1.0
+    assert words.slow(0.1) == ""
+    assert "0.4 s late" in words.slow(0.41)
 
 
 def test_latches_are_shown_for_methods_that_have_them() -> None:

@@ -20,7 +20,10 @@ from smooth_operator.recording import write_commands
 from smooth_operator.sources import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, Side
 from smooth_operator.ui.hand_view import HandView
+from smooth_operator.ui.live.page import PageSetup
+from smooth_operator.ui.live.scene import LiveScene
 from smooth_operator.ui.playback import Playback
+from smooth_operator.ui.viser_server import close_server, open_server
 
 HANDS: tuple[tuple[str, Side, str], ...] = (
     ("allegro_hand", "right", "wonik_allegro_hand"),
@@ -183,3 +186,52 @@ def test_a_model_of_another_hand_is_refused_before_any_work(
     assert main(["demo", "--no-view", "--duration", "0.5", *arguments]) == 2
     assert "lacks the joints" in capsys.readouterr().err
     assert not output.exists()
+
+
+def test_teleop_draws_the_vendors_meshes_on_its_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The option reaches the page's process; the bodies are the vendor's, in the hand's pose."""
+    path = vendors(tmp_path / "vendor")
+    setups: list[PageSetup] = []
+
+    class Shown(Exception):
+        """Enough is known."""
+
+    def page(setup: PageSetup) -> None:
+        setups.append(setup)
+        raise Shown
+
+    monkeypatch.setattr("smooth_operator.ui.live.page.LivePage", page)
+    given = ["teleop", "--hand", "shadow_hand", "--method", "joint_angle", "--no-browser"]
+    with pytest.raises(Shown):
+        main([*given, "--model", str(path)])
+    assert setups[0].model == str(path)
+    other = MODELS / "leap_hand_right.xml"
+    assert main([*given, "--model", str(other)]) == 2  # before a page opens
+    assert "lacks the joints" in capsys.readouterr().err
+
+    hand = load_hand("shadow_hand")
+    drawn = drawn_on(hand, path)
+    server = open_server("127.0.0.1", 0)
+    try:
+        scene = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": drawn})
+        every = hand.expand(np.random.default_rng(1).uniform(*hand.limits.T))
+        scene.draw({"right": {"positions": every, "human": None, "latched": None}})
+        robot = scene._sides["right"]._robot
+        names = {drawn.model.body(body).name for body in robot.nodes}
+        assert {"palm", "rh_ffdistal"} & names
+        assert "forearm" not in names
+        palm = robot.data.body(drawn.spec.palm)
+        own = mujoco.MjData(hand.model)
+        own.qpos[:] = hand.qpos(every)
+        mujoco.mj_kinematics(hand.model, own)
+        there = own.body(hand.spec.palm)
+        for joint in hand.joint_names:
+            body = int(hand.model.joint(joint).bodyid[0])
+            mine = there.xmat.reshape(3, 3).T @ (own.xpos[body] - there.xpos)
+            theirs = drawn.model.joint(joint).bodyid[0]
+            shown = palm.xmat.reshape(3, 3).T @ (robot.data.xpos[theirs] - palm.xpos)
+            np.testing.assert_allclose(shown, mine, atol=1e-6)
+    finally:
+        close_server(server)

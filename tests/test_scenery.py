@@ -8,14 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import viser
 from browser_page import new_page, settled
 
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.sinks.simulation import Simulation
 from smooth_operator.types import Side
+from smooth_operator.ui.hand_view import HandView
 from smooth_operator.ui.live.scene import LiveScene
 from smooth_operator.ui.live.scenery import Scenery
+from smooth_operator.ui.meshes import above
 from smooth_operator.ui.viser_server import close_server, open_server
 
 SIDES: tuple[Side, ...] = ("right", "left")
@@ -91,6 +95,7 @@ def test_the_hands_turn_to_the_scene_and_back(
     assert view.scenery.there
     assert np.abs(view._roots["robot"].wxyz - before).max() > 0.1
     np.testing.assert_allclose(view._roots["human"].wxyz, view._roots["robot"].wxyz)
+    assert not scene._floor.visible  # the scene has its own
     blade = np.array(seen["views"]["right"]) @ view.scenery.bounds(seen["poses"]["right"]).T
     assert (blade.min(axis=1) >= view.low - 1e-9).all()
     assert (blade.max(axis=1) <= view.high + 1e-9).all()
@@ -104,11 +109,39 @@ def test_the_hands_turn_to_the_scene_and_back(
     simulation.change_task("none")
     scene.draw_scenery(looked(simulation, ("right",), seen["number"]))
     assert not view.scenery.there
+    assert scene._floor.visible
     np.testing.assert_allclose(view._roots["robot"].wxyz, before)
     np.testing.assert_allclose(scene.aiming.half, size)
     scene.draw({"right": state})
     np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(straight))
     assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
+
+
+def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:
+    """Mimic's model has a forearm 12 cm long; the page shows 3 cm of it."""
+    hand = load_hand("mimic_p050")
+    whole = HandView(hand)
+    up = np.asarray(human_palm_axes(hand)[0]) / np.linalg.norm(human_palm_axes(hand)[0])
+
+    def heights(meshes: dict[int, trimesh.Trimesh]) -> np.ndarray:
+        poses = whole.bodies(hand.neutral)
+        points = [m.vertices @ poses[b][0].T + poses[b][1] for b, m in meshes.items()]
+        return np.asarray((np.concatenate(points) - hand.wrist) @ up)
+
+    cut = whole.without_forearm(0.03, up)
+    assert heights(whole.meshes).min() < -0.1
+    assert heights(cut).min() == pytest.approx(-0.03, abs=1e-9)
+    assert heights(cut).max() == heights(whole.meshes).max()
+    assert set(cut) == set(whole.meshes)
+    # nothing is lost above the plane, and nothing stays below it
+    box = trimesh.creation.box(extents=(2.0, 2.0, 2.0))
+    half = above(box, np.array([0.0, 0.0, 0.25]), np.array([0.0, 0.0, 1.0]))
+    assert half is not None
+    np.testing.assert_allclose(half.bounds, [[-1, -1, 0.25], [1, 1, 1]])
+    assert half.area == pytest.approx(4 + 4 * 2 * 0.75)
+    assert half.face_normals[:, 2].min() == pytest.approx(0.0)  # they still point outward
+    assert above(box, np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 1.0])) is None
+    assert above(box, np.array([0.0, 0.0, -2.0]), np.array([0.0, 0.0, 1.0])) is box
 
 
 def test_the_card_is_seen(
@@ -123,7 +156,8 @@ def test_the_card_is_seen(
     def shown(picture: np.ndarray) -> bool:
         red, green, blue = picture[..., 0], picture[..., 1], picture[..., 2]
         card = (red > 180) & (green < 0.75 * red) & (abs(green - blue) < 60)
-        table = (red > 150) & (green > 0.75 * red) & (blue < 0.9 * green) & (blue > 0.6 * green)
+        # see-through, on a background that is bluish
+        table = (red > 110) & (green > 0.75 * red) & (blue < 0.97 * green) & (blue > 0.6 * green)
         return bool(card.sum() > 1000 and table.sum() > 4000)
 
     settled(browser, 900, 560, shown)

@@ -380,6 +380,7 @@ def test_teleop_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path
         (["--hand", "mimic_p05"], "Did you mean 'mimic_p050'"),
         (["--operator", "/nowhere.json"], "/nowhere.json"),
         (["--safety.stale-s", "-1"], "stale_s must be positive"),
+        (["--model", "hand.xml"], "--no-view leaves the page out"),
     ],
 )
 def test_what_teleop_says_of_mistakes(

@@ -134,6 +134,10 @@ def test_a_video_is_played_at_its_own_pace(fake: type[Fake], tmp_path: Path) -> 
     assert arrival.session == 0
     assert "a hand on" in source.health().detail
     assert source.label not in source.health().detail  # who shows it has named it
+    seen = source.picture()  # type: ignore[attr-defined]
+    assert 0 < seen.number <= 20
+    assert list(seen.hands) == ["right"]
+    assert seen.pixels.shape == (64, 96, 3)
 
 
 def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from smooth_operator.cli.teleop_options import Teleop
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.offline import Request, settle
 from smooth_operator.retargeters.method import MethodConfig
 from smooth_operator.runtime.limiter import Limiter
@@ -44,5 +46,12 @@ def checked(
         from smooth_operator.ui.ports import free_port
 
         free_port(options.host, options.port)
+        if options.model is not None:
+            for hand in hands.values():
+                drawn_on(hand, options.model)  # the page's own process does it again
+    elif options.model is not None:
+        raise ConfigError(
+            "--model says what the page draws, and --no-view leaves the page out; leave out one"
+        )
     source.prepare()
     return settled

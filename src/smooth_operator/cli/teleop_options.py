@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from smooth_operator.cli.common_options import Common, Page
+from smooth_operator.cli.common_options import Common, Meshes, Page
 from smooth_operator.components import describe_components
 from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.runtime.settings import LimitsConfig, SafetyConfig
@@ -17,7 +17,7 @@ from smooth_operator.sources.catalogue import SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)
-class Teleop(Common, Page):
+class Teleop(Common, Meshes, Page):
     """Drive a robot hand from a live source: a tracker, a headset, a webcam, a recording."""
 
     details: ClassVar[str] = f"""Sources and sinks are named by a word, with an argument and
@@ -44,6 +44,7 @@ Examples:
   smooth-operator teleop
   smooth-operator teleop --source replay:glove.npz,loop=true --sink mujoco record:take.mcap
   smooth-operator teleop --source webcam --hand allegro_hand --sink zmq:tcp://127.0.0.1:5556
+  smooth-operator teleop --hand shadow_hand --model menagerie
   smooth-operator teleop --source synthetic --duration 10 --no-view --json
 """
 

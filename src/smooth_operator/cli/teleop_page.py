@@ -31,7 +31,14 @@ def begun_page(
 
     simulated = any(hasattr(sink, "state") for sink in acting)
     setup = PageSetup(
-        asked.hand, sides, asked.fingers, options.host, options.port, simulated, options.blind
+        asked.hand,
+        sides,
+        asked.fingers,
+        options.host,
+        options.port,
+        simulated,
+        options.blind,
+        None if options.model is None else str(options.model),
     )
     with LivePage(setup) as page:
         yield page

@@ -15,6 +15,7 @@ from smooth_operator.sources.camera import opencv
 from smooth_operator.sources.hand_labels import SeenHand, Tracks, assign_sides
 from smooth_operator.sources.mediapipe_hands import HandLandmarker
 from smooth_operator.sources.model_file import hand_model
+from smooth_operator.sources.seen_picture import SeenPicture
 from smooth_operator.types import HandFrame, Side
 
 Points: TypeAlias = Literal["world", "picture"]
@@ -64,6 +65,9 @@ class PictureTracker:
     Raises:
         MissingExtraError: MediaPipe is not installed.
         SourceError: the model can't be had or loaded.
+
+    Attributes:
+        seen: the last picture, with the hands that were found; None before there is one.
     """
 
     def __init__(self, config: PictureConfig) -> None:
@@ -75,6 +79,8 @@ class PictureTracker:
         self._tracks = Tracks()
         self._filter = OneEuroConfig(config.smoothing) if config.smoothing else None
         self._filtered: dict[Side, OneEuroState] = {}
+        self._count = 0
+        self.seen: SeenPicture | None = None
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
         """The hands of a picture, at most one of each side.
@@ -90,6 +96,10 @@ class PictureTracker:
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
         seen = self._landmarker.find(turned, time)
         hands, self._tracks = assign_sides(seen, self._tracks, time)
+        self._count += 1
+        self.seen = SeenPicture(
+            self._count, turned, {side: hand.picture[:, :2] for side, hand in hands.items()}
+        )
         return [
             HandFrame(self._landmarks(side, hand, time), time, side, valid=hand.inside)
             for side, hand in hands.items()

@@ -11,6 +11,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.sources.camera import Camera, CameraMode
 from smooth_operator.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.sources.picture_tracker import PictureConfig, PictureTracker, Points
+from smooth_operator.sources.seen_picture import SeenPicture
 from smooth_operator.sources.video_file import VideoFile
 from smooth_operator.types import HandFrame
 
@@ -33,10 +34,16 @@ class _Pictures(ThreadedSource):
         super().stop()
         atexit.unregister(self.stop)
 
+    def picture(self) -> SeenPicture | None:
+        """The newest picture, with the hands found in it; None before there is one. Any thread."""
+        tracker: PictureTracker | None = self.__dict__.get("_tracker")
+        return None if tracker is None else tracker.seen
+
     def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
         """Keep what was opened for the thread."""
         # the settings are frozen, these are none
         object.__setattr__(self, "_opened", (pictures, tracker))
+        object.__setattr__(self, "_tracker", tracker)
         atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
 
     def _config(self) -> PictureConfig:

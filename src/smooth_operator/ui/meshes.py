@@ -89,6 +89,50 @@ def body_meshes(
     return merged
 
 
+def above(
+    mesh: trimesh.Trimesh, point: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]
+) -> trimesh.Trimesh | None:
+    """The part of a surface on one side of a plane, open where it was cut; None if there is none.
+
+    Args:
+        mesh: the surface.
+        point: of the plane, in the mesh's frame [m].
+        normal: of the plane, toward the part that stays.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
+    height = (vertices - point) @ normal
+    kept = height > 0
+    if kept.all():
+        return mesh
+    if not kept.any():
+        return None
+    count = kept[faces].sum(axis=1)
+
+    def turned(chosen: Int[np.ndarray, "n 3"], first: Int[np.ndarray, " n"]) -> Any:
+        """The corners of each face in their order, from another one on; as three columns."""
+        return np.take_along_axis(chosen, (first[:, None] + np.arange(3)) % 3, axis=1).T
+
+    def crossing(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        share = height[a] / (height[a] - height[b])
+        return np.asarray(vertices[a] + share[:, None] * (vertices[b] - vertices[a]))
+
+    one, two = faces[count == 1], faces[count == 2]
+    a, b, c = turned(one, kept[one].argmax(axis=1))  # a stays
+    d, e, f = turned(two, kept[two].argmin(axis=1))  # d goes
+    edges = [crossing(a, b), crossing(a, c), crossing(e, d), crossing(f, d)]
+    ends = np.cumsum([len(vertices), *map(len, edges)])
+    ab, ac, ed, fd = (np.arange(ends[k], ends[k + 1]) for k in range(4))
+    new = [np.stack(face, axis=1) for face in ((a, ab, ac), (ed, e, f), (ed, f, fd))]
+    # process: merged vertices would average the normals across the edges
+    cut = trimesh.Trimesh(
+        np.concatenate([vertices, *edges]),
+        np.concatenate([faces[count == 3], *new]),
+        process=False,
+    )
+    cut.remove_unreferenced_vertices()
+    return cut
+
+
 def finger_of_body(
     model: mujoco.MjModel,
     qpos: Float[np.ndarray, "T nq"],

@@ -56,9 +56,15 @@ class Link:
             return
 
     def look(
-        self, *, text: bool, fields: int, scenery: int, configuration: bool = False
+        self,
+        *,
+        text: bool,
+        fields: int,
+        scenery: int,
+        picture: int | None,
+        configuration: bool = False,
     ) -> dict[str, Any]:
         """What to show; see :meth:`smooth_operator.ui.live.session.LiveSession.look`."""
-        known = {"text": text, "fields": fields, "scenery": scenery}
+        known = {"text": text, "fields": fields, "scenery": scenery, "picture": picture}
         self.say({"look": known, "configuration": configuration})
         return self.hear()

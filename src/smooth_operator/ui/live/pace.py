@@ -9,7 +9,11 @@ from typing import Any, Final
 import viser
 
 _FASTEST_S: Final = 1 / 30
-_SLOWEST_S: Final = 0.5
+_SLOWEST_S: Final = 1.0
+_LATE_S: Final = 0.15
+_SETTLE: Final = 3
+"""A browser puts the poses of bodies into its next picture and all else into a later one. A slow
+one is left alone for so many of its pictures, so that what it shows belongs together."""
 _EVERY_S: Final = 0.3  # between two questions
 _PATIENCE_S: Final = 2.0
 
@@ -25,10 +29,11 @@ class Pace:
 
     Attributes:
         period: least time between two drawn frames [s].
+        delay: how late the slowest browser shows what it is sent [s].
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
-        self.period = _FASTEST_S
+        self.period, self.delay = _FASTEST_S, 0.0
         self._server = server
         self._thread = threading.Thread(target=self._run, name="pace", daemon=True)
         self._thread.start()
@@ -38,7 +43,13 @@ class Pace:
             time.sleep(_EVERY_S)
             clients = list(self._server.get_clients().values())
             slowest = max((_round_trip(client) for client in clients), default=0.0)
-            self.period = min(max(_FASTEST_S, slowest), _SLOWEST_S)
+            self.period, self.delay = period_for(slowest), slowest
+
+
+def period_for(delay: float) -> float:
+    """Least time between two drawn frames for a browser that shows them so late [s]."""
+    wanted = delay if delay < _LATE_S else _SETTLE * delay
+    return min(max(_FASTEST_S, wanted), _SLOWEST_S)
 
 
 def _round_trip(client: Any) -> float:

@@ -40,6 +40,7 @@ class PageSetup:
         port: first port to try; 0 for any free one.
         simulated: whether there is a simulated hand to be drawn.
         blind: the operator is not to know the method: nothing shows or changes it.
+        model: MJCF or URDF that is drawn, or ``menagerie``; our own shapes if None.
         details: with reflections, which a browser without a graphics card takes long to prepare.
     """
 
@@ -50,6 +51,7 @@ class PageSetup:
     port: int = 8080
     simulated: bool = False
     blind: bool = False
+    model: str | None = None
     details: bool = True
 
 

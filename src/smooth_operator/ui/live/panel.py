@@ -12,6 +12,7 @@ from smooth_operator.retargeters.default import DEFAULT_METHOD
 from smooth_operator.types import Side
 from smooth_operator.ui.callbacks import asked
 from smooth_operator.ui.live import words
+from smooth_operator.ui.live.camera import OLD_S, camera
 from smooth_operator.ui.live.config_controls import ConfigControls
 from smooth_operator.ui.live.link import Link
 from smooth_operator.ui.live.scene import LiveScene
@@ -22,6 +23,18 @@ button:has(.icon-tabler-hand-stop), button:has(.icon-tabler-lock-open) {
   height: 3.2em !important; font-size: 1.25em !important; font-weight: 700}
 button:has(.icon-tabler-hand-stop) .mantine-Button-label {white-space: pre-line; line-height: 1.15}
 button:has(.icon-tabler-hand-stop) svg, button:has(.icon-tabler-lock-open) svg {margin-right: 0.5em}
+div:has(> button :is(.icon-tabler-player-pause, .icon-tabler-player-play,
+    .icon-tabler-player-record)) {
+  display: inline-block; width: calc(50% - 1.25em); vertical-align: top}
+@media (min-width: 700px) {
+  #live-legend {position: fixed; left: 12px; bottom: 12px; max-width: 44vw; z-index: 5;
+    padding: 0.4em 0.8em !important; border-radius: 6px; background: rgba(20, 22, 26, 0.75);
+    pointer-events: none}}
+#live-camera {
+  position: fixed; left: 12px; top: 12px; width: clamp(110px, 22vw, 320px); z-index: 5;
+  overflow: hidden; border-radius: 6px; pointer-events: none}
+@media (min-width: 700px) {  /* between the hands: the panel takes 324 pixels on the right */
+  #live-camera {left: calc(50vw - 162px); transform: translateX(-50%)}}
 body:has([data-mode="stopped"])::after {
   content: "\\25A0  STOPPED"; position: fixed; inset: 0; z-index: 1000; pointer-events: none;
   box-sizing: border-box; padding: 0.3em 0.6em; border: 12px solid #ff2a2a;
@@ -56,6 +69,8 @@ class LivePanel:
     ) -> None:
         self._link, self._scene, self._hands = link, scene, hands
         self.fields_number = _UNKNOWN
+        self._pictures = True  # of the camera: whether they are wanted
+        self._picture: dict[str, Any] = {"number": 0}
         self._operators: Mapping[str, Any] | None = None
         self._stopped = self._paused = False
         gui = server.gui
@@ -78,17 +93,30 @@ class LivePanel:
         gui.main_panel.dock_right()
         panel.dock_below(gui.main_panel)
 
-    def show(self, seen: Mapping[str, Any]) -> None:
-        """Show what :meth:`smooth_operator.ui.live.session.LiveSession.look` gave."""
+    def show(self, seen: Mapping[str, Any], delay: float = 0.0) -> None:
+        """Show what the loop tells.
+
+        Args:
+            seen: what :meth:`smooth_operator.ui.live.session.LiveSession.look` gave.
+            delay: how late the slowest browser shows it [s].
+        """
         self._modes.content = words.modes(seen["hands"])
         self._show_calibration(seen["calibration"])
+        self._show_camera(seen.get("camera"))
         if "status" in seen:
             self._summary.content = words.summary(seen["status"])
             self._timing.content = words.timing(seen["status"])
             self._legend.content = words.legend(
                 self._fingers, self._scene.simulated, self._scene.has_task
             )
+            self._slow.content = words.slow(delay)
+            self._slow.visible = bool(self._slow.content)
             self._show_controls(seen["controls"])
+
+    @property
+    def picture_number(self) -> int | None:
+        """Which of the camera's pictures is shown; None if none is wanted."""
+        return self._picture["number"] if self._pictures else None
 
     # -- building -----------------------------------------------------------------------------
 
@@ -103,8 +131,10 @@ class LivePanel:
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
         self._summary = gui.add_html("")
+        self._slow = gui.add_html("", visible=False)
         self._notice = gui.add_html("")
         self._legend = gui.add_html("")
+        self._camera = gui.add_html("", visible=False)
         self._stop.on_click(asked(lambda _: do("stop")))
         self._release.on_click(asked(lambda _: do("release")))
         self._pause.on_click(asked(lambda _: self._toggle_pause()))
@@ -168,6 +198,8 @@ class LivePanel:
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
         overlay.on_update(asked(lambda event: scene.set_overlay(event.target.value)))
         vectors.on_update(asked(lambda event: scene.set_keyvectors(event.target.value)))
+        self._pictures_box = gui.add_checkbox("Camera picture", True, visible=False)
+        self._pictures_box.on_update(asked(lambda event: self._want_pictures(event.target.value)))
         if scene.simulated:
             ghost = gui.add_checkbox("Simulated hand", True, hint="see-through, where it is")
             ghost.on_update(asked(lambda event: scene.set_simulated(event.target.value)))
@@ -192,7 +224,7 @@ class LivePanel:
         self._release.visible = self._pause.disabled = self._stopped
         self._pause.label = "Resume (P)" if self._paused else "Pause (P)"
         self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
-        self._record.label = "End the recording (R)" if controls["recording"] else "Record (R)"
+        self._record.label = "End recording (R)" if controls["recording"] else "Record (R)"
         if controls["operators"] != self._operators:
             self._operators = controls["operators"]
             self._scene.set_operators(controls["operators"])
@@ -207,6 +239,19 @@ class LivePanel:
             _choose(self._method, list(presets), controls["method"])
             _choose(self._preset, presets[controls["method"]], controls["preset"])
             self._settings.show(controls["fields"])
+
+    def _want_pictures(self, wanted: bool) -> None:
+        self._pictures = wanted
+        self._camera.visible = wanted and "jpeg" in self._picture
+
+    def _show_camera(self, seen: Mapping[str, Any] | None) -> None:
+        """Show a picture; where there is no new one, how long there has been none."""
+        if seen is None or not self._pictures:
+            return
+        self._picture |= seen
+        if "jpeg" in seen or ("jpeg" in self._picture and seen["age_s"] > OLD_S):
+            self._camera.content = camera(self._picture)
+            self._camera.visible = self._pictures_box.visible = True
 
     def _show_calibration(self, state: Mapping[str, Any]) -> None:
         phase = state["phase"]

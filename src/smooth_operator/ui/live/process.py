@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.ui.live.link import Link, LoopEnded
 from smooth_operator.ui.live.pace import Pace
 from smooth_operator.ui.live.panel import LivePanel
@@ -62,11 +63,14 @@ class _Page:
             side: load_hand(setup["hand"], side, fingers=setup["fingers"])
             for side in setup["sides"]
         }
+        drawn = None
+        if setup["model"] is not None:
+            drawn = {side: drawn_on(hand, setup["model"]) for side, hand in hands.items()}
         self._server = open_server(setup["host"], setup["port"])
         with self._server.atomic():
             if not setup["details"]:
                 self._server.scene.configure_environment_map(None)
-            self._scene = LiveScene(self._server, hands, setup["simulated"])
+            self._scene = LiveScene(self._server, hands, setup["simulated"], drawn)
             self._panel = LivePanel(
                 self._server, hands, link, self._scene, None if setup["blind"] else self.download
             )
@@ -89,6 +93,7 @@ class _Page:
                 text=text,
                 fields=self._panel.fields_number,
                 scenery=self._scene.scenery_number,
+                picture=self._panel.picture_number if watched else None,
                 configuration=wanted,
             )
             if watched:
@@ -96,7 +101,7 @@ class _Page:
                     self._scene.draw(seen["hands"])
                     if "scenery" in seen:
                         self._scene.draw_scenery(seen["scenery"])
-                    self._panel.show(seen)
+                    self._panel.show(seen, self._pace.delay)
                 self._server.flush()
             if wanted:
                 self._server.send_file_download(

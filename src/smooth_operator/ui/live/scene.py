@@ -7,8 +7,9 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
+import trimesh
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import (
@@ -27,13 +28,20 @@ from smooth_operator.ui.hand_view import HandView
 from smooth_operator.ui.human import HumanView, keyvector_colors, thumb_lines
 from smooth_operator.ui.layout import GAP, upright
 from smooth_operator.ui.live.scenery_nodes import SceneryNodes
-from smooth_operator.ui.palette import SIMULATED
+from smooth_operator.ui.palette import SIMULATED, Rgb
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
 _GHOST: Final = 0.45  # opacity of a hand that another stands in
 _WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
-_FOREARM: Final = 0.03  # how much of what is below the wrist is framed [m]
-_LABEL: Final = 0.012  # label above the highest fingertip [m]
+_FOREARM: Final = 0.03  # how much of what is below the wrist is drawn [m]
+_LABEL: Final = 0.016  # from there to the label [m]
+_LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
+_FONT: Final = 1.25  # size of the labels
+_FLOOR: Final = 1.6  # width and depth of the floor [m]
+_CELLS: Final[Rgb] = (82, 90, 102)
+_SECTIONS: Final[Rgb] = (122, 132, 146)
+_SKY: Final[Rgb] = (72, 80, 92)
+_GROUND: Final[Rgb] = (44, 49, 57)
 _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up, toward the viewer
 
 
@@ -46,19 +54,34 @@ class LiveScene:
         server: where to draw.
         hands: side -> robot hand.
         simulated: whether there is a simulated hand.
+        drawn: side -> the same hand on the model to draw, with the same joints by name, in any
+            order; see :func:`smooth_operator.hands.published.on_model`. The hand itself if left
+            out.
     """
 
     def __init__(
-        self, server: viser.ViserServer, hands: Mapping[Side, Hand], simulated: bool
+        self,
+        server: viser.ViserServer,
+        hands: Mapping[Side, Hand],
+        simulated: bool,
+        drawn: Mapping[Side, Hand] | None = None,
     ) -> None:
         self.simulated = simulated
         self.scenery_number = 0
         sides: tuple[Side, ...] = ("left", "right")
         order = [side for side in sides if side in hands]
-        self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
+        models = hands if drawn is None else drawn
+        self._sides = {
+            side: _SideView(server.scene, hands[side], models[side], simulated) for side in order
+        }
         self._server = server
+        server.scene.set_background_image(_background(), format="png")
+        self._floor = server.scene.add_grid(
+            "/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
+            cell_color=_CELLS, section_color=_SECTIONS, fade_distance=2.0,
+        )  # fmt: skip
         centre, half = self._arrange()
-        self.aiming = Aiming(server, _VIEW, centre, half)
+        self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)
 
     def _arrange(self) -> tuple[Float[np.ndarray, "3"], tuple[float, float]]:
         """Give each hand its place; where the picture's middle is, and half its size [m]."""
@@ -81,7 +104,9 @@ class LiveScene:
         middle = (low + high + np.array([*spread, 0.0])) / 2
         if self.has_task:
             middle[2] = high[2]  # what is nearest, which looks largest, is to fit in, too
-        half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1] + _LABEL) / 2)
+        half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1]) / 2)
+        ground = np.array([middle[0], middle[1] - half[1] - _LABEL, (low[2] + high[2]) / 2])
+        self._floor.position = ground @ _VIEW
         return middle @ _VIEW, half
 
     @property
@@ -103,6 +128,7 @@ class LiveScene:
                 view.scenery.show(seen["parts"].get(side, ()))
                 view.face(seen["views"].get(side), seen["poses"].get(side))
             self.aiming.centre, self.aiming.half = self._arrange()
+            self._floor.visible = not self.has_task  # which stands on a floor of its own
             for client in self._server.get_clients().values():
                 self.aiming.aim(client)
         for side, view in self._sides.items():
@@ -133,29 +159,32 @@ class LiveScene:
 class _SideView:
     """The hands of one side."""
 
-    def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool) -> None:
+    def __init__(self, scene: viser.SceneApi, hand: Hand, drawn: Hand, simulated: bool) -> None:
         side = hand.spec.side
-        self._hand = hand
+        self._hand, self._drawn = hand, drawn
+        self._rest = drawn.expand(drawn.neutral)
+        self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
         self.operator: OperatorProfile | None = None
         self._palm_axes = human_palm_axes(hand)
-        view = HandView(hand)
+        view = HandView(drawn)
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         up, toward = upright(view.axes[1], view.axes[2])
         self._axes = np.stack([np.cross(up, toward), up, toward])
+        meshes = view.without_forearm(_FOREARM, up)
         tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
         self._roots = {
             name: scene.add_frame(f"/{side}/{name}", show_axes=False) for name in ("human", "robot")
         }
-        palm_wxyz, palm_position = _inverse_palm(hand)
+        palm_wxyz, palm_position = _inverse_palm(drawn)
         model_root = f"/{side}/robot/model"
         scene.add_frame(model_root, show_axes=False, wxyz=palm_wxyz, position=palm_position)
         owner = view.finger_of_body
-        self._robot = BodyNodes(scene, hand.model, view.meshes, owner, f"{model_root}/command")
+        self._robot = BodyNodes(scene, drawn.model, meshes, owner, f"{model_root}/command")
         self._simulated = (
             BodyNodes(
                 scene,
-                hand.model,
-                {body: mesh for body, mesh in view.meshes.items() if owner[body] >= 0},
+                drawn.model,
+                {body: mesh for body, mesh in meshes.items() if owner[body] >= 0},
                 owner,
                 f"{model_root}/simulated",
                 color=SIMULATED,
@@ -179,13 +208,14 @@ class _SideView:
             )
             for name in self._roots
         }
-        self._points = self._hull(view)
-        words = {"human": "operator", "robot": hand.name}
+        self._points = self._hull(view, meshes)
+        words = {"human": "human", "robot": hand.name}
         self._labels = [
             scene.add_label(
                 f"/{side}/{name}/label",
                 f"{words[name]} {side}",
-                anchor="bottom-center",
+                anchor="center-center",
+                font_screen_scale=_FONT,
             )
             for name in self._roots
         ]
@@ -208,8 +238,8 @@ class _SideView:
             other = np.asarray(state["simulated"], float)
             if self.scenery.there:  # the hand that touches the object is the one to look at
                 every, other = other, every
-            self._simulated.draw(hand.qpos(other))
-        self._robot.draw(hand.qpos(every))
+            self._simulated.draw(self._qpos(other))
+        self._robot.draw(self._qpos(every))
         latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
         robot_tips = hand.tips(every)
         self._balls.draw(robot_tips, latched)
@@ -235,6 +265,12 @@ class _SideView:
     def set_simulated(self, visible: bool) -> None:
         if self._simulated is not None:
             self._simulated.set_visible(visible)
+
+    def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
+        """Joint positions of the drawn model; what it has besides the hand's joints rests."""
+        positions = self._rest.copy()
+        positions[self._order] = every
+        return self._drawn.qpos(positions)
 
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
         """The human hand in the palm frame, as the method sees it; NaN where there is none."""
@@ -268,31 +304,38 @@ class _SideView:
         mujoco.mju_mat2Quat(wxyz, turn.ravel())
         for root in self._roots.values():
             root.wxyz = wxyz
-        points, wrist = self._points, self._hand.wrist
+        end = self._hand.wrist - (_FOREARM + _LABEL) * self._axes[1]
+        points = np.concatenate([self._points, end[None]])
         if object_pose is not None:
-            distal = np.asarray(self._palm_axes[0])
-            above = (points - wrist) @ distal > -_FOREARM * np.linalg.norm(distal)
-            points = np.concatenate([points[above], self.scenery.bounds(object_pose)])
+            points = np.concatenate([points, self.scenery.bounds(object_pose)])
         seen = points @ rows.T
         self.low, self.high = seen.min(axis=0), seen.max(axis=0)
-        if object_pose is None:
-            self.low[1] = max(self.low[1], float(rows[1] @ wrist) - _FOREARM)
-        top = np.array([(self.low[0] + self.high[0]) / 2, self.high[1], 0.0]) @ rows
         for label in self._labels:
-            label.position = top
+            label.position = end
 
-    def _hull(self, view: HandView) -> Float[np.ndarray, "p 3"]:
+    def _hull(
+        self, view: HandView, meshes: Mapping[int, trimesh.Trimesh]
+    ) -> Float[np.ndarray, "p 3"]:
         """(p, 3) points that hands of either kind stay within, in the palm frame [m]."""
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
         for q in (neutral, straight):
-            poses = view.bodies(q)
+            self._robot.place(self._qpos(hand.expand(q)))
+            data, palm = self._robot.data, self._drawn.model.body(self._drawn.spec.palm).id
+            turn, origin = data.xmat[palm].reshape(3, 3), data.xpos[palm]
             points += [
-                mesh.bounding_box.vertices @ poses[body][0].T + poses[body][1]
-                for body, mesh in view.meshes.items()
-            ]
+                (mesh.bounding_box.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+                 - origin) @ turn
+                for body, mesh in meshes.items()
+            ]  # fmt: skip
         return np.concatenate(points)
+
+
+def _background() -> UInt8[np.ndarray, "h w 3"]:
+    """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
+    shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
+    return np.repeat(shade[:, None], 2, axis=1)
 
 
 def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:

@@ -12,6 +12,7 @@ import viser
 from jaxtyping import Float
 
 _ROOM: Final = 1.5  # of an object's size is kept in the picture
+_STANDS: Final = 0.7  # opacity of what stands, behind which an object may fall
 _ROUND: Final = 24  # edges of what is round: it is small on the page
 
 
@@ -63,6 +64,7 @@ class SceneryNodes:
                 box = mesh.bounding_box.vertices @ _rotation(part["quaternion"]).T
                 self._corners = np.concatenate([self._corners, box + np.array(part["position"])])
             *color, opacity = part["color"]
+            opacity = opacity if part["moves"] else min(opacity, _STANDS)
             self._scene.add_mesh_simple(
                 f"{parent}/part_{number}",
                 mesh.vertices,

@@ -22,6 +22,7 @@ from smooth_operator.sinks.sink import Sink
 from smooth_operator.sinks.tick import Tick
 from smooth_operator.sources.live import Arrival
 from smooth_operator.types import Side
+from smooth_operator.ui.live.camera import CameraFeed
 from smooth_operator.ui.live.coach import Coach
 from smooth_operator.ui.live.fields import changed, config_fields
 from smooth_operator.ui.live.rates import RateMeter
@@ -70,6 +71,7 @@ class LiveSession:
         self._asked, self._folder = asked, folder
         self._simulated = next((s.state for s in sinks if hasattr(s, "state")), None)
         self._scenery = next((Scenery(s) for s in sinks if isinstance(s, Simulation)), None)
+        self._camera = CameraFeed(loop.source)
         self._default = LoopConfig(loop.config.rate)
         self._ticks: dict[Side, Tick] = {}
         self._arrivals: dict[Side, Arrival] = {}
@@ -119,13 +121,16 @@ class LiveSession:
         except TypeError:
             self._message = f"the page asks for {name!r} with the wrong values"
 
-    def look(self, *, text: bool, fields: int, scenery: int = 0) -> dict[str, Any]:
+    def look(
+        self, *, text: bool, fields: int, scenery: int = 0, picture: int | None = None
+    ) -> dict[str, Any]:
         """What to show now, as JSON has it.
 
         Args:
             text: with figures and controls, not the hands alone.
             fields: for which :attr:`fields_number` the fields are known already.
             scenery: for which number the shapes of the task's scene are.
+            picture: which of the camera's pictures is known; None if none is wanted.
         """
         now = self.loop.mailbox.clock()
         shown: dict[str, Any] = {
@@ -134,6 +139,8 @@ class LiveSession:
         }
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
+        if picture is not None and (camera := self._camera.look(picture, now)) is not None:
+            shown["camera"] = camera
         if text:
             shown["status"] = self._status(now)
             shown["controls"] = self._controls(fields)

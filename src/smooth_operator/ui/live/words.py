@@ -26,6 +26,7 @@ _STATES: Final = {
     "closed": "■",
     "failed": "⚠",
 }
+_SLOW_S: Final = 0.25
 _BOX: Final = "padding:0.35em 0.8em;font-size:0.875em;font-variant-numeric:tabular-nums"
 _SMALL: Final = "padding:0.2em 0.8em;font-size:0.8em;font-variant-numeric:tabular-nums"
 _CELL: Final = "padding:0 0.9em 0 0;text-align:right"
@@ -96,6 +97,20 @@ def timing(status: Mapping[str, Any]) -> str:
     )
 
 
+def slow(delay: float) -> str:
+    """A warning that the browser draws slowly; nothing where it keeps up.
+
+    Args:
+        delay: how late it shows what it is sent [s].
+    """
+    if delay < _SLOW_S:
+        return ""
+    return (
+        f'<div id="live-slow" role="status" style="{_SMALL}"><b>⚠ slow browser</b> (no graphics '
+        f"card?): drawn about {delay:.1f} s late; robot and lines may show different poses</div>"
+    )
+
+
 def notice(controls: Mapping[str, Any]) -> str:
     """What is under way, and what went wrong."""
     parts = []
@@ -126,7 +141,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
         ("⬤", css(color), name)
         for name, color in zip(fingers, finger_colors(len(fingers)), strict=True)
     ]
-    rows = "<br>".join("".join(_chip(*chip) for chip in row) for row in (hands, colors))
+    rows = "<br>".join(" ".join(_chip(*chip) for chip in row) for row in (hands, colors))
     return f'<div id="live-legend" style="padding:0 0.8em 0.5em;font-size:0.75em">{rows}</div>'
 
 
@@ -197,7 +212,7 @@ def _rates(rates: Mapping[str, float | None]) -> str:
     """Of each hand, the slow ones with a decimal."""
     words = ["–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
              for r in rates.values()]  # fmt: skip
-    return " / ".join(words)
+    return " / ".join(words if len(set(words)) > 1 else words[:1])
 
 
 def _mm(value: float | None) -> str:
