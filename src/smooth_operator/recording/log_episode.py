@@ -9,6 +9,7 @@ import numpy as np
 
 from smooth_operator.documents import parse_json
 from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.recording import foxglove
 from smooth_operator.recording.checks import check_rate, check_side
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.jsonable import to_json
@@ -106,7 +107,8 @@ def is_own_log(path: Path) -> bool:
     try:
         summary = read_summary(path)
         if summary is not None and summary.topics:
-            return set(summary.topics.values()) <= SCHEMAS.keys()
+            topics = set(summary.topics.values())
+            return bool(topics & SCHEMAS.keys()) and topics <= SCHEMAS.keys() | foxglove.SCHEMAS
         return read_log(path) is not None  # which refuses a log of another program
     except (RecordingError, OSError):
         return False
