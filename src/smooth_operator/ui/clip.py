@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.renderer import open_renderer
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.recording.atomic import atomic_write
 from smooth_operator.ui.layout import FOV, camera_for, view_axes
@@ -97,15 +98,7 @@ class _Pane:
         self._pinches = run.pinches()
         self._model = robot.model if robot else mujoco.MjModel.from_xml_string("<mujoco/>")
         self._data = mujoco.MjData(self._model)
-        self._model.vis.global_.offwidth = max(self._model.vis.global_.offwidth, PANE[0])
-        self._model.vis.global_.offheight = max(self._model.vis.global_.offheight, PANE[1])
-        try:
-            self._renderer = mujoco.Renderer(self._model, PANE[1], PANE[0], max_geom=5000)
-        except Exception as error:  # each backend has errors of its own
-            raise ConfigError(
-                f"this machine can't draw with OpenGL ({error}); without a display, set the "
-                "environment variable MUJOCO_GL to egl or osmesa and install that library"
-            ) from error
+        self._renderer = open_renderer(self._model, *PANE)
         self._model.vis.headlight.ambient[:] = _AMBIENT
         self._model.vis.headlight.diffuse[:] = _DIFFUSE
         self._axes = np.stack(view_axes(run))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from smooth_operator.errors import StudyError
+from smooth_operator.hands.renderer import open_renderer
 from smooth_operator.recording.atomic import atomic_write, output_error
 from smooth_operator.sinks.scenes.physics import ScenePhysics
 from smooth_operator.sinks.scenes.state import SceneState
@@ -43,7 +43,8 @@ def film_strip(
         size: width and height of each picture.
 
     Raises:
-        StudyError: there is no OpenGL to draw with, or the demonstration ends before a moment.
+        ConfigError: this machine can't draw with OpenGL.
+        StudyError: the demonstration ends before a moment.
     """
     shots: list[UInt8[np.ndarray, "h w 3"]] = []
     left = list(moments)
@@ -64,7 +65,7 @@ def save_film_strip(task: str, path: str | Path) -> None:
     """Write the film strip of a task's demonstration as a PNG with few colours.
 
     Raises:
-        StudyError: there is no OpenGL to draw with.
+        ConfigError: this machine can't draw with OpenGL.
         OutputError: the file can't be written.
     """
     from PIL import Image
@@ -81,13 +82,7 @@ def save_film_strip(task: str, path: str | Path) -> None:
 def _shot(
     physics: ScenePhysics, view: tuple[float, float], size: tuple[int, int]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    try:
-        renderer = mujoco.Renderer(physics.model, size[1], size[0])
-    except Exception as error:  # whatever the OpenGL at hand, or its absence, comes up with
-        raise StudyError(
-            f"no picture of the scene: MuJoCo has no OpenGL here ({error}); set MUJOCO_GL=egl or "
-            f"osmesa before Python starts (now {os.environ.get('MUJOCO_GL', 'not set')})"
-        ) from error
+    renderer = open_renderer(physics.model, *size)
     try:
         camera = mujoco.MjvCamera()
         camera.lookat[:] = physics.scene.start[0]
