@@ -78,14 +78,17 @@ def leaves(config: Any, prefix: str = "") -> list[str]:
     return found
 
 
+CALIBRATED = {"alignment.operator", "objective.targets.pinch_gaps"}
+"""What comes from a calibration is shown, and has no slider."""
+
+
 @pytest.mark.parametrize("config", [*EVERY_PRESET, LoopConfig()])
 def test_every_field_of_every_preset_has_a_control(config: Any) -> None:
     fields = {each.path: each for each in config_fields(config)}
     assert list(fields) == leaves(config)
-    assert [path for path, each in fields.items() if each.kind == "shown"] in (
-        ["alignment.operator"],  # it comes from a calibration
-        [],
-    )
+    shown = {path: each.value for path, each in fields.items() if each.kind == "shown"}
+    assert shown.keys() <= CALIBRATED
+    assert set(shown.values()) <= {"none"}
     for path, each in fields.items():
         assert each.doc, f"{path} is not explained"
         if each.kind in ("number", "whole", "optional"):
@@ -101,6 +104,19 @@ def test_every_field_of_every_preset_has_a_control(config: Any) -> None:
         if each.kind != "shown":
             assert changed(config, path, each.value) == config
         json.dumps(dataclasses.asdict(each))
+
+
+def test_what_a_calibration_sets_is_shown() -> None:
+    config = PRESETS["smooth"]["teleop"]
+    gaps = (("index", 0.0041234), ("ring", 0.008))
+    calibrated: Any = changed(config, "objective.targets.apart", 0.004)
+    targets = dataclasses.replace(calibrated.objective.targets, pinch_gaps=gaps)
+    objective = dataclasses.replace(calibrated.objective, targets=targets)
+    fields = config_fields(dataclasses.replace(calibrated, objective=objective), config)
+    (shown,) = [each for each in fields if each.path == "objective.targets.pinch_gaps"]
+    assert (shown.kind, shown.value) == ("shown", "index 0.00412, ring 0.008")
+    with pytest.raises(ConfigError, match="pinch_gaps can't be"):
+        changed(config, "objective.targets.pinch_gaps", "index 0.1")
 
 
 def test_a_change_reaches_its_field_and_no_other() -> None:

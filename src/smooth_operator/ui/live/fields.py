@@ -221,5 +221,11 @@ def _get(config: Any, path: str) -> Any:
 
 
 def _words(value: Any) -> str:
-    source = getattr(value, "source", None)
-    return "none" if value is None else f"calibrated on {source}" if source else str(value)[:80]
+    """What a field that can't be changed says: an operator's source, or numbers with names."""
+    if value is None or value == ():
+        return "none"
+    if source := getattr(value, "source", None):
+        return f"calibrated on {source}"
+    if isinstance(value, tuple) and all(isinstance(v, tuple) and len(v) == 2 for v in value):
+        return ", ".join(f"{name} {number:.3g}" for name, number in value)
+    return str(value)[:80]
