@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.cli import main
-from smooth_operator.documents import parse_json, parse_toml, read_text
+from smooth_operator.documents import json_object, parse_json, parse_toml, read_text
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.offline.discovery import find_recordings
 from smooth_operator.offline.finished import identity
@@ -30,6 +30,7 @@ from smooth_operator.recording.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.recording.convert import read_episode, write_episode
 from smooth_operator.recording.results import encode_commands, write_encoded_commands
 from smooth_operator.retargeters.presets import method_config
+from smooth_operator.runtime.switchboard import _read
 from smooth_operator.study.data.reading import read_study
 
 HERE = str(Path(__file__).parent)
@@ -48,6 +49,28 @@ def good(folder: Path, name: str = "good.npz") -> Path:
     episode = hostile_files.good_episode()
     write_episode(folder / name, episode)
     return folder / name
+
+
+# --- messages ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", ["[1]", "{", '{"a":' * 2000 + "1" + "}" * 2000, b"\xff", "1"])
+def test_a_message_that_is_no_object_is_none(text: str | bytes) -> None:
+    assert json_object(text) is None
+
+
+def test_a_message_that_is_an_object_has_its_fields() -> None:
+    assert json_object('{"do": "status"}') == json_object(b'{"do": "status"}') == {"do": "status"}
+
+
+def test_no_message_holds_what_breaks_an_answer() -> None:
+    for text in (f'{{"do": "\\ud800{i}"}}' for i in range(2)):
+        assert json.loads(text)["do"]  # the parser of the standard library takes half a character
+        assert _read(text.encode()) is None
+    assert _read(b'{"do": 1}') is None
+    assert _read(b'{"to": "x"}') is None
+    assert _read(b" status ") == ("status", {"do": "status"})
+    assert _read(b'{"do": "rate", "to": 5}') == ("rate", {"do": "rate", "to": 5})
 
 
 # --- mutants -----------------------------------------------------------------------------------

@@ -510,3 +510,22 @@ def test_stores_that_can_not_be_opened(tmp_path: Path) -> None:
     open_study(tmp_path, small_plan(2)).close()
     with pytest.raises(UnknownNameError, match=f"study 'other'.*{STUDY}"):
         open_study(tmp_path, name="other")
+
+
+@pytest.mark.parametrize(
+    ("statement", "what"),
+    [
+        ("UPDATE events SET payload = '{'", "the stored event 1 is damaged"),
+        ("UPDATE plans SET plan = '{'", "the stored plan of 'twenty' is damaged"),
+    ],
+)
+def test_a_damaged_database_is_refused_by_name(tmp_path: Path, statement: str, what: str) -> None:
+    with open_study(tmp_path, small_plan(2)) as made:
+        made.append("P01", Noted("hello"))
+    with sqlite3.connect(tmp_path / "study.db") as database:
+        names = database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'")
+        for (name,) in names.fetchall():
+            database.execute(f"DROP TRIGGER {name}")
+        database.execute(statement)
+    with pytest.raises(StudyError, match=what), open_study(tmp_path) as damaged:
+        damaged.progress("P01")

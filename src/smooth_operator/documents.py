@@ -112,6 +112,19 @@ def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
     return value
 
 
+def json_object(text: str | bytes) -> dict[str, Any] | None:
+    """The fields of a message that should be a JSON object; None if it is none.
+
+    Args:
+        text: as :func:`parse_json`.
+    """
+    try:
+        value = parse_json(text)
+    except DocumentError:
+        return None
+    return value if isinstance(value, dict) else None
+
+
 def read_json(path: Path, *, most_bytes: int = MOST_BYTES) -> Any:
     """The value of a JSON file.
 

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
+from smooth_operator.documents import json_object
 from smooth_operator.errors import ConfigError, MissingExtraError, RemoteError, RemoteRefusedError
 
 LONGEST_S: Final = 600.0
@@ -122,11 +123,8 @@ class RemoteTeleop:
             )
 
     def _read(self, answer: bytes) -> dict[str, Any]:
-        try:
-            content = json.loads(answer)
-        except ValueError:
-            content = None
-        if not isinstance(content, dict):
+        content = json_object(answer)
+        if content is None:
             raise RemoteError(
                 f"what answers at {self.address} is no teleoperation; it says "
                 f"{answer[:60].decode(errors='replace')!r}"

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 import time
@@ -12,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
+from smooth_operator.documents import json_object
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.recording.jsonable import to_json
 from smooth_operator.runtime.loop import TeleopLoop
@@ -194,11 +194,12 @@ def _read(message: bytes) -> tuple[str, Mapping[str, Any]] | None:
     """(word, fields) of a message; None if it can't be read."""
     try:
         text = message.decode().strip()
-        fields = json.loads(text) if text.startswith("{") else {"do": text}
-        word = fields["do"]
-    except (ValueError, KeyError, RecursionError):  # RecursionError: nested without end
+    except UnicodeDecodeError:
         return None
-    return (word, fields) if isinstance(word, str) else None
+    fields = json_object(text) if text.startswith("{") else {"do": text}
+    if fields is None or not isinstance(word := fields.get("do"), str):
+        return None
+    return word, fields
 
 
 def _failed(word: str, error: Exception) -> dict[str, Any]:

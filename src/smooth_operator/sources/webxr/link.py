@@ -25,8 +25,9 @@ import contextlib
 import json
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+from smooth_operator.documents import json_object
 from smooth_operator.errors import RecordingError
 from smooth_operator.sources.live import Mailbox
 from smooth_operator.sources.webxr.packet import read_packet
@@ -151,7 +152,7 @@ class Link:
         except TimeoutError:
             await connection.close(NOT_UNDERSTOOD, "no greeting came")
             return False
-        said = _object(hello)
+        said = json_object(hello) or {}
         code = said.get("code")
         if said.get("type") != "hello" or not isinstance(code, str):
             await connection.close(NOT_UNDERSTOOD, "expected a greeting with the pairing code")
@@ -198,7 +199,7 @@ class Link:
             self._mailbox.post(frame, received=received, session=self._session)
 
     async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
-        said = _object(message)
+        said = json_object(message) or {}
         at = said.get("at")
         if said.get("type") != "ping" or not isinstance(at, int | float):
             self._count_bad()
@@ -220,17 +221,6 @@ class Link:
             since = self._clock() - _RATE_OVER
             return sum(at > since for at in self._received) / _RATE_OVER
         return float(len(self._received))
-
-
-def _object(message: str | bytes) -> dict[str, Any]:
-    """A JSON object; an empty one if it is none."""
-    if isinstance(message, bytes):
-        return {}
-    try:
-        said = json.loads(message)
-    except (ValueError, RecursionError):
-        return {}
-    return said if isinstance(said, dict) else {}
 
 
 def _number(value: object) -> float:

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
+from smooth_operator.documents import json_object
 from smooth_operator.errors import MissingExtraError, SmoothOperatorError
 from smooth_operator.study.console.commands import Role, command_of
 from smooth_operator.study.console.desk import Desk, StoreFailedError
@@ -173,7 +174,7 @@ class Console:
             await asyncio.gather(telling, return_exceptions=True)
 
     def _hear(self, page: _Page, message: str | bytes) -> None:
-        said = _object(message)
+        said = json_object(message) or {}
         if said.get("type") == "hello":
             operator = said.get("operator")
             if page.role == "experimenter" and isinstance(operator, str):
@@ -317,15 +318,6 @@ class Console:
 
 def _role_of(path: str) -> Role:
     return "operator" if path == LINK["operator"] else "experimenter"
-
-
-def _object(message: str | bytes) -> dict[str, Any]:
-    """A JSON object; an empty one if it is none."""
-    try:
-        said = json.loads(message)
-    except (ValueError, RecursionError):
-        return {}
-    return said if isinstance(said, dict) else {}
 
 
 def check_installed() -> None:

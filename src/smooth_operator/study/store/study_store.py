@@ -28,7 +28,7 @@ from smooth_operator.study.store.events import (
     payload,
 )
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.tables import reason, tables
+from smooth_operator.study.store.tables import reason, stored, tables
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine
@@ -348,7 +348,8 @@ class StudyStore:
         )
         if self._newest is None or self._newest[0] != newest:
             row = connection.execute(ordered.limit(1)).one()
-            plan = plan_of(json.loads(row.plan), f"the stored plan of {self.name!r}")
+            what = f"the stored plan of {self.name!r}"
+            plan = plan_of(stored(row.plan, what), what)
             self._newest = (int(row.id), plan)
             self._progress.clear()
         return self._newest[1]
@@ -387,7 +388,7 @@ class StudyStore:
 
 def record_of(row: Any) -> Record:
     """A line of the table of events."""
-    event = event_of(row.kind, json.loads(row.payload))
+    event = event_of(row.kind, stored(row.payload, f"the stored event {row.number}"))
     return Record(int(row.number), datetime.fromisoformat(row.at), row.author, event)
 
 

@@ -12,7 +12,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from smooth_operator.errors import MissingExtraError, StudyError
+from smooth_operator.documents import parse_json
+from smooth_operator.errors import DocumentError, MissingExtraError, StudyError
 
 if TYPE_CHECKING:
     from sqlalchemy import URL, Engine, MetaData
@@ -195,6 +196,18 @@ def _make_private(database: str | None) -> None:
         return
     with contextlib.suppress(FileExistsError):
         os.close(os.open(database, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+
+
+def stored(text: str, what: str) -> Any:
+    """A value that the database holds as JSON, which another program may have damaged.
+
+    Raises:
+        StudyError: it is no JSON.
+    """
+    try:
+        return parse_json(text)
+    except DocumentError as error:
+        raise StudyError(f"{what} is damaged: {error}; restore the database from a copy") from error
 
 
 def _prepare_sqlite(engine: Engine) -> None:
