@@ -423,7 +423,7 @@ def test_training_without_optax_says_what_to_install(
     hand: Hand, operator: HandRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "optax", None)
-    with pytest.raises(MissingExtraError, match=r"smooth-operator\[train\]"):
+    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[train\]"):
         trainer(hand, operator)
 
 

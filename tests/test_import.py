@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -157,3 +158,11 @@ def test_public_names_exist_once() -> None:
     package = importlib.import_module("smooth_operator")
     assert len(set(package.__all__)) == len(package.__all__)
     assert [name for name in package.__all__ if not hasattr(package, name)] == []
+
+
+def test_pip_is_asked_for_our_distribution_only() -> None:
+    """The package index has another program of the command's name."""
+    root = Path(__file__).parents[1]
+    files = [*root.glob("src/**/*.py"), *root.glob("docs/**/*.md"), root / "README.md"]
+    wrong = re.compile(r"(install|upgrade) +['\"]?smooth-operator\b")
+    assert [path.name for path in files if wrong.search(path.read_text(encoding="utf-8"))] == []

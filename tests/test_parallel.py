@@ -314,7 +314,7 @@ def test_workers_that_do_not_start_are_an_error(tmp_path: Path) -> None:
 
 def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"smooth-operator\[cluster\]"):
+    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[cluster\]"):
         run_tasks(square, [1.0], cluster="auto")
 
 

@@ -362,7 +362,7 @@ def test_bad_settings(text: str) -> None:
 
 def test_missing_extra(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zmq", None)
-    with pytest.raises(MissingExtraError, match=r"smooth-operator\[zmq\]"):
+    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[zmq\]"):
         ZmqSink().open({"right": hand}, {})
 
 

@@ -475,9 +475,9 @@ def test_pickled_python_objects_are_refused_not_opened() -> None:
 def test_without_pyzmq_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zmq", None)
     for source in (ZmqSource(), ManusStream()):
-        with pytest.raises(MissingExtraError, match=r"smooth-operator\[zmq\]"):
+        with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[zmq\]"):
             source.start(Kept())
-    with pytest.raises(MissingExtraError, match=r"smooth-operator\[zmq\]"):
+    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[zmq\]"):
         GloveSimulator().open()
 
 

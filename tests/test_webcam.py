@@ -207,7 +207,7 @@ def test_without_the_extra_one_line_says_so(
     clip = write_video(tmp_path / "clip.mp4", [plain(0)])
     monkeypatch.setattr(picture_tracker, "hand_model", lambda given: clip)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"smooth-operator\[webcam\]"):
+    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[webcam\]"):
         Video(clip).start(Mailbox())
 
 

@@ -583,7 +583,7 @@ def test_a_missing_extra_is_one_line(
     cache: Path, monkeypatch: pytest.MonkeyPatch, module: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"smooth-operator\[webxr\]"):
+    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[webxr\]"):
         WebXr(port=0).start(Mailbox())
 
 

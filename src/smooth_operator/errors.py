@@ -14,6 +14,9 @@ from typing import Final
 DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
+UPGRADE: Final = f"python -m pip install --upgrade {DISTRIBUTION}"
+"""The command that brings a newer version of this program."""
+
 
 class SmoothOperatorError(Exception):
     """Base of every error that this package raises on purpose."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.documents import brief, listed, read_json
-from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError
+from smooth_operator.errors import UPGRADE, ConfigError, DocumentError, SmoothOperatorError
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.recording.atomic import atomic_write
 from smooth_operator.recording.jsonable import to_json
@@ -58,7 +58,7 @@ def read_operator(path: Path) -> OperatorProfile:
     if version != VERSION:
         raise ConfigError(
             f"{path}: version {brief(version)} of the format, but this program reads {VERSION}; "
-            "calibrate again, or upgrade: python -m pip install --upgrade smooth-operator"
+            f"calibrate again, or upgrade: {UPGRADE}"
         )
     try:
         return _profile({k: v for k, v in content.items() if k not in ("format", "version")})

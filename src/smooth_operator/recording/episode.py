@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.documents import brief, listed
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import UPGRADE, RecordingError
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 STAMP_TOLERANCE_S: Final = 1e-6
@@ -195,5 +195,5 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
         raise RecordingError(
             f"{where}: status {brief(unknown)} is not one of "
             f"{[f'{s.name}={int(s)}' for s in Status]}; if a newer version "
-            "wrote it, upgrade: python -m pip install --upgrade smooth-operator"
+            f"wrote it, upgrade: {UPGRADE}"
         )

@@ -30,7 +30,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.documents import brief, parse_json
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import UPGRADE, DocumentError, RecordingError
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.recording.checks import (
     check_rate,
@@ -91,7 +91,7 @@ def read_hdf5_episode(
         if version != VERSION:
             raise RecordingError(
                 f"{path}: the file is of version {brief(version)}, this program reads version "
-                f"{VERSION}; upgrade it: python -m pip install --upgrade smooth-operator"
+                f"{VERSION}; upgrade it: {UPGRADE}"
             )
     hand, commands = tree.get("hand"), tree.get("commands")
     if hand is None and commands is None:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from mcap.records import Channel, Metadata
 
 from smooth_operator.documents import brief, listed, parse_json
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import UPGRADE, DocumentError, RecordingError
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.recording.checks import check_side
 from smooth_operator.recording.log_records import DamagedError, read_records
@@ -172,7 +172,7 @@ def _is_ours(channel: Channel, path: Path) -> bool:
     if version not in READABLE_VERSIONS:
         raise RecordingError(
             f"{path}: the log is of version {version[:20]}, this program reads up to version "
-            f"{VERSION}; upgrade it: python -m pip install --upgrade smooth-operator"
+            f"{VERSION}; upgrade it: {UPGRADE}"
         )
     return True
 

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 
 from smooth_operator.documents import brief
-from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.errors import UPGRADE, OutputError, RecordingError
 from smooth_operator.recording.arrays import StoredArrays, open_arrays
 from smooth_operator.recording.atomic import atomic_write, output_error
 from smooth_operator.recording.episode import check_commands
@@ -200,6 +200,6 @@ def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> 
     if unknown:
         raise RecordingError(
             f"{where}: status {brief(unknown)} is not one of {own}; if a newer version wrote it, "
-            "upgrade: python -m pip install --upgrade smooth-operator"
+            f"upgrade: {UPGRADE}"
         )
     return np.array([known[code] for code in codes.tolist()], np.int8)

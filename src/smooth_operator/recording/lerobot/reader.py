@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.documents import brief, listed, parse_json, read_json
-from smooth_operator.errors import ConfigError, DocumentError, RecordingError
+from smooth_operator.errors import UPGRADE, ConfigError, DocumentError, RecordingError
 from smooth_operator.recording.checks import check_rate, check_side, check_stamps
 from smooth_operator.recording.episode import Episode
 from smooth_operator.recording.lerobot.arrow import numbers, read_table
@@ -277,7 +277,7 @@ def _commands(
     if unknown:
         raise RecordingError(
             f"{file}: status {brief(unknown)} is not one of {sorted(_OWN_STATUS)}; if a newer "
-            "version wrote it, upgrade: python -m pip install --upgrade smooth-operator"
+            f"version wrote it, upgrade: {UPGRADE}"
         )
     there = codes != NO_COMMAND
     stages: dict[str, np.ndarray] = {}
