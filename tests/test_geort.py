@@ -255,6 +255,23 @@ def test_the_margin_keeps_the_reach_near_the_operator(operator: HandRecording) -
             assert least < away < most
 
 
+def test_the_reach_is_that_of_the_joints_that_the_networks_command(
+    tmp_path: Path, operator: HandRecording
+) -> None:
+    shared = load_hand_spec(
+        pincer(tmp_path, actuated=("t1", "t2", "i1"), equality=CHAIN.format("i2", "t2"))
+    )
+    data = training_data([operator], shared, replace(TINY, margin=None))
+    low, high = shared.limits.T
+    q = np.tile(shared.neutral, (2000, 1))
+    for finger, joint in ((0, 0), (1, 2)):  # t2 moves both fingers and stays at neutral
+        q[:, joint] = np.linspace(low[joint], high[joint], len(q))
+        path = shared.tips(shared.expand(q))[:, finger]
+        tips = data.reach[finger].T[::16]
+        away = np.linalg.norm(tips[:, None] - path[None], axis=-1).min(axis=1)
+        assert away.max() < 1e-4
+
+
 def test_the_end_is_kept_apart(hand: Hand, operator: HandRecording) -> None:
     data = training_data([operator], hand, replace(TINY, validation=0.25))
     assert data.frames == {"train": 600, "validation": 200}

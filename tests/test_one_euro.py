@@ -40,6 +40,14 @@ def test_a_moving_hand_is_followed_within_a_frame() -> None:
     assert behind < 0.75 * constant  # it is the speed that makes it quick
 
 
+def test_no_direction_is_preferred() -> None:
+    """Motion that is turned in space is answered by the answer, turned alike."""
+    rng = np.random.default_rng(1)
+    points = np.cumsum(rng.normal(scale=0.01, size=(60, 21, 3)), axis=0)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    np.testing.assert_allclose(run(points @ turn), run(points) @ turn, atol=1e-12)
+
+
 def test_a_lost_landmark_stays_lost_and_comes_back_clean() -> None:
     points = np.full((6, 2, 3), 0.1)
     points[2:4, 1] = np.nan

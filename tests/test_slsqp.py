@@ -113,11 +113,19 @@ def test_a_gradient_against_a_bound_does_not_count() -> None:
     limits = np.array([[1.0, 2.0], [-3.0, -2.0], [-1.0, 1.0], [0.25, 3.0]])  # none holds the centre
     corner = np.array([1.0, -2.0, 1.0, 0.25])
     config = SlsqpConfig(optimality=1e-6)
-    assert slsqp_minimise(bowl, corner, limits, config).evaluations == 1
+    at_once = slsqp_minimise(bowl, corner, limits, config)
+    assert (at_once.stopped_by, at_once.evaluations) == ("optimality", 1)
     inside = corner + np.array([0.1, 0, 0, 0])  # one component may still go down
     found = slsqp_minimise(bowl, inside, limits, config)
     assert found.evaluations > 1
     np.testing.assert_allclose(found.x, corner, atol=1e-6)
+
+
+def test_a_gradient_away_from_a_bound_counts() -> None:
+    """A start in the corner from which all components go down inwards is no minimum."""
+    start = np.where(bowl(WIDE[:, 0])[1:] < 0, WIDE[:, 0], WIDE[:, 1])
+    found = slsqp_minimise(bowl, start, WIDE, SlsqpConfig(optimality=1e-6))
+    np.testing.assert_allclose(found.x, CENTRE, atol=1e-6)
 
 
 @pytest.mark.parametrize(
