@@ -614,6 +614,7 @@ def test_claims_of_several_parts() -> None:
     assert judge(down, [unclear, unclear]) == "not shown"
     assert judge(down, []) == "not shown"
     assert judge(down, [clearly], missing=1) == "held in part"
+    assert judge(down, [hardly], missing=1) == "not shown"  # one of two, though one was measured
     equal = Equality(-0.05, 0.05)
     assert judge(equal, [_of(-0.02, 0.0, 0.02)]) == "held"
     assert judge(equal, [_of(-0.02, 0.03, 0.08)]) == "not shown"

@@ -10,7 +10,7 @@ import pytest
 
 from smooth_operator import load_hand
 from smooth_operator.errors import HandModelError, RecordingError
-from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.collision import colliding_shapes, penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.landmarks import LANDMARKS
@@ -119,6 +119,19 @@ def test_neutral_is_clear_and_crossing_fingers_are_not(side: Side) -> None:
     # index straight under the middle finger that closes over it: both at the ends of their spread
     crossed = depth(hand, index_base2mcp=0.0, middle_base2mcp=0.628)
     assert 0.002 < crossed < 0.02
+
+
+def test_what_touches_in_the_neutral_pose_counts_in_neither_order() -> None:
+    hand = load_hand()
+    data = mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    mujoco.mj_forward(hand.model, data)
+    geoms = np.array(data.contact.geom)[data.contact.dist < 0]
+    assert len(geoms)
+    counts = colliding_shapes(hand)
+    assert not counts[geoms[:, 0], geoms[:, 1]].any()
+    np.testing.assert_array_equal(counts, counts.T)
+    assert counts.any()
 
 
 def test_depth_is_that_of_the_shapes() -> None:

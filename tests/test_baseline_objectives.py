@@ -6,12 +6,15 @@ from collections.abc import Callable
 from itertools import combinations
 from typing import TypeAlias
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, load_hand
+from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.objective.loss import FrameGoal, Objective
+from smooth_operator.retargeters.descent import DescentConfig
 
 TIPS = (4, 8, 12, 16, 20)
 Cost: TypeAlias = Callable[[np.ndarray], float]
@@ -126,3 +129,24 @@ def test_the_answer_minimises_the_methods_own_cost(
         q = result.command.positions[columns].astype(float)
     cost = expected(hand, human, previous)
     assert steepest(cost, q, hand.limits) < 2e-3
+
+
+@pytest.mark.parametrize("preset", ["vector", "position"])
+def test_vectors_or_positions_of_tips_are_held_by_the_last_command(hand: Hand, preset: str) -> None:
+    """dex-retargeting's: 4e-3 on the change of each joint, nothing towards the neutral pose."""
+    config = method_config("keyvector", preset)
+    assert isinstance(config, DescentConfig)
+    objective, human = Objective(hand, config.objective), human_pinch(hand)
+    layout = objective.layout
+    open_latches = jnp.zeros(4, bool)
+    targets = config.objective.targets(layout, layout.human(jnp.asarray(human)), open_latches)
+    rng = np.random.default_rng(4)
+    q, previous = rng.uniform(*hand.limits.T, (2, len(hand.limits)))
+    goal = FrameGoal(
+        targets.vectors, targets.weights, jnp.asarray(previous), config.objective.velocity_weight
+    )
+    error = robot_points(hand, q)[list(TIPS)] - human[list(TIPS)]
+    if preset == "vector":  # of both hands from the wrist
+        error -= robot_points(hand, q)[0] - human[0]
+    expected = smooth_l1(error).sum() + 4e-3 * ((q - previous) ** 2).sum()
+    assert float(objective(list(jnp.asarray(q)), goal)) == pytest.approx(expected, rel=1e-4)

@@ -462,6 +462,21 @@ def test_fingers_follow_the_humans_fingers(right: Retargeter) -> None:
                 assert abs(change) < 1e-5, joint
 
 
+def test_fingers_spread_as_far_as_the_humans() -> None:
+    """Poses in which a robot finger shows no plane to bend in do not make the map steeper."""
+    hand = load_hand()
+    frames = np.zeros((3, 20))
+    frames[:, [5, 9, 13, 17]] = 0.3
+    frames[1, [4, 8, 12, 16]], frames[2, [4, 8, 12, 16]] = 0.05, -0.05
+    landmarks = operator(frames)
+    aligned = palm_alignment(landmarks, hand).apply(landmarks)
+    q = positions(hand, aligned)
+    human = joint_angles(aligned, human_palm_axes(hand))
+    for f, finger in enumerate(FINGERS[1:], start=1):
+        robot = np.diff(q[1:, hand.actuated_names.index(f"{finger}_base2mcp")])
+        assert robot == pytest.approx(np.diff(human[1:, 4 * f]), rel=0.05)
+
+
 def test_a_left_hand_answers_as_the_right(right: Retargeter) -> None:
     left = Retargeter(load_hand(side="left"), config=JointAngleConfig())
     for landmarks in operator(operator_poses(10)):

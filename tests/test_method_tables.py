@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from smooth_operator.benchmark.drawing import name_points
 from smooth_operator.benchmark.sources import load_sources, parse_request
 from smooth_operator.retargeters.presets import PRESETS, method_config
 from smooth_operator.retargeters.setting_paths import with_settings
+from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.tuning.pareto import (
     COLLISION,
     FLATNESS,
@@ -25,6 +27,7 @@ from smooth_operator.tuning.pareto import (
 from smooth_operator.tuning.score import figure
 from smooth_operator.tuning.trial import run_trial
 
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "method.md"
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HAND = "shadow_dexee"
 """Three fingers, which are compiled soonest."""
@@ -221,3 +224,60 @@ def test_names_of_points_cover_nothing():
         assert box.x1 <= ax.bbox.x1
         assert not any(box.overlaps(other) for other in boxes[:i])
         assert not any(box.contains(x, y) for x, y in places)
+
+
+# The constants
+
+
+def rows(header: str) -> list[list[str]]:
+    """The cells of the table of the page that begins so."""
+    lines = PAGE.read_text(encoding="utf-8").split(header, 1)[1].splitlines()[2:]
+    return [[c.strip() for c in line.strip("|").split("|")] for line in lines[: lines.index("")]]
+
+
+def numbers(cell: str) -> list[float]:
+    found = re.findall(r"(?<![\d.])−?[\d.]+(?:e-?\d+)?", cell)
+    return [float(text.replace("−", "-")) for text in found]
+
+
+def flat(values: dict[str, Any], path: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, value in values.items():
+        nested = isinstance(value, dict)
+        out |= flat(value, f"{path}{name}.") if nested else {f"{path}{name}": value}
+    return out
+
+
+def test_the_constants_of_the_page_are_the_presets() -> None:
+    settings = flat(asdict(method_config("smooth")))
+    seen = set()
+    for names, shown, _ in rows("| setting | value | meaning |"):
+        first, *others = re.findall(r"`([\w.]+)`", names)
+        parent = first[: first.rfind(".") + 1]
+        paths = [first, *(parent + name for name in others)]
+        values = np.concatenate([np.ravel(settings[path]) for path in paths])
+        # lengths and times are shown in mm and ms
+        thousandth = np.where(" m" in shown, np.abs(values) < np.abs(numbers(shown)) / 100, False)
+        np.testing.assert_allclose(np.where(thousandth, 1e3, 1.0) * values, numbers(shown))
+        seen |= set(paths)
+    left_out = {"alignment", "sampling", "objective.loss", "objective.transition"}
+    rest = {path for path in settings if path not in seen and path.split(".")[0] not in left_out}
+    assert rest - left_out == {"objective.pose_centre", "objective.velocity_loss"}
+
+
+@pytest.mark.parametrize("method", ["smooth", "sbr"])
+def test_the_constants_of_the_offline_presets_are_the_pages(method: str) -> None:
+    config = method_config(method, "offline")
+    assert isinstance(config, WholeConfig)
+    values = {
+        "w_a": [config.future.acceleration_weight],
+        "w_m": [config.future.motion_weight],
+        "v_0": [config.future.motion_speed],
+        "ℓ": [config.leap, config.noise] if config.noise else [config.leap],
+        "v_max": [config.future.speed_limit],
+        "bridge": [config.bridge],
+    }
+    assert config.future.velocity_weight == config.future.jerk_weight == 0.0  # "0 here"
+    for row in rows("| | | `smooth` | `sbr` | without it (of `smooth`) |"):
+        assert numbers(row[2 if method == "smooth" else 3]) == values.pop(row[0])
+    assert not values
