@@ -168,13 +168,17 @@ def test_a_file_in_another_layout_is_refused_and_converted(
     points = in_layout(operator.landmarks[:40], "mano")
     valid = np.ones((40, 21), bool)
     valid[3, 16] = False  # in MANO's order: the thumb's tip
-    path = saved(tmp_path / "a.npz", points, valid=valid)
+    turns = np.random.default_rng(0).normal(size=(40, 21, 4))
+    turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+    orientations = in_layout(turns, "mano")
+    path = saved(tmp_path / "a.npz", points, valid=valid, orientations=orientations)
     with pytest.raises(RecordingError, match=r"a\.npz: .* the order 'mano' .*say --layout mano"):
         read_recording(path)
     read = read_recording(path, layout="mano")
     np.testing.assert_array_equal(read.landmarks, operator.landmarks[:40])
     assert read.valid is not None
     assert np.argwhere(~read.valid).tolist() == [[3, 4]]
+    np.testing.assert_array_equal(read.orientations, turns)
     episode = read_episode(path, layout="mano").recording
     assert episode is not None
     np.testing.assert_array_equal(episode.landmarks, read.landmarks)
@@ -225,6 +229,14 @@ def test_live_frames_are_judged_from_the_first_few_on(operator: HandRecording) -
     # the source is told, and goes on: its frames count again after a window at most
     verdicts = [check.see(points, valid) for points in operator.landmarks[20:80]]
     assert verdicts[-1] is None
+
+
+@pytest.mark.parametrize("layout", FOREIGN)
+def test_a_wrong_order_is_refused_as_long_as_it_comes(operator: HandRecording, layout: str) -> None:
+    check, valid = HandCheck("right"), np.ones(21, bool)
+    points = in_layout(operator.landmarks[:130], layout)
+    verdicts = [check.see(frame, valid) for frame in points][FEWEST_FRAMES - 1 :]
+    assert {None if found is None else found.layout for found in verdicts} == {layout}
 
 
 def test_a_hand_that_changes_its_side_is_noticed(operator: HandRecording) -> None:

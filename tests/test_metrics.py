@@ -142,6 +142,22 @@ def test_frozen_share_counts_only_frames_in_which_the_human_moves() -> None:
     assert evaluate(make_trace(still, joints=joints))["frozen_share"] is None
 
 
+def test_one_moving_finger_is_a_moving_human() -> None:
+    human = np.repeat(human_motion(1), 41, axis=0)
+    human[:, TIPS[1], 0] += 0.001 * np.arange(41)
+    joints = np.repeat(np.arange(21.0)[:, None] * 0.01, 2, axis=0)[:41]  # every other frame
+    assert evaluate(make_trace(human, joints=joints))["frozen_share"] == pytest.approx(0.5)
+
+
+def test_the_rate_is_that_of_most_frames() -> None:
+    """A pause in the recording does not make the tracker slower."""
+    trace = make_trace(human_motion(40))
+    stamps = np.arange(40) / 50.0
+    stamps[30:] += 5.0
+    result = evaluate(dataclasses.replace(trace, stamps=stamps))
+    assert result["rate_hz"] == pytest.approx(50.0)
+
+
 def test_still_frames_do_not_dilute_motion_preservation() -> None:
     human = human_motion(60)
     slow = human.copy()

@@ -360,6 +360,25 @@ def test_an_emergency_stop_stands_at_once_until_released(
     assert modes(stage.play(frames[160:260])) == [Mode.BLENDING, Mode.TRACKING]
 
 
+def test_a_blend_goes_half_the_way_in_half_of_its_time(
+    retargeter: Retargeter, motion: HandRecording
+) -> None:
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:100])
+    stage.pipeline.supervisor.pause()
+    start = stage.play([None] * 30)[-1].command.positions
+    stage.pipeline.supervisor.resume()
+    still = [replace(frame, landmarks=frames[300].landmarks) for frame in frames[130:330]]
+    ticks = stage.play(list(still))
+    count = sum(tick.mode is Mode.BLENDING for tick in ticks)
+    assert count == pytest.approx(LOOP.safety.blend_s / PERIOD, abs=2)
+    way = ticks[-1].command.positions - start
+    assert np.abs(way).max() > 0.2
+    for quarter, share in ((1, 0.15625), (2, 0.5), (3, 0.84375)):  # x^2 (3 - 2 x)
+        gone = ticks[count * quarter // 4].command.positions - start
+        np.testing.assert_allclose(gone, share * way, atol=0.04 * np.abs(way).max())
+
+
 def test_a_short_gap_blends_as_long_as_the_gap(
     retargeter: Retargeter, motion: HandRecording
 ) -> None:

@@ -20,7 +20,7 @@ from smooth_operator.study.analysis.linear_outcome import analyze_linear
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.multivariate import outside
 from smooth_operator.study.analysis.separation import separating
-from smooth_operator.study.analysis.spearman import _weighted, spearman
+from smooth_operator.study.analysis.spearman import _correlate, _weighted, spearman
 from smooth_operator.study.analysis.success_outcome import analyze_success
 from smooth_operator.study.data.tables import make_trials
 
@@ -363,6 +363,7 @@ def test_simultaneous_limits_agree_with_p_values() -> None:
 def test_holm_steps_down() -> None:
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    assert holm([0.7, 0.9]) == [1.0, 1.0]
     assert holm([]) == []
 
 
@@ -379,3 +380,17 @@ def test_spearman_is_scipys_with_ties_and_with_repeats() -> None:
         expected = scipy.stats.spearmanr(x[drawn], y[drawn]).statistic
         assert found == pytest.approx(expected, abs=1e-12)
     assert np.isnan(spearman(np.ones(5), np.arange(5.0)))
+
+
+def test_intervals_and_p_of_a_rank_correlation_are_scipys() -> None:
+    rng = np.random.default_rng(7)
+    x = rng.normal(size=24)
+    y = x + rng.normal(size=24)
+    points = [(f"P{i // 3}", float(a), float(b)) for i, (a, b) in enumerate(zip(x, y, strict=True))]
+    found = _correlate(points, np.random.default_rng(0), 200)
+    assert found["p_t"] == pytest.approx(scipy.stats.spearmanr(x, y).pvalue, rel=1e-9)
+    ranks = scipy.stats.pearsonr(scipy.stats.rankdata(x), scipy.stats.rankdata(y))
+    fisher = ranks.confidence_interval(0.95)
+    assert tuple(found["ci_fisher"].values()) == pytest.approx((fisher.low, fisher.high), rel=1e-9)
+    boot = found["ci_boot_operators"]
+    assert boot["lcl"] < found["rho"] < boot["ucl"]
