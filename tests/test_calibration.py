@@ -217,7 +217,7 @@ def test_prompted_frames_calibrate_as_found_ones_do(
 
 def test_the_wrong_side_is_noticed(exact: HandRecording, hand: Hand) -> None:
     mirrored = replace(exact, landmarks=exact.landmarks * np.array([-1.0, 1.0, 1.0]))
-    with pytest.raises(RecordingError, match="it is a left one; say --side left"):
+    with pytest.raises(RecordingError, match=r"this is a left hand.*say --side left"):
         calibrate(mirrored, hand)
     left = load_hand(side="left")
     with pytest.raises(ConfigError, match="a right operator can't be calibrated for the left"):
@@ -405,7 +405,7 @@ def test_calibrate_and_retarget(tmp_path: Path, run: Run, monkeypatch: pytest.Mo
     assert np.ptp(plain[:, still]) > 0
 
     pages: list[Playback] = []
-    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
+    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda runs, **_: pages.extend(runs))
     assert run("view", tmp_path / "both.npz", glove)[0] == 0
     assert run("view", tmp_path / "plain.npz", glove)[0] == 0
     assert [len(page.fingers) for page in pages] == [3, 5]

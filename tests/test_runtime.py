@@ -14,13 +14,13 @@ from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.recording.anatomy import FEWEST_FRAMES
+from smooth_operator.recording.anatomy import FEWEST_FRAMES, finger_curl
 from smooth_operator.recording.readers import read_recording
 from smooth_operator.runtime import statistics as run_statistics
 from smooth_operator.runtime.delay import TrackerDelay
 from smooth_operator.runtime.limiter import Limiter
 from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.plausible import finger_curl, implausible
+from smooth_operator.runtime.plausible import implausible
 from smooth_operator.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
 from smooth_operator.runtime.statistics import LoopStatistics, percentiles
 from smooth_operator.runtime.supervisor import Supervisor
@@ -162,13 +162,17 @@ def test_a_frame_that_waited_too_long_is_refused(motion: HandRecording) -> None:
     assert supervisor.admits(arrived(motion[0], 1.0), 1.2) == "too late"
 
 
-def test_another_hand_and_another_unit_are_told() -> None:
+def curl(frame: HandFrame) -> float:
+    return finger_curl(frame.landmarks, frame.side)
+
+
+def test_another_hand_and_another_unit_are_refused() -> None:
     frames = list(SyntheticOperator(seed=1).record(6.0))
     assert all(implausible(frame) is None for frame in frames)
-    curled = max(frames, key=finger_curl)
-    assert finger_curl(curled) > 0.6
+    curled = max(frames, key=curl)
+    assert curl(curled) > 0.6
     mirrored = replace(curled, landmarks=curled.landmarks * [-1, 1, 1])
-    assert finger_curl(mirrored) == pytest.approx(-finger_curl(curled))
+    assert curl(mirrored) == pytest.approx(-curl(curled))
     assert "left hand?" in (implausible(mirrored) or "")
     assert implausible(replace(mirrored, side="left")) is None
     assert "metres" in (implausible(replace(curled, landmarks=curled.landmarks * 1000)) or "")
@@ -484,7 +488,7 @@ def test_numbers_of_any_size_are_refused_without_a_warning(motion: HandRecording
             landmarks = frame.landmarks.copy()
             landmarks[5] = value
             implausible(replace(frame, landmarks=landmarks, valid=None))
-            finger_curl(replace(frame, landmarks=np.zeros((21, 3)), valid=None))
+            finger_curl(np.zeros((21, 3)), "right")
     lost = frame.landmarks.copy()
     lost[8] = 1e6  # where the tracker says that it has none
     assert implausible(replace(frame, landmarks=lost, valid=np.arange(21) != 8)) is None

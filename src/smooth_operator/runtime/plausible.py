@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.recording.anatomy import Doubt, HandCheck
+from smooth_operator.recording.anatomy import Doubt, HandCheck, finger_curl
 from smooth_operator.sources.live import LATEST_STAMP_S, Arrival
 from smooth_operator.types import HandFrame, Side
 
@@ -24,14 +24,14 @@ CURL = -0.6
 """Least curl of a hand, as share of its fingers' length.
 
 Over four real recordings and the built-in operator, hands bent back as far as they go reach -0.51.
-A mirrored hand has the negative of its curl: more than 0.6 as soon as it nears a fist.
+A mirrored hand has the negative of its curl: it is refused with its first frame near a fist, and
+otherwise by :class:`SessionCheck`, whose rule is sharper and needs several frames.
 """
 
 _PALM: Final = (
     f"a palm outside {PALM_M[0]} to {PALM_M[1]} m is no human's; landmarks must be in metres"
 )
-_INDEX, _MIDDLE, _PINKY = BASES[1], BASES[2], BASES[4]
-_FINGERS = np.array(BASES[1:])
+_MIDDLE: Final = BASES[2]
 
 
 @np.errstate(all="ignore")  # numbers of any size may come
@@ -51,7 +51,7 @@ def implausible(frame: HandFrame) -> str | None:
         return None
     if not PALM_M[0] <= palm <= PALM_M[1]:
         return _PALM
-    curl = finger_curl(frame)
+    curl = finger_curl(p, frame.side)
     if curl < CURL:
         other = "left" if frame.side == "right" else "right"
         return f"the fingers bend to the back of the hand: is it a {other} hand?"
@@ -79,22 +79,3 @@ class SessionCheck:
         frame = arrival.frame
         assert frame.valid is not None  # filled in by HandFrame
         return self._check.see(frame.landmarks, frame.valid)
-
-
-def finger_curl(frame: HandFrame) -> float:
-    """How far the fingertips stand before the palm, as share of the fingers' length.
-
-    Returns:
-        mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
-        bent back; NaN where a landmark is missing.
-    """
-    p = frame.landmarks
-    normal = np.cross(p[_INDEX] - p[WRIST], p[_PINKY] - p[WRIST])
-    if frame.side == "left":
-        normal = -normal
-    length = np.linalg.norm(normal)
-    if not length > 1e-9:
-        return float("nan")
-    reach = p[_FINGERS + 3] - p[_FINGERS]
-    bones = np.linalg.norm([p[_FINGERS + k + 1] - p[_FINGERS + k] for k in range(3)], axis=-1)
-    return float((reach @ normal / length / np.maximum(bones.sum(axis=0), 1e-9)).mean())

@@ -9,14 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.human.joint_angles import palm_axes
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.recording.anatomy import check_hand
 from smooth_operator.types import HandRecording
 
 BONE_TOLERANCE: Final = 0.3
 """A bone that is further off its median in a frame, as a share of it, was not seen rightly."""
 MIN_FRAMES: Final = 10
-_CURLED: Final = 0.85  # straightness under which a finger tells which side its palm is on
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +64,12 @@ def measure_features(recording: HandRecording) -> Features:
             f"calibration needs {MIN_FRAMES} at least, and better two minutes of them"
         )
     points = np.where(good[:, None, None], points, np.nan)
+    # Order is left to the reader of the recording, which knows its format.
+    check_hand(points, recording.side, layout="mediapipe", where=recording.name)
     bones = np.median(lengths[good], axis=0)
     width = float(np.nanmedian(np.linalg.norm(points[:, 5] - points[:, 17], axis=-1)))
     reach = np.linalg.norm(points[:, TIPS] - points[:, BASES], axis=-1)
-    features = Features(
+    return Features(
         good=good,
         bones=bones,
         palm_width=width,
@@ -77,18 +78,3 @@ def measure_features(recording: HandRecording) -> Features:
         spread=np.linalg.norm(points[:, 8] - points[:, 20], axis=-1) / width,
         gaps=np.linalg.norm(points[:, TIPS[1:]] - points[:, TIPS[:1]], axis=-1),
     )
-    _check_side(recording, points, features)
-    return features
-
-
-def _check_side(recording: HandRecording, points: np.ndarray, features: Features) -> None:
-    """Fingers flex to the palm; those of a hand of the other side seem to flex to its back."""
-    palmar = palm_axes(points, recording.side).palmar
-    towards = ((points[:, TIPS[1:]] - points[:, BASES[1:]]) * palmar[:, None]).sum(axis=-1)
-    curled = towards[features.straightness[:, 1:] < _CURLED]  # NaN compares as False
-    if len(curled) >= MIN_FRAMES and np.median(curled) < 0:
-        other = "left" if recording.side == "right" else "right"
-        raise RecordingError(
-            f"{recording.name}: its fingers bend to the back of a {recording.side} hand, so it is "
-            f"a {other} one; say --side {other}"
-        )
