@@ -35,6 +35,7 @@ from smooth_operator.sinks.runner import SinkRunner
 from smooth_operator.sinks.tick import Mode, Tick
 from smooth_operator.sources import SyntheticOperator
 from smooth_operator.sources.live import Arrival, Running, SourceHealth, ThreadedSource
+from smooth_operator.sources.seen_picture import SeenPicture
 from smooth_operator.ui.live import words
 from smooth_operator.ui.live.coach import Coach
 from smooth_operator.ui.live.config_controls import ConfigControls
@@ -165,6 +166,11 @@ class Player(ThreadedSource):
     @property
     def label(self) -> str:
         return "player"
+
+    def picture(self) -> SeenPicture:
+        at = np.linspace((0.3, 0.1), (0.7, 0.5), 21)
+        return SeenPicture(int(time.perf_counter() * 30), np.full((360, 640, 3), 90, np.uint8),
+                           {"right": at})  # fmt: skip
 
     def run(self, running: Running) -> None:
         running.health = SourceHealth("running")
@@ -624,6 +630,47 @@ def test_the_page_shows_the_loop_and_stops_it(
     page.close()
     stage.session.do("method", "joint_angle")
     eventually(lambda: stage.session.workshop.used.method == "joint_angle")
+
+
+@pytest.mark.browser
+def test_nothing_is_cut_off_at_the_usual_sizes(chromium: Any, served: LivePage) -> None:
+    page = opened(chromium, served, 1400, 900)
+    page.locator("#live-camera line").first.wait_for(state="attached")
+    page.locator("#live-legend [data-chip]").first.wait_for()
+    # in one go: the texts are replaced several times a second
+    boxes = """() => {
+      const box = (found) => { const {left, right, top, bottom} = found.getBoundingClientRect();
+                               return {left, right, top, bottom}; };
+      const button = (icon) => box(document.querySelector(`button:has(.icon-tabler-${icon})`));
+      return {tabs: [...document.querySelectorAll("[role=tab]")].map(box),
+              summary: box(document.querySelector("#live-summary")),
+              camera: box(document.querySelector("#live-camera")),
+              legend: box(document.querySelector("#live-legend")),
+              pause: button("player-pause"), record: button("player-record")}; }"""
+    for width, height in ((1400, 900), (1024, 768), (900, 600)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_function(f"document.body.clientWidth === {width}")
+        at = page.evaluate(boxes)
+        tops = {round(tab["top"]) for tab in at["tabs"]}
+        assert len(at["tabs"]) == 4
+        assert len(tops) == 1, f"the tabs stand in {len(tops)} rows at {width}"
+        assert at["summary"]["bottom"] <= min(tops), f"the status is cut off at {height}"
+        for name in ("camera", "legend"):  # over the hands, not over the controls
+            assert at[name]["left"] >= 0
+            assert at[name]["right"] <= at["tabs"][0]["left"]
+            assert 0 <= at[name]["top"] < at[name]["bottom"] <= height
+        assert at["pause"]["top"] == at["record"]["top"]
+        assert at["pause"]["right"] < at["record"]["left"]
+    drawn = page.evaluate(
+        "[document.querySelector('#live-camera img').naturalWidth,"
+        " document.querySelectorAll('#live-camera line').length,"
+        " document.querySelector('#live-camera').innerText]"
+    )
+    assert drawn == [320, 20, "✓ right hand"]
+    page.get_by_role("tab", name="View").click()
+    page.get_by_text("Camera picture").click()
+    page.locator("#live-camera").wait_for(state="detached")
+    page.close()
 
 
 def stays(stage: Stage, mode: Mode) -> None:

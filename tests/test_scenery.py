@@ -117,6 +117,25 @@ def test_the_hands_turn_to_the_scene_and_back(
     assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
 
 
+def test_lines_and_bodies_can_be_sent_one_after_the_other() -> None:
+    """A slow browser shows lines a picture later than bodies, so they are sent earlier."""
+    hand = load_hand("mimic_p050")
+    server = open_server("127.0.0.1", 0)
+    try:
+        scene = LiveScene(server, {"right": hand}, simulated=False)
+        view = scene._sides["right"]
+        bent = hand.expand(hand.limits[:, 1])
+        hands: Any = {"right": {"positions": bent, "human": None, "latched": None}}
+        before = view._robot.data.qpos.copy()
+        scene.draw_lines(hands)
+        np.testing.assert_allclose(view._balls.node.batched_positions, hand.tips(bent), atol=1e-6)
+        np.testing.assert_array_equal(view._robot.data.qpos, before)
+        scene.draw_bodies(hands)
+        np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(bent))
+    finally:
+        close_server(server)
+
+
 def test_the_forearm_is_cut_off_and_the_picture_holds_the_label() -> None:
     """Mimic's model has a forearm 12 cm long; the page shows 3 cm of it."""
     hand = load_hand("mimic_p050")

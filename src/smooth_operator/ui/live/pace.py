@@ -11,9 +11,7 @@ import viser
 _FASTEST_S: Final = 1 / 30
 _SLOWEST_S: Final = 1.0
 _LATE_S: Final = 0.15
-_SETTLE: Final = 3
-"""A browser puts the poses of bodies into its next picture and all else into a later one. A slow
-one is left alone for so many of its pictures, so that what it shows belongs together."""
+_SETTLE: Final = 3  # pictures of a slow browser in which it shows nothing else
 _EVERY_S: Final = 0.3  # between two questions
 _PATIENCE_S: Final = 2.0
 
@@ -23,6 +21,11 @@ class Pace:
 
     Browsers handle messages in order, so a browser that can't keep up answers late. What it has
     not shown yet would grow without bound otherwise, and a page that is seconds late is dangerous.
+
+    viser's page puts poses of nodes into its next picture and all other changes into the one
+    after, and draws no further picture once 250 ms are over. Where a picture takes longer, bodies
+    and lines on it are of different moments. So a slow browser gets the lines first, and the bodies
+    one picture later.
 
     Args:
         server: whose browsers they are.
@@ -37,6 +40,11 @@ class Pace:
         self._server = server
         self._thread = threading.Thread(target=self._run, name="pace", daemon=True)
         self._thread.start()
+
+    @property
+    def slow(self) -> bool:
+        """Whether what belongs together has to be sent in two steps, :attr:`delay` apart."""
+        return self.delay >= _LATE_S
 
     def _run(self) -> None:
         while True:

@@ -34,7 +34,8 @@ div:has(> button :is(.icon-tabler-player-pause, .icon-tabler-player-play,
   position: fixed; left: 12px; top: 12px; width: clamp(110px, 22vw, 320px); z-index: 5;
   overflow: hidden; border-radius: 6px; pointer-events: none}
 @media (min-width: 700px) {  /* between the hands: the panel takes 324 pixels on the right */
-  #live-camera {left: calc(50vw - 162px); transform: translateX(-50%)}}
+  #live-camera {left: calc(50vw - 162px); transform: translateX(-50%)}
+  body:has([data-side] ~ [data-side]) #live-camera {width: clamp(110px, 16vw, 320px)}}
 body:has([data-mode="stopped"])::after {
   content: "\\25A0  STOPPED"; position: fixed; inset: 0; z-index: 1000; pointer-events: none;
   box-sizing: border-box; padding: 0.3em 0.6em; border: 12px solid #ff2a2a;

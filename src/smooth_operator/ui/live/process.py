@@ -23,6 +23,7 @@ from smooth_operator.ui.viser_server import open_server, page_url, run_script
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
+_STEP_S: Final = 0.5  # longest time between the two steps of a drawing
 _NICE: Final = 5
 """The loop goes first; the page still gets its share on a busy machine."""
 
@@ -97,12 +98,7 @@ class _Page:
                 configuration=wanted,
             )
             if watched:
-                with self._server.atomic():
-                    self._scene.draw(seen["hands"])
-                    if "scenery" in seen:
-                        self._scene.draw_scenery(seen["scenery"])
-                    self._panel.show(seen, self._pace.delay)
-                self._server.flush()
+                self._draw(seen)
             if wanted:
                 self._server.send_file_download(
                     "configuration.json", seen["configuration"].encode(), save_immediately=True
@@ -113,6 +109,21 @@ class _Page:
             # At most half of a core, whatever the machine: a slow one draws less often.
             self._wake.wait(max(self._pace.period - spent, spent) if watched else _IDLE_S)
             self._wake.clear()
+
+    def _draw(self, seen: dict[str, Any]) -> None:
+        """Send what has changed; to a slow browser in two steps, see :class:`Pace`."""
+        delay = self._pace.delay
+        with self._server.atomic():
+            self._scene.draw_lines(seen["hands"])
+            self._panel.show(seen, delay)
+        if self._pace.slow:
+            self._server.flush()
+            time.sleep(min(delay, _STEP_S))
+        with self._server.atomic():
+            self._scene.draw_bodies(seen["hands"])
+            if "scenery" in seen:
+                self._scene.draw_scenery(seen["scenery"])
+        self._server.flush()
 
     def download(self) -> None:
         """Have the configuration sent to whoever watches."""

@@ -116,9 +116,21 @@ class LiveScene:
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the hands; see :meth:`smooth_operator.ui.live.session.LiveSession.look`."""
+        self.draw_lines(hands)
+        self.draw_bodies(hands)
+
+    def draw_lines(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
+        """Show the human hands, keyvectors and fingertips, which a browser has in its next picture
+        but one."""
         for side, view in self._sides.items():
             if side in hands:
-                view.draw(hands[side])
+                view.draw_lines(hands[side])
+
+    def draw_bodies(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
+        """Show the robots' bodies, which a browser has in its next picture."""
+        for side, view in self._sides.items():
+            if side in hands:
+                view.draw_bodies(hands[side])
 
     def draw_scenery(self, seen: Mapping[str, Any]) -> None:
         """Show what the hands work on; see :class:`~smooth_operator.ui.live.scenery.Scenery`."""
@@ -222,7 +234,9 @@ class _SideView:
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid = False
         self.face(None, None)
-        self.draw({"positions": hand.expand(hand.neutral), "human": None, "latched": ()})
+        start = {"positions": hand.expand(hand.neutral), "human": None, "latched": None}
+        self.draw_lines(start)
+        self.draw_bodies(start)
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
         """Where the two stand when they don't stand in each other: right and up [m]."""
@@ -230,16 +244,24 @@ class _SideView:
         self._places = (here, there)
         self.set_overlay(self._overlaid)
 
-    def draw(self, state: Mapping[str, Any]) -> None:
-        """Show one moment."""
-        hand = self._hand
+    def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
+        """Joint positions of the solid hand, and of the one that is seen where it differs."""
         every = np.asarray(state["positions"], float)
-        if self._simulated is not None and state.get("simulated") is not None:
-            other = np.asarray(state["simulated"], float)
-            if self.scenery.there:  # the hand that touches the object is the one to look at
-                every, other = other, every
-            self._simulated.draw(self._qpos(other))
+        if self._simulated is None or state.get("simulated") is None:
+            return every, None
+        other = np.asarray(state["simulated"], float)
+        # with a task, the hand that touches the object is the one to look at
+        return (other, every) if self.scenery.there else (every, other)
+
+    def draw_bodies(self, state: Mapping[str, Any]) -> None:
+        every, other = self._poses(state)
         self._robot.draw(self._qpos(every))
+        if self._simulated is not None and other is not None:
+            self._simulated.draw(self._qpos(other))
+
+    def draw_lines(self, state: Mapping[str, Any]) -> None:
+        hand = self._hand
+        every, _ = self._poses(state)
         latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
         robot_tips = hand.tips(every)
         self._balls.draw(robot_tips, latched)

@@ -107,7 +107,7 @@ def slow(delay: float) -> str:
         return ""
     return (
         f'<div id="live-slow" role="status" style="{_SMALL}"><b>⚠ slow browser</b> (no graphics '
-        f"card?): drawn about {delay:.1f} s late; robot and lines may show different poses</div>"
+        f"card?): the hands are drawn about {delay:.1f} s late</div>"
     )
 
 
