@@ -3,6 +3,7 @@ page itself in a Chromium."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import http.client
 import json
@@ -13,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,7 @@ from smooth_operator.ui.live.config_controls import ConfigControls
 from smooth_operator.ui.live.fields import changed, config_fields, field_docs
 from smooth_operator.ui.live.pace import period_for
 from smooth_operator.ui.live.page import LivePage, PageSetup
+from smooth_operator.ui.live.process import _Page
 from smooth_operator.ui.live.rates import RateMeter
 from smooth_operator.ui.live.session import LiveSession
 from smooth_operator.ui.palette import PALM, SIMULATED, css
@@ -298,6 +301,24 @@ def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
     assert period_for(9.0) == 1.0
     assert words.slow(0.1) == ""
     assert "0.4 s late" in words.slow(0.41)
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_a_slow_browser_gets_bodies_after_it_has_handled_the_lines(slow: bool) -> None:
+    called: list[str] = []
+
+    def part(**more: Any) -> Any:
+        """Notes what is called, in what order."""
+        names = ("draw_lines", "draw_bodies", "draw_scenery", "show", "flush", "wait")
+        calls = {name: lambda *_, name=name: called.append(name) for name in names}
+        return SimpleNamespace(**calls, atomic=contextlib.nullcontext, **more)
+
+    page: Any = object.__new__(_Page)
+    page._scene = page._panel = page._server = part()
+    page._pace = part(slow=slow, delay=0.4)
+    page._draw({"hands": {}, "scenery": {}})
+    between = ["flush", "wait"] if slow else []
+    assert called == ["draw_lines", "show", *between, "draw_bodies", "draw_scenery", "flush"]
 
 
 def test_latches_are_shown_for_methods_that_have_them() -> None:

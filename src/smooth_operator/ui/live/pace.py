@@ -43,8 +43,14 @@ class Pace:
 
     @property
     def slow(self) -> bool:
-        """Whether what belongs together has to be sent in two steps, :attr:`delay` apart."""
+        """Whether what belongs together has to be sent in two steps, with a :meth:`wait` between
+        them."""
         return self.delay >= _LATE_S
+
+    def wait(self) -> None:
+        """Until all browsers have handled what they were sent; two seconds at most for each."""
+        for client in self._server.get_clients().values():
+            _round_trip(client)
 
     def _run(self) -> None:
         while True:

@@ -23,7 +23,6 @@ from smooth_operator.ui.viser_server import open_server, page_url, run_script
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
-_STEP_S: Final = 0.5  # longest time between the two steps of a drawing
 _NICE: Final = 5
 """The loop goes first; the page still gets its share on a busy machine."""
 
@@ -112,13 +111,12 @@ class _Page:
 
     def _draw(self, seen: dict[str, Any]) -> None:
         """Send what has changed; to a slow browser in two steps, see :class:`Pace`."""
-        delay = self._pace.delay
         with self._server.atomic():
             self._scene.draw_lines(seen["hands"])
-            self._panel.show(seen, delay)
+            self._panel.show(seen, self._pace.delay)
         if self._pace.slow:
             self._server.flush()
-            time.sleep(min(delay, _STEP_S))
+            self._pace.wait()
         with self._server.atomic():
             self._scene.draw_bodies(seen["hands"])
             if "scenery" in seen:
