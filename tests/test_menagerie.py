@@ -151,7 +151,7 @@ def test_a_run_plays_on_the_vendors_model(
     hand = load_hand("shadow_hand")
     out, glove, positions = run_of(hand, tmp_path)
     pages: list[Playback] = []
-    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda page, **_: pages.append(page))
+    monkeypatch.setattr("smooth_operator.cli.view.serve", lambda runs, **_: pages.extend(runs))
     for model in ([], ["--model", "menagerie"]):
         assert main(["view", str(out), str(glove), "--hand", hand.name, *model]) == 0
     plain, real = pages

@@ -330,6 +330,7 @@ def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
     child = """
         import os, sys, time
         from pathlib import Path
+        import numpy as np
         sys.path.insert(0, sys.argv[2])
         from ticks import make_tick
         from smooth_operator.hands.catalogue import load_hand
@@ -343,7 +344,12 @@ def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
                 path.with_suffix(".new").write_text(f"{os.getpid()} {time.perf_counter()}")
                 path.with_suffix(".new").rename(path.with_suffix(".pid"))
                 number, due = 0, time.perf_counter()
+                # the time of the last tick, and the longest that the machine let this process wait
+                beat = np.memmap(path.with_suffix(".beat"), float, "w+", shape=(2,))
+                beat[:] = due, 0.0
                 while True:
+                    now = time.perf_counter()
+                    beat[:] = now, max(beat[1], now - beat[0])
                     sink.send(make_tick(hand, number))
                     number, due = number + 1, due + 0.005
                     time.sleep(max(due - time.perf_counter(), 0.0))
@@ -381,7 +387,11 @@ def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
             last = float(log.loop.times[-1])
             np.testing.assert_array_equal(log.loop.numbers, np.arange(len(log.loop.numbers)))
             with_ticks += 1
-        assert died - last < 1.0, (note, died - began)
+        beat = note.with_suffix(".beat")
+        sent, stall = np.fromfile(beat) if beat.exists() else (began, died - began)
+        # A process that a busy machine did not let run could write nothing meanwhile.
+        stalled = 2 * max(stall, died - sent)
+        assert died - last < 1.0 + stalled, (note, died - began, stalled)
     assert with_ticks >= 8
 
 
