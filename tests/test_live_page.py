@@ -296,7 +296,7 @@ def test_the_legend_names_each_hand_by_its_sign() -> None:
 
 def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
     assert period_for(0.01) == pytest.approx(1 / 30)
-    assert period_for(0.1) == 0.1
+    assert period_for(0.08) == 0.08
     assert period_for(0.2) == pytest.approx(0.6)  # three of its pictures
     assert period_for(9.0) == 1.0
     assert words.slow(0.1) == ""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from typing import Any, Final
 
 import viser
 
 _FASTEST_S: Final = 1 / 30
 _SLOWEST_S: Final = 1.0
-_LATE_S: Final = 0.15
+_LATE_S: Final = 0.1
+_RECENT: Final = 12  # questions of which the slowest answer counts
 _SETTLE: Final = 3  # pictures of a slow browser in which it shows nothing else
 _EVERY_S: Final = 0.3  # between two questions
 _PATIENCE_S: Final = 2.0
@@ -32,12 +34,14 @@ class Pace:
 
     Attributes:
         period: least time between two drawn frames [s].
-        delay: how late the slowest browser shows what it is sent [s].
+        delay: how late the slowest browser shows what it is sent, at worst in the last few
+            seconds [s]; the time of one picture varies a lot without a graphics card.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
         self.period, self.delay = _FASTEST_S, 0.0
         self._server = server
+        self._recent: deque[float] = deque(maxlen=_RECENT)
         self._thread = threading.Thread(target=self._run, name="pace", daemon=True)
         self._thread.start()
 
@@ -57,7 +61,8 @@ class Pace:
             time.sleep(_EVERY_S)
             clients = list(self._server.get_clients().values())
             slowest = max((_round_trip(client) for client in clients), default=0.0)
-            self.period, self.delay = period_for(slowest), slowest
+            self._recent.append(slowest)
+            self.period, self.delay = period_for(slowest), max(self._recent)
 
 
 def period_for(delay: float) -> float:

@@ -107,7 +107,7 @@ def slow(delay: float) -> str:
         return ""
     return (
         f'<div id="live-slow" role="status" style="{_SMALL}"><b>⚠ slow browser</b> (no graphics '
-        f"card?): the hands are drawn about {delay:.1f} s late</div>"
+        f"card?): the hands are drawn up to {delay:.1f} s late</div>"
     )
 
 
