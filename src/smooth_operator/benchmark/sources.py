@@ -30,7 +30,7 @@ SYNTHETIC: Final = "synthetic"
 SYNTHETIC_SECONDS: Final = 20.0
 """How long the built-in operator moves [s]."""
 
-_TOLD: Final = ("side_assumed", "implausible_frames")  # what a person is told of a recording
+_NOTED: Final = ("side_assumed", "implausible_frames")  # what a report says of a recording
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 _NOISE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)
@@ -271,7 +271,7 @@ def _load(request: Request) -> Source:
     return Source(
         request,
         recording.name if request.path is None else name,
-        replace(chosen, meta={key: recording.meta[key] for key in _TOLD if key in recording.meta}),
+        replace(chosen, meta={key: recording.meta[key] for key in _NOTED if key in recording.meta}),
         frames=(cut.start, cut.stop),
         digest=_digest(chosen),
     )
@@ -296,7 +296,7 @@ def _read(request: Request) -> HandRecording:
 
 
 def _suffix(request: Request) -> str:
-    """What tells the built-in operator's recordings of one seed apart."""
+    """The part of a name that differs between the built-in operator's recordings of one seed."""
     length = "" if request.hand_length is None else f"+{1e2 * request.hand_length:g}cm"
     speed = "" if request.speed == 1.0 else f"+{request.speed:g}x"
     noise = f"+{1e3 * request.noise:g}mm" if request.noise else ""

@@ -15,7 +15,8 @@ from smooth_operator.metrics import METRICS, Metric
 COLLISION_LIMIT: Final = 0.05
 """Largest share of frames in self-collision of a method that is named for grasping."""
 MOTION_FLOOR: Final = 0.9
-"""Least motion preservation of a method that is named for calm motion: who stands still is calm."""
+"""Least motion preservation of a method that is named for calm motion: a hand that does not move
+would be the calmest."""
 FEW: Final = 5
 """Recordings below which the page warns that the order may be another on others."""
 

@@ -1,4 +1,4 @@
-"""Which commands and options there are: for a word that is none of them, and one close to it."""
+"""Checks that commands and options exist, and names the closest one if not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _POSITIONAL: Any = get_args(Positional[int])[1]
 
 
 def check_words(commands: Mapping[str, type], arguments: Sequence[str]) -> None:
-    """Refuses commands and options that there are not.
+    """Refuses unknown commands and options.
 
     Args:
         commands: name -> options.

@@ -18,8 +18,8 @@ class Add(Common, Page):
     details: ClassVar[str] = """Found are palm, fingers, thumb, order, fingertips, side, coupled
 joints, wrist and a neutral pose, from how the joints move and not from names. What is printed says
 how sure each is, why, and how to overrule it; run it again with those options. The model and its
-meshes are copied beside the spec file, so the original may be moved or deleted; after a change to
-it, run the command again.
+meshes are copied to the folder of the spec file, so the original may be moved or deleted; after a
+change to it, run the command again.
 
 Examples:
   smooth-operator hands add vendor/hand_right.urdf

@@ -115,7 +115,7 @@ def _fitted(line: str, width: int) -> str:
 
 
 class _Held(io.StringIO):
-    """Holds text back, and says of itself what another stream does."""
+    """Collects text, with the encoding and width of another stream."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__()

@@ -17,8 +17,8 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
     begin with it; what comes with it is dropped.
 
     Args:
-        actions: key -> what to do, on a thread of this function's. One that raises is told on
-            standard error, and the listening goes on.
+        actions: key -> what to do, on a thread of this function's. An error of one is
+            printed on standard error, and listening goes on.
 
     Yields:
         whether there is a terminal to press keys on; the terminal is put back at the end.

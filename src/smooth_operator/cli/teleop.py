@@ -221,7 +221,7 @@ def _counted(reasons: Mapping[str, int]) -> str:
 @contextlib.contextmanager
 def _attentive() -> Iterator[None]:
     """The loop before all else: short turns for other threads, no collection of old garbage."""
-    # nor at the end of the process, when it would keep who pressed Ctrl-C waiting for seconds
+    # nor at the end of the process, when it would delay the end by seconds after Ctrl-C
     atexit.register(gc.freeze)
     turn = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)

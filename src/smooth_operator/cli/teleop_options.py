@@ -33,7 +33,7 @@ When the tracker falls silent the hand is held, then goes to its neutral pose; w
 is back it goes over to them smoothly. Joint ranges, velocities and accelerations are limited
 whatever the method asks for.
 
-Keys in the terminal: space, Esc and x always stop the robot at once, and no other key does; u
+Keys in the terminal: space, Esc and x always stop the robot, and no other key does; u
 releases an emergency stop, p pauses and resumes, q ends. They are the same on the page. Ctrl-C
 ends too; what was recorded is whole.
 
@@ -89,7 +89,7 @@ Examples:
     """The operator's calibration for this hand, as calibrate writes it."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
-    """Commands a second and hand [Hz]: never more, be the tracker as fast as it may; that many
+    """Commands a second and hand [Hz]: never more, however fast the tracker is; that many
     where frames come too slowly, or not at all."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None

@@ -16,7 +16,7 @@ def mirror_spec(spec: mujoco.MjSpec) -> None:
     vector.
 
     Raises:
-        HandModelError: if the model has meshes, whose points are not ours to mirror.
+        HandModelError: if the model has meshes, whose points are not mirrored here.
     """
     if list(spec.meshes):
         raise HandModelError(

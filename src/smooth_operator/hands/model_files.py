@@ -40,7 +40,7 @@ def model_files(path: Path) -> tuple[Path, ...]:
 
 
 def copy_model(path: Path, folder: Path) -> Path | None:
-    """Copies a model with all its files, so that it no longer depends on where it came from.
+    """Copies a model with all its files, so that it no longer depends on the original.
 
     The files keep their places relative to each other. The folder is replaced as a whole, and only
     if the copy can be loaded.
@@ -98,7 +98,7 @@ def _same_model(one: Path, other: Path) -> bool:
 
 
 def resolve_in_package(name: str, path: Path) -> Path | None:
-    """The file that a URDF means by a name: beside it, or in a package above it.
+    """The file that a URDF means by a name: in its folder, or in a package above it.
 
     Args:
         name: relative or absolute path, or a ``package://`` or ``file://`` address.

@@ -25,10 +25,10 @@ Beside those of :mod:`smooth_operator.runtime.remote`:
         the one reset of a trial that runs; where none does the object is just put back. The answer
         is that of "trial".
 
-"status" tells "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
+"status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
 "building" (what is being compiled), "source" {"label", "state", "detail"}, "sinks", "operators"
 {side: where the calibration is from}, "task" and "trial" (None without
-one) beside the loop's own "modes" and "rate_hz".
+one) and the loop's own "modes" and "rate_hz".
 """
 
 from __future__ import annotations

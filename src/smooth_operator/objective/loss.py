@@ -211,8 +211,8 @@ class Objective:
         previous: Float[Array, " m"],
         velocity_weight: Array | float,
     ) -> tuple[Float[Array, " m"], Float[Array, " m"] | float]:
-        """First derivative of :meth:`regularisation`, and the diagonal of its second, which has
-        nothing beside it."""
+        """First derivative of :meth:`regularisation`, and the diagonal of its second derivative,
+        whose other elements are zero."""
         reg = self.config.pose_weight
         pull = 2 * reg * (q - jnp.asarray(self.pose_centre, q.dtype))
         if self.config.velocity_loss == "squared":

@@ -3,8 +3,8 @@
 Order: the lengths between neighbouring landmarks hardly depend on the pose. Those of a human hand,
 as ratios, are compared under every order of the fingers and under the layouts of other trackers
 and datasets (:data:`smooth_operator.landmarks.LAYOUTS`). Side: fingers bend to the palm, the
-thumb's base stands before it, and the knuckles arch away from it; a mirror image has it the other
-way round. ``benchmarks/input_check.py`` measures both on real recordings.
+thumb's base is in front of it, and the knuckles arch away from it; a mirror image is the
+opposite. ``benchmarks/input_check.py`` measures both on real recordings.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def check_hand(
         side: which hand they are said to be of.
         valid: (T, 21) which of them count; the finite ones if left out.
         layout: the order they are said to be in; None for the project's own, which is judged.
-            ``mediapipe`` (or ``openpose``) is the same, and taken at its word.
+            ``mediapipe`` (or ``openpose``) is the same, and its order is not checked.
         where: what they are, for the message.
 
     Raises:
@@ -162,14 +162,14 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """What speaks against the side and order of points; None if nothing does.
+    """What is wrong with the side or order of points; None if nothing is.
 
     Args:
         points: (T, 21, 3) positions [m] as they came.
         side: which hand they are said to be of.
         valid: (T, 21) which of them count; the finite ones if left out.
         layout: the order they are said to be in; None for the project's own, which is judged.
-            ``mediapipe`` (or ``openpose``) is the same, and taken at its word.
+            ``mediapipe`` (or ``openpose``) is the same, and its order is not checked.
 
     Raises:
         UnknownNameError: there is no such layout.
@@ -206,8 +206,8 @@ def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | N
 def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]:
     """Which hand each frame shows, by its shape: positive for a right, negative for a left one.
 
-    The sum of how far thumb CMC and MCP stand before the plane of the palm and the middle and ring
-    MCP behind it, in palm lengths, and of the mean sine of the fingers' bends; 2 at most. A
+    The sum of how far thumb CMC and MCP are in front of the plane of the palm and the middle and
+    ring MCP behind it, in palm lengths, and of the mean sine of the fingers' bends; 2 at most. A
     mirror image has the negative.
 
     Args:
@@ -272,7 +272,7 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"]
     ) -> Doubt | None:
-        """What speaks against the last frames; None if nothing does, or too few have come.
+        """What is wrong with the last frames; None if nothing is, or too few have come.
 
         Args:
             landmarks: (21, 3) of the next frame [m], in the project's order.

@@ -109,7 +109,7 @@ class StoredArray:
             )
         if array.dtype.kind == "S":
             array = np.char.decode(array, "ascii", "replace")
-        else:  # which NumPy looks at when a text is asked for, and not before
+        else:  # NumPy checks the text only when it is read
             native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
             codes = native.reshape(-1).view(np.uint32) if array.dtype.itemsize else np.zeros(0)
             if ((codes > sys.maxunicode) | ((codes >= 0xD800) & (codes < 0xE000))).any():

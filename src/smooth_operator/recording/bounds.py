@@ -27,7 +27,7 @@ NUMBER_BYTES: Final = 8
 """What an element counts, at least: every number is read as float64."""
 
 TEXT_BYTES: Final = 64
-"""What a text counts beside its characters, at least."""
+"""Least bytes that a text counts, in addition to its characters."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Tables as CSV that a spreadsheet shows and never runs: the only writer of CSV here."""
+"""The only writer of CSV here: a spreadsheet shows its text and calculates none of it."""
 
 from __future__ import annotations
 

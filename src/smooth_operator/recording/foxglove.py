@@ -2,7 +2,7 @@
 
 The schemas are those of https://github.com/foxglove/foxglove-sdk (``foxglove.SceneUpdate``,
 ``foxglove.JointStates``, ``foxglove.FrameTransforms``), which a viewer knows by their names. They
-stand beside the project's own messages, which are what is read back, at a bounded rate.
+are written in addition to the project's own messages, at a bounded rate, and are not read back.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from smooth_operator.recording.messages import points
 from smooth_operator.types import HandFrame
 
 RATE_HZ: Final = 30.0
-"""Most messages a second on each of the topics: what a person sees, and no more bytes."""
+"""Most messages a second on each of the topics; a viewer needs no more."""
 
 HAND_SCENE: Final = "/foxglove/hand"
 ROBOT_SCENE: Final = "/foxglove/robot"
@@ -29,7 +29,8 @@ FRAMES: Final = "/foxglove/frames"
 ROBOT_FRAME: Final = "robot"
 """The robot's palm; the root."""
 TRACKER_FRAME: Final = "tracker"
-"""That of the landmarks. Its place is arbitrary: the first wrist lies beside the robot's palm."""
+"""That of the landmarks. Its place is arbitrary: the first wrist lies 0.25 m from the robot's
+palm."""
 _BESIDE: Final = np.array([0.25, 0.0, 0.0])  # [m]
 
 Keypoints: TypeAlias = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, "21 3"]]

@@ -21,7 +21,7 @@ from smooth_operator.recording.arrays import damaged
 from smooth_operator.recording.bounds import Allowance
 
 _SECONDS: Final = 3
-"""What reading may take of the processor, and"""
+"""Seconds of processor time that reading may take, and"""
 _BYTES_PER_SECOND: Final = 20_000_000
 """a second more for so many bytes of the file; a laptop reads five times as many."""
 _WAIT_S: Final = 30.0
@@ -102,7 +102,7 @@ def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
             return _reader.read(path, most, seconds, head)
         except RecordingError:
             raise
-        except BaseException:  # Ctrl-C: what it would answer is nobody's any more
+        except BaseException:  # Ctrl-C: nobody reads its answer
             if _reader is not None:
                 _reader.end()
             _reader = None

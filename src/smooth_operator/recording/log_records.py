@@ -215,7 +215,7 @@ class _Chunk:
             if self.compression == "zstd":
                 data = zstandard.decompress(self.data, max_output_size=self.size)
             elif self.compression == "lz4":
-                # One byte more than it should be, which tells that there is more.
+                # One byte more than it should be: if that comes, the chunk is larger than it says.
                 data = _lz4(path).decompress(self.data, max_length=self.size + 1)
             elif not self.compression:
                 data = self.data

@@ -49,7 +49,7 @@ class PublishedAngles:
         needs: the human landmarks that the map uses: all 21.
 
     Args:
-        hand: the robot hand; :meth:`fits` tells whether it has the joints.
+        hand: the robot hand; :meth:`fits` says whether it has the joints.
     """
 
     needs: tuple[int, ...] = tuple(range(NUM_LANDMARKS))

@@ -16,7 +16,7 @@ MAX_STEP_S: Final = 0.1
 """Longest time that counts between two commands [s]: after a pause the robot does not catch up."""
 
 _SHORTEST_S: Final = 1e-9
-"""Steps are not divided by less than this [s]; the clock does not tell shorter ones apart."""
+"""Steps are not divided by less than this [s]; the clock does not resolve shorter ones."""
 
 _USUAL_S: Final = 0.005
 """Step that a joint may count on to stop at its target [s]; few are shorter. It is no guarantee:

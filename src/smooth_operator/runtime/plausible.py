@@ -73,7 +73,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """What speaks against the frames up to this one; None if nothing does."""
+        """What is wrong with the frames up to this one; None if nothing is."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame

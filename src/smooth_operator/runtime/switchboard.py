@@ -25,11 +25,11 @@ Reply: TypeAlias = Callable[[bytes], None]
 _PATIENCE_S: Final = 0.5
 """How long an answer waits for the loop to have done what it was asked for [s]."""
 _AT_ONCE: Final = 16
-"""Words that may be under way; a program that asks for more goes wrong."""
+"""Words that may be under way; more are refused."""
 _QUEUED: Final = 4096
 """Messages that may wait; more are refused."""
 _SILENT: Final = {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
-_TOO_MUCH: Final = {"ok": False, "error": "too much is asked for at once"}
+_TOO_MUCH: Final = {"ok": False, "error": "too many messages wait"}
 _ENDED: Final = {"ok": False, "error": "the run has ended"}
 _OVERTAKEN: Final = {"ok": False, "error": "an emergency stop came meanwhile; release it again"}
 
@@ -84,7 +84,7 @@ class Switchboard:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """All that it knows."""
+        """All words that it answers."""
         return (*self._switches, "quit", "status", *self._more)
 
     @property

@@ -13,7 +13,7 @@ from the commands after it. It keeps frames that come between two commands of th
 waiting."""
 KEPT: Final = 0.5
 """How much of the time that a command came late may be made up for, over the period: a frame that
-was held up does not hold up those behind it."""
+was late does not delay those after it."""
 LONGEST: Final = 2.0
 """Longest time between two commands, over the period."""
 EXTRA: Final = 1 + BORROWED + KEPT
@@ -53,13 +53,13 @@ class Turns:
     def answers(self, received: float, following: float | None) -> float:
         """When a frame is to be answered, if no newer one comes until then [s].
 
-        A frame that finds the turn open is answered as it comes. One that came before is left for
-        the next one if that comes so soon after the turn has opened that no turn is lost, so that a
-        tracker that is faster than the pace is thinned out to frames that are answered fresh.
+        A frame that comes after the turn has begun is answered as it comes. One that came before is
+        replaced by the next frame if that comes so soon after the beginning that no turn is lost.
+        So of a tracker that is faster than the pace, the frames that are answered are fresh.
 
         Args:
             received: when it came [s].
-            following: when the next frame is expected [s]; None if nobody knows.
+            following: when the next frame is expected [s]; None if unknown.
         """
         opens, latest = self.opens, self._last + LONGEST * self.period
         if received >= opens:
@@ -73,7 +73,7 @@ class Turns:
         """When a command is due though no frame has come [s].
 
         Args:
-            following: when the next frame is expected [s]; None if nobody knows. If that is about
+            following: when the next frame is expected [s]; None if unknown. If that is about
                 now the command waits for it a little, rather than leave just before it.
         """
         period, at = self.period, self._turn

@@ -21,7 +21,7 @@ from smooth_operator.solvers.normals import (
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
-"""Bounds that a slip of the pen exceeds: beyond them the memory ends, or the patience."""
+"""Upper bounds against typing errors: larger values exceed the memory or take minutes."""
 
 Cost: TypeAlias = Callable[[Sequence[Array]], Array]
 """m arrays of a common shape (one per variable, batch last) to costs of that shape."""

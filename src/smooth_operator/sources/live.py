@@ -174,7 +174,7 @@ class Mailbox:
 
 
 class _Sessions:
-    """Starts of the tracker of one hand: those that its source tells, and jumps of the stamps."""
+    """Starts of the tracker of one hand: those that its source reports, and jumps of the stamps."""
 
     def __init__(self) -> None:
         self._told: int | None = None

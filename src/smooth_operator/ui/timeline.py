@@ -52,7 +52,7 @@ class GapCurves:
         self.show(0)
 
     def show(self, finger: int) -> None:
-        """Choose the finger (0 for the one beside the thumb) that several runs are compared by."""
+        """Choose the finger (0 for the index finger) that several runs are compared by."""
         if len(self._runs) == 1:
             curves = np.concatenate([self._human, self._robots[0]], axis=1)
         else:

@@ -1,4 +1,4 @@
-"""Opening a page in the browser of whoever sits here, without its token in a list of processes."""
+"""Opening a page in the local browser, without its token in the list of processes."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class LimitedListener(socket.socket):
 
 
 class _Counted(socket.socket):
-    """A connection that tells when it is closed."""
+    """A connection that calls back when it is closed."""
 
     def __init__(self, connection: socket.socket, closed: Callable[[], None]) -> None:
         super().__init__(

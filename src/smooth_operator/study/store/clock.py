@@ -1,9 +1,9 @@
 """The clock of a store: durations in it are right even where the machine's clock is set meanwhile.
 
 The time of day jumps when somebody or a time server sets it. A steady clock never does, but it
-starts anew with the machine. So while a program runs, its moments go on from the time of day at its
-start by the steady clock; and what is timed (a trial, free movement) is stored with a reading of
-the steady clock, which a program that is started later goes on from.
+starts from zero with the machine. So a program takes the time of day at its start, and adds what
+the steady clock has counted since. What is timed (a trial, free movement) is stored with a reading of
+the steady clock, so that a program that is started later can continue it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _steady() -> float:
 
 
 def _boot() -> str:
-    """Tells this start of this machine from all others; empty where that is not known."""
+    """An identifier of this start of this machine; empty where the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     except OSError:

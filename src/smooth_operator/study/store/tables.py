@@ -190,7 +190,7 @@ def _url(target: str | Path) -> tuple[URL, str]:
 def _make_private(database: str | None) -> None:
     """Makes the file of SQLite, for its owner alone; leaves one that is there as it is.
 
-    It holds what people did and how they felt. SQLite gives its log beside it the same rights.
+    It holds what people did and how they felt. SQLite gives its log file the same rights.
     """
     if database is None or database in ("", ":memory:") or database.startswith("file:"):
         return

@@ -42,8 +42,8 @@ body:has([data-mode="stopped"])::after {
   background: rgba(255, 0, 0, 0.18); color: #ff4d4d; text-shadow: 0 0 0.2em #000;
   font: 800 clamp(2rem, 6vw, 4.5rem) system-ui, sans-serif}
 </style>"""
-"""viser has buttons of one size; these two are told by their signs. An emergency stop tints the
-whole page, whatever else it shows."""
+"""viser has buttons of one size; the style finds these two by their icons. An emergency stop tints
+the whole page."""
 _STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
 _STOPPED: Final = "STOPPED\nrelease it below"
 

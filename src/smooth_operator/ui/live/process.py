@@ -48,7 +48,7 @@ def main() -> None:
         with contextlib.suppress(LoopEnded):
             page.run()
         # The system closes the port now. viser would wait for its browsers and threads, for
-        # seconds on a busy machine, and whoever ended the run waits for this process.
+        # seconds on a busy machine, and the run does not end before this process.
         os._exit(0)
 
 
