@@ -236,7 +236,7 @@ def test_too_many_messages_are_refused_and_a_stop_is_not(running: Running) -> No
     for _ in range(5000):
         board.hear(b"status", lambda text: answers.append(json.loads(text)))
     assert answers
-    assert all("too much" in answer["error"] for answer in answers)
+    assert all("too many" in answer["error"] for answer in answers)
     board.hear(b"stop", lambda text: None)
     until(lambda: running.mode() is Mode.STOPPED, LONG)
 

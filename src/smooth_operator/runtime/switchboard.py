@@ -29,7 +29,7 @@ _AT_ONCE: Final = 16
 _QUEUED: Final = 4096
 """Messages that may wait; more are refused."""
 _SILENT: Final = {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
-_TOO_MUCH: Final = {"ok": False, "error": "too many messages wait"}
+_TOO_MUCH: Final = {"ok": False, "error": "too many messages wait or are under way"}
 _ENDED: Final = {"ok": False, "error": "the run has ended"}
 _OVERTAKEN: Final = {"ok": False, "error": "an emergency stop came meanwhile; release it again"}
 
