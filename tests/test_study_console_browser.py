@@ -69,6 +69,14 @@ class Pages:
         self.experimenter.locator(f'[data-press="{enabled}"]:enabled').wait_for()
         self.experimenter.keyboard.press(key)
 
+    def start_first_trial(self) -> None:
+        """From the calibration to the running clock of the first trial."""
+        self.experimenter.get_by_role("button", name="Calibrated").click()
+        self.step("Block 1 of 2")
+        self.press(" ", "space")
+        self.step("Trial 1 of 3")
+        self.press(" ", "space")
+
     def cut_off(self) -> None:
         for page in (self.experimenter, self.operator):
             page.locator("#lost").wait_for()
@@ -194,11 +202,7 @@ def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> N
     ):
         pages = Pages(chromium, port)
         page = pages.experimenter
-        page.get_by_role("button", name="Calibrated").click()
-        pages.step("Block 1 of 2")
-        pages.press(" ", "space")
-        pages.step("Trial 1 of 3")
-        pages.press(" ", "space")
+        pages.start_first_trial()
         pages.press(" ", "space")  # the clock is stopped
         page.get_by_text("The clock is stopped").wait_for()
         shown = page.locator(".clock").inner_text()
@@ -238,11 +242,7 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
     ):
         pages = Pages(chromium, port)
         page = pages.experimenter
-        page.get_by_role("button", name="Calibrated").click()
-        pages.step("Block 1 of 2")
-        pages.press(" ", "space")
-        pages.step("Trial 1 of 3")
-        pages.press(" ", "space")
+        pages.start_first_trial()
         teleop.trial |= {"phase": "running", "reason": "turned by 0°"}
         page.get_by_text("turned by 0°").wait_for()
         page.get_by_text("Time limit 2 min, of the simulation.").wait_for()

@@ -80,8 +80,8 @@ class RecordSink:
         lost = self._lost + (0 if self._recorder is None else self._recorder.dropped)
         if not lost:
             return ""
-        told = "1 tick is" if lost == 1 else f"{lost} ticks are"
-        return f"{told} not recorded: the disk was too slow, or failed"
+        ticks = "1 tick is" if lost == 1 else f"{lost} ticks are"
+        return f"{ticks} not recorded: the disk was too slow, or failed"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Refuse a file that stands there, or a folder that can't be made; see

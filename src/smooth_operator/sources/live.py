@@ -177,25 +177,25 @@ class _Sessions:
     """Starts of the tracker of one hand: those that its source reports, and jumps of the stamps."""
 
     def __init__(self) -> None:
-        self._told: int | None = None
+        self._reported: int | None = None
         self._jumps = 0
         # The newest, so that one late frame does not make the next one look like a restart.
         self._stamp = self._received = 0.0
 
-    def of(self, stamp: float, received: float, told: int) -> int:
+    def of(self, stamp: float, received: float, reported: int) -> int:
         """The session of a frame."""
         if not abs(stamp) < LATEST_STAMP_S:
-            return told + self._jumps  # it is refused, and nothing follows from it
+            return reported + self._jumps  # it is refused, and nothing follows from it
         ahead = stamp - self._stamp
         jumped = ahead < -JUMP_S or ahead - (received - self._received) > JUMP_S
-        if told != self._told:
-            self._told = told
+        if reported != self._reported:
+            self._reported = reported
         elif jumped:
             self._jumps += 1
         elif ahead < 0:
-            return told + self._jumps
+            return reported + self._jumps
         self._stamp, self._received = stamp, received
-        return told + self._jumps
+        return reported + self._jumps
 
 
 @dataclass(frozen=True)
