@@ -59,7 +59,8 @@ def outside(
         return 1.0, 0.0
     values, vectors = np.linalg.eigh(correlation)
     if np.sum(values > _SINGULAR) <= 2:
-        factor = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0.0))
+        # rounding of a zero is not a direction: its root would be 1e-8
+        factor = vectors[:, -2:] * np.sqrt(np.where(values[-2:] > _SINGULAR, values[-2:], 0.0))
         return _by_angle(limit, factor, freedom)
     if values[0] < _SINGULAR:  # no factor; a little independence moves no probability by 1e-6
         correlation = (correlation + 1e-8 * np.eye(len(values))) / (1 + 1e-8)
