@@ -36,7 +36,7 @@ from smooth_operator.ablations.sizes import QUICK
 from smooth_operator.ablations.store import Store
 from smooth_operator.ablations.study import Study
 from smooth_operator.ablations.table import Benchmark
-from smooth_operator.ablations.takes import LEAD, at_rate, nearest_frames, through_tracker
+from smooth_operator.ablations.takes import LEAD, at_rate, middle, nearest_frames, through_tracker
 from smooth_operator.benchmark.ranking import HEADLINES
 from smooth_operator.benchmark.settings import Choice
 from smooth_operator.benchmark.sources import Request, Source, load_sources, parse_request
@@ -271,6 +271,15 @@ def test_of_a_file_frames_are_taken_and_never_made_up(sources: list[Source]) -> 
     assert at_rate(source, 200.0, 0.9) is None
     with pytest.raises(RecordingError, match="it needs"):
         at_rate(source, 15.0, 0.2)
+
+
+def test_the_middle_leaves_as_much_on_either_side(sources: list[Source]) -> None:
+    recording = sources[0].recording
+    assert recording is not None
+    count = len(recording)
+    found = middle(recording, count - 20)
+    np.testing.assert_array_equal(found.stamps, recording.stamps[10 : count - 10])
+    assert len(middle(recording, count + 5)) == count
 
 
 def test_nearest_frames_are_taken_once() -> None:

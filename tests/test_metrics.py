@@ -121,6 +121,15 @@ def test_lag_finds_part_of_a_frame() -> None:
     assert result["lag_ms"] == pytest.approx(1e3 * 2.5 / RATE, abs=0.5)
 
 
+def test_a_pause_does_not_stretch_the_lag() -> None:
+    """Frames become time by the median frame."""
+    motion = human_motion(604)
+    stamps = np.arange(600) / RATE
+    stamps[300:] += 2.0
+    trace = make_trace(motion[4:], motion[:-4, list(TIPS)], stamps=stamps)
+    assert evaluate(trace)["lag_ms"] == pytest.approx(1e3 * 4 / RATE, abs=0.3)
+
+
 def test_a_frozen_hand() -> None:
     human = human_motion(50)
     tips = np.repeat(human[:1, list(TIPS)], 50, axis=0)

@@ -16,10 +16,13 @@ import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS
 from smooth_operator.recording import read_recording
 from smooth_operator.retargeters.descent import Descent
 from smooth_operator.retargeters.joint_angle import JointAngleMap
 from smooth_operator.retargeters.published_angles import PublishedAngles
+from smooth_operator.sources.anatomy import JOINTS, NUM_JOINTS, draw_anatomy
+from smooth_operator.sources.kinematics import pose_hand
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
@@ -111,6 +114,20 @@ def test_hybrid_begins_where_the_authors_does(shared: Path, hand: Hand) -> None:
     human = jnp.asarray(read_recording(shared / GLOVE)[:500].landmarks, jnp.float32)
     ours = jax.jit(jax.vmap(PublishedAngles(hand).positions))(human)
     np.testing.assert_allclose(ours, np.clip(theirs, *hand.limits.T), atol=1e-5)
+
+
+def test_a_bend_is_shared_among_the_joints_that_make_it(hand: Hand) -> None:
+    """A human PIP joint that bends by an angle: half of it, the driven joint makes the other."""
+    poses = np.zeros((2, NUM_JOINTS))
+    names = [joint.name for joint in JOINTS]
+    for finger in FINGERS[1:]:
+        poses[1, names.index(f"{finger}_pip")] = 0.6
+    human = jnp.asarray(pose_hand(draw_anatomy(0.19, 0), poses).landmarks, jnp.float32)
+    flat, bent = jax.vmap(PublishedAngles(hand).positions)(human)
+    moved = dict(zip(hand.actuated_names, np.asarray(bent - flat), strict=True))
+    for finger in FINGERS[1:]:
+        assert moved[f"{finger}_pp2mp"] == pytest.approx(0.3, abs=0.01)
+        assert moved[f"{finger}_mcp2pp"] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_another_hand_begins_at_our_joint_angles(hand: Hand) -> None:

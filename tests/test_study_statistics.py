@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.special
 import scipy.stats
 from study_cases import Case, holes, simulate
 from study_reference import REFERENCE
@@ -16,6 +17,7 @@ from smooth_operator.study.analysis.analyze import success_frame, time_frame
 from smooth_operator.study.analysis.dunnett import dunnett, quantile, two_sided
 from smooth_operator.study.analysis.gee import fit_gee
 from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.learning import logistic_slope
 from smooth_operator.study.analysis.linear_outcome import analyze_linear
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.multivariate import outside
@@ -228,6 +230,13 @@ def test_times_are_as_r_has_them(name: str, scope: str) -> None:
     np.testing.assert_allclose([p.df for p in pairs], expected["pair_df"], rtol=1e-5)
     np.testing.assert_allclose([p.p_raw for p in pairs], expected["pair_p"], atol=1e-6)
     assert found.model["log_likelihood"] == pytest.approx(expected["log_likelihood"], abs=1e-7)
+    for mean in means:  # 95 %, each by itself
+        reach = scipy.stats.t.ppf(0.975, mean.df) * mean.se
+        expected_ends = (mean.estimate - reach, mean.estimate + reach)
+        assert (mean.lower, mean.upper) == pytest.approx(expected_ends)
+    for name, against in found.dunnett.items():  # the other way round: from the baseline to it
+        pair = found.pairs[f"dexpilot-{name}"]
+        assert (against.difference, against.effect) == (-pair.difference, -pair.effect)
 
 
 @pytest.mark.parametrize("scope", ["pooled", "A"])
@@ -365,6 +374,31 @@ def test_holm_steps_down() -> None:
     assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
     assert holm([0.7, 0.9]) == [1.0, 1.0]
     assert holm([]) == []
+
+
+# Learning.
+
+
+def test_the_error_of_an_average_change_is_by_the_delta_method() -> None:
+    trials, _ = make_trials("trials", list(enumerate(_text(CASES["holes"].trials), 2)))
+    frame = success_frame(trials, "A", "dexpilot")
+    found = logistic_slope(frame)
+    design = np.column_stack([frame.factors()[0], frame.index - frame.index_mean])
+    fit = fit_gee(design, frame.outcome, frame.group)
+
+    def change(beta: np.ndarray) -> float:
+        """Per step of the index, on average over the rows."""
+        step = np.zeros(design.shape[1])
+        step[-1] = 1e-5
+        ahead, behind = (scipy.special.expit((design + s * step) @ beta) for s in (1, -1))
+        return float(np.mean(ahead - behind) / 2e-5)
+
+    assert found["ame_prob_per_unit"] == pytest.approx(change(fit.beta), rel=1e-6)
+    slopes = [
+        (change(fit.beta + 1e-4 * axis) - change(fit.beta - 1e-4 * axis)) / 2e-4
+        for axis in np.eye(len(fit.beta))
+    ]
+    assert found["ame_se"] == pytest.approx(np.sqrt(slopes @ fit.robust @ slopes), rel=1e-4)
 
 
 # Rank correlation.
