@@ -24,8 +24,8 @@ class StampMap:
     reception minus stamp of its first frame, so that differences of stamps within it are the
     tracker's own. A jump of the stamps counts as a start
     (:data:`~smooth_operator.sources.live.JUMP_S`), so that one bad stamp moves no others. Commands
-    without a frame are put earlier by as much as frames lately came late, lest they stand where the
-    stamp of the next frame belongs.
+    without a frame are put earlier by as much as the last frames came late, so that they do not
+    get a later stamp than the next frame.
     """
 
     def __init__(self) -> None:

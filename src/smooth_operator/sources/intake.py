@@ -26,8 +26,8 @@ class Intake:
 
     A message that can't be read is counted, and the last reason told in the health; it never ends
     the source. A hand's session goes up by one when its tracker was started again: it says a new
-    ``session``, or it begins or ceases to stamp. Jumps of the stamps are the mailbox's affair, and
-    stamps that repeat or go back a little are the loop's.
+    ``session``, or it begins or ceases to stamp. The mailbox finds jumps of the stamps, and the
+    loop refuses stamps that repeat or go back a little.
 
     Args:
         running: the started source.
