@@ -50,7 +50,10 @@ def legend(runs: Sequence[Playback]) -> str:
         lines = "— robot &nbsp; - - human"
     else:
         colors = [run_color(i) for i in range(len(runs))]
-        lines = _chips([run.label for run in runs], colors, "━") + " - - human"
+        lines = (
+            _chips([run.label for run in runs], colors, "━")
+            + "<span style='white-space:nowrap'>- - human</span>"
+        )
     return f'<div style="padding:0 0.8em 0.5em;font-size:0.75em">{chips}<br>{lines}</div>'
 
 

@@ -17,17 +17,19 @@ from smooth_operator.ui.playback import PINCH_DISTANCE, Playback
 HEIGHT: Final = 255
 """Height of the whole panel [px]; the camera keeps the hands above it."""
 _PLOT_HEIGHT: Final = 150
+_FRAME, _GAP = 10, 2  # around the plot, and between it and what follows [px]
 _EDGE: Final = 6  # free space at the right of the panel [px]
 _LEAST: Final = 300  # width of the panel [px]
-_POINTS: Final = 600
-"""Samples of a curve at most: they are sent with each move of the cursor, and a screen shows
-hardly more."""
+_POINTS: Final = 1500
+"""Samples of a curve at most; a screen shows hardly more."""
+_TOP, _RIGHT, _BELOW, _BESIDE, _LABEL = 10, 14, 34, 44, 18
+"""Around the curves: free space above and at the right, the axes and their labels [px]."""
 _HUMAN: Final = "#9aa5af"
 _INK, _GRID = "#b4bcc4", "#3a4046"
 
 
 class GapCurves:
-    """Thumb-to-finger distances of the whole recording [mm], with a cursor at one frame.
+    """Thumb-to-finger distances of the whole recording [mm].
 
     Of one run, all fingers in their colours, the human's dashed. Of several runs, one finger in the
     colours of the runs, the human's grey and dashed.
@@ -62,7 +64,7 @@ class GapCurves:
 
     @property
     def series(self) -> tuple[uplot.Series, ...]:
-        """How each curve is drawn: the time, the curves, the cursor."""
+        """How each curve is drawn: the time, then the curves."""
         plain = uplot.Series_Points(show=False)
         if len(self._runs) == 1:
             colors = [css(color) for color in finger_colors(len(self.fingers) + 1)][1:]
@@ -83,25 +85,11 @@ class GapCurves:
                 uplot.Series(label=run.label, stroke=run_color(i), width=2.0, points=plain)
                 for i, run in enumerate(self._runs)
             ]
-        cursor = uplot.Series(label="now", stroke="#ffffff", width=1.5, points=plain)
-        return (uplot.Series(label="time"), *human, *robots, cursor)
+        return (uplot.Series(label="time"), *human, *robots)
 
-    def at(self, frame: int) -> tuple[Float[np.ndarray, " P"], ...]:
-        """Times [s], then the curves [mm], then the cursor: NaN but for an upright line at a frame.
-
-        uPlot draws series over one axis of times, so the line is two more points at its time; there
-        the curves are interpolated, for a gap in them would be a gap in what was measured.
-        """
-        now, times = self.times[frame], self.times[self._rows]
-        place = int(np.searchsorted(times, now))
-        before, after = max(place - 1, 0), min(place, len(times) - 1)
-        span = times[after] - times[before]
-        share = (now - times[before]) / span if span > 0 else 0.0
-        here = (1 - share) * self._curves[before] + share * self._curves[after]
-        curves = np.insert(self._curves, place, [here, here], axis=0)
-        cursor = np.full(len(times) + 2, np.nan, np.float32)
-        cursor[place : place + 2] = 0.0, self.top
-        return (np.insert(times, place, [now, now]), *curves.T, cursor)
+    def data(self) -> tuple[Float[np.ndarray, " P"], ...]:
+        """Times [s], then the curves [mm]."""
+        return (self.times[self._rows], *self._curves.T)
 
 
 class Timeline:
@@ -133,7 +121,7 @@ class Timeline:
                     hint="whose distance from the thumb is drawn",
                 )  # fmt: skip
                 finger.on_update(asked(lambda event: self._choose(event.target.value)))
-        self._plot = self._add_plot()
+        self._add_plot()
         self._panel.float(x=0, y=-1, width=_LEAST)
         self.slider.on_update(asked(lambda event: scrub(int(event.target.value))))
 
@@ -141,7 +129,7 @@ class Timeline:
         """Move slider and cursor."""
         self._frame = frame
         self.slider.value = frame  # type: ignore[misc]  # it has a setter; mypy loses sight of it
-        self._plot.data = self._curves.at(frame)
+        self._cursor.content = cursor_line(self._curves.times[frame] / self._end)
 
     def fit(self, client: int, canvas_width: float | None) -> None:
         """Make the panel as wide as the narrowest browser's canvas.
@@ -161,31 +149,54 @@ class Timeline:
         self._panel.set_width(now)
         if now < before:  # the browser makes a plot wider with its panel, but not narrower
             self._plot.remove()
-            self._plot = self._add_plot()
+            self._cursor.remove()
+            self._add_plot()
 
-    def _add_plot(self) -> viser.GuiUplotHandle:
+    def _add_plot(self) -> None:
         with self._tab:
-            return self._gui.add_uplot(
-                self._curves.at(self._frame),
+            self._plot = self._gui.add_uplot(
+                self._curves.data(),
                 self._curves.series,
                 scales={
                     "x": uplot.Scale(time=False, range=(0.0, self._end)),
                     "y": uplot.Scale(range=(0.0, self._curves.top)),
                 },
-                axes=(_axis("time [s]", 34), _axis("gap [mm]", 44)),
+                axes=(_axis("time [s]", _BELOW), _axis("gap [mm]", _BESIDE)),
                 legend=uplot.Legend(show=False),
                 height=_PLOT_HEIGHT,
-                padding=(10, 14, 0, 0),
+                padding=(_TOP, _RIGHT, 0, 0),
             )
+            share = self._curves.times[self._frame] / self._end
+            self._cursor = self._gui.add_html(cursor_line(share))
 
     def _choose(self, finger: str) -> None:
         self._curves.show(self._curves.fingers.index(finger))
-        self._plot.data = self._curves.at(self._frame)
+        self._plot.data = self._curves.data()
+
+
+def cursor_line(share: float) -> str:
+    """An upright line over the plot above it, as HTML.
+
+    A series of the plot could draw it, but then all curves would be sent with each move.
+
+    Args:
+        share: where, from 0 at the beginning to 1 at the end.
+    """
+    left, low = _BESIDE + _LABEL + _FRAME, _BELOW + _LABEL + _FRAME + _GAP
+    place = f"calc({left}px + (100% - {left + _RIGHT + _FRAME}px) * {share:.5f})"
+    line = (
+        f"position:absolute;left:{place};bottom:{low}px;"
+        f"height:{_PLOT_HEIGHT - _TOP - _BELOW - _LABEL}px;width:1.5px;background:#fff"
+    )
+    return (
+        f'<div id="timeline-cursor" style="position:relative;height:0;pointer-events:none">'
+        f'<div style="{line}"></div></div>'
+    )
 
 
 def _axis(label: str, size: int) -> uplot.Axis:
     grid = uplot.Axis_Grid(stroke=_GRID, width=1)
-    return uplot.Axis(label=label, labelSize=18, size=size, stroke=_INK, grid=grid)
+    return uplot.Axis(label=label, labelSize=_LABEL, size=size, stroke=_INK, grid=grid)
 
 
 def run_color(index: int) -> str:
