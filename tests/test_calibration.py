@@ -109,6 +109,7 @@ def test_a_larger_hand_has_smaller_scales(exact: HandRecording, hand: Hand) -> N
     assert large.scale == pytest.approx(small.scale / 1.15)
     for a, b in zip(small.fingers, large.fingers, strict=True):
         assert b.scale == pytest.approx(a.scale / 1.15, rel=1e-3)
+    assert large.project == pytest.approx(small.project, rel=1e-3)  # a distance of the robot's
 
 
 @pytest.mark.parametrize(("along", "pad"), [(0.0, 0.006), (0.004, 0.004), (-0.003, 0.006)])
@@ -183,7 +184,7 @@ def test_a_finger_that_never_pinched_has_the_offset_of_the_others(hand: Hand) ->
     assert index.pinch_gap is not None
     assert pinky.pinch_gap is None
     assert pinky.tip_pad == pytest.approx(index.tip_pad, abs=0.002)
-    assert pinky.tip_pad > 0.001
+    assert pinky.tip_pad > 0.7 * index.tip_pad > 0.001  # most of it is what fingers share
 
 
 # Prompts.

@@ -54,6 +54,8 @@ from smooth_operator.training import (
 )
 from smooth_operator.training import data as data_module
 from smooth_operator.training import operators as operators_module
+from smooth_operator.training.batches import draw_batches
+from smooth_operator.training.data import PointSet
 from smooth_operator.training.losses import Batch, GeortLoss
 from smooth_operator.training.operators import FIRST_SEED, TRAINING_OPERATORS
 from smooth_operator.training.session import CHECKPOINT, MODEL
@@ -270,6 +272,20 @@ def test_the_reach_is_that_of_the_joints_that_the_networks_command(
         tips = data.reach[finger].T[::16]
         away = np.linalg.norm(tips[:, None] - path[None], axis=-1).min(axis=1)
         assert away.max() < 1e-4
+
+
+def test_batches_draw_a_fingers_own_points_alike() -> None:
+    """A finger of few points is filled up with its first one, which is drawn no more often."""
+    points = np.zeros((2, 3, 200), np.float32)
+    points[0, 0], points[1, 0, :10] = np.arange(200), np.arange(10)
+    found = PointSet(
+        points, np.array([200, 10]), np.zeros((2, 3, 1), np.float32), np.ones((1, 1), bool)
+    )
+    reach = np.zeros((2, 3, 50), np.float32)
+    settings = replace(TINY, batch=2000, surround=0.0)
+    drawn = np.asarray(draw_batches(found, reach, settings, 1, 0).points)[0, :, 0]
+    assert np.bincount(drawn[1].astype(int)) / 2000 == pytest.approx(np.full(10, 0.1), abs=0.03)
+    assert len(np.unique(drawn[0])) > 190
 
 
 def test_the_end_is_kept_apart(hand: Hand, operator: HandRecording) -> None:
