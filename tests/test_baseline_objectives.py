@@ -129,6 +129,11 @@ def test_the_answer_minimises_the_methods_own_cost(
         q = result.command.positions[columns].astype(float)
     cost = expected(hand, human, previous)
     assert steepest(cost, q, hand.limits) < 2e-3
+    pull = 2.5e-3 * ((q - hand.neutral) ** 2).sum()
+    if method == "ako":
+        pull = smooth_l1(0.1 * (q - previous)).sum()
+    # of the vectors alone, without the pull
+    assert result.tracking_loss == pytest.approx(cost(q) - pull, rel=1e-3)
 
 
 @pytest.mark.parametrize("preset", ["vector", "position"])

@@ -16,7 +16,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.calibration.estimate import Calibration, calibrate
+from smooth_operator.human.calibration.estimate import MARGIN, Calibration, _project, calibrate
 from smooth_operator.human.calibration.features import measure_features
 from smooth_operator.human.calibration.prompts import Prompt, prompted, prompts
 from smooth_operator.human.calibration.report import closed_gaps, report
@@ -109,7 +109,13 @@ def test_a_larger_hand_has_smaller_scales(exact: HandRecording, hand: Hand) -> N
     assert large.scale == pytest.approx(small.scale / 1.15)
     for a, b in zip(small.fingers, large.fingers, strict=True):
         assert b.scale == pytest.approx(a.scale / 1.15, rel=1e-3)
-    assert large.project == pytest.approx(small.project, rel=1e-3)  # a distance of the robot's
+
+
+def test_a_latch_closes_at_a_distance_of_the_robots_size() -> None:
+    """It holds what nine of ten frames of the loosest finger's pinches are held at, at its size."""
+    spread = np.linspace(0, 0.05, 101)[:, None]  # nine of ten are 20 mm beyond the middle
+    gaps = {"index": spread, "middle": 0.2 * spread}
+    assert _project(gaps, 0.5, 0) == pytest.approx(0.5 * 0.02 + MARGIN)
 
 
 @pytest.mark.parametrize(("along", "pad"), [(0.0, 0.006), (0.004, 0.004), (-0.003, 0.006)])

@@ -135,6 +135,17 @@ def test_pinches_close_and_an_open_hand_stays(hand: Hand, recording: HandRecordi
     assert (np.diff(seen) >= -1e-9).all()
 
 
+def test_a_thumb_that_two_fingers_meet_goes_to_them_once(
+    hand: Hand, recording: HandRecording
+) -> None:
+    points = corrected(hand, recording.landmarks[:1], profile(hand))[0]
+    points[:, TIPS[1:]] = points[:, TIPS[0], None] + 0.2
+    points[:, TIPS[1:3]] = points[:, TIPS[0], None] + np.array([0.0, 0.0, 0.007])
+    after = profile(hand, "pinch").correct(points, np.full(1, 0.8), hand, human_palm_axes(hand))
+    for finger in (1, 2):
+        assert thumb_to(after, finger) == pytest.approx(max(0.007 - GAP * 0.8, 0.0), abs=1e-6)
+
+
 def test_fingers_reach_further_and_keep_their_pinch(hand: Hand, recording: HandRecording) -> None:
     operator = profile(hand, "fingers")
     before, after = corrected(hand, recording.landmarks, operator)

@@ -16,6 +16,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.recording.anatomy import FEWEST_FRAMES, finger_curl
 from smooth_operator.recording.readers import read_recording
+from smooth_operator.retargeters.retargeter import RetargetState
 from smooth_operator.runtime import statistics as run_statistics
 from smooth_operator.runtime.delay import TrackerDelay
 from smooth_operator.runtime.limiter import Limiter
@@ -362,6 +363,32 @@ def test_an_emergency_stop_stands_at_once_until_released(
     assert modes(stage.play(frames[150:160])) == [Mode.STOPPED]
     stage.pipeline.supervisor.release()
     assert modes(stage.play(frames[160:260])) == [Mode.BLENDING, Mode.TRACKING]
+
+
+def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(
+    retargeter: Retargeter, motion: HandRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[float] = []
+    first = retargeter.init
+
+    def init() -> RetargetState:
+        begun.append(stage.now)
+        return first()
+
+    stage, frames = Stage(retargeter), list(motion)
+    stage.play(frames[:50])
+    monkeypatch.setattr(retargeter, "init", init)
+    stage.play([None] * 30)  # held, not lost
+    stage.play(frames[80:120])
+    assert not begun
+    stage.play([None] * 300)
+    stage.play(frames[120:160])
+    assert len(begun) == 1
+    stage.pipeline.supervisor.pause()
+    stage.play(frames[160:200])
+    stage.pipeline.supervisor.resume()
+    stage.play(frames[200:220])
+    assert len(begun) == 2
 
 
 def test_a_blend_goes_half_the_way_in_half_of_its_time(
