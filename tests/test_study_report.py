@@ -125,12 +125,18 @@ def test_tables_hold_the_numbers_of_the_results(output: Path) -> None:
 def test_the_head_says_what_the_tables_hold(output: Path) -> None:
     results = json.loads((output / "results.json").read_text(encoding="utf-8"))
     page = (output / "report.html").read_text(encoding="utf-8")
-    (said,) = re.findall(r'<p class="conclusion">(.*?)</p>', page, re.DOTALL)
-    assert page.index(said) < page.index("<h2>")
-    said = html.unescape(said)
-    assert said.startswith("Against dexpilot, all tasks together (mode small-sample, Dunnett")
-    for outcome, name in (("success", "success"), ("time", "completion time"), ("tlx", "workload")):
-        part = said.partition(f"{name}: ")[2].split(";")[0]
+    (head,) = re.findall(r'<div class="verdict">(.*?)</div>', page, re.DOTALL)
+    assert page.index(head) < page.index("<h2>")
+    lines = [html.unescape(line) for line in re.findall(r"<p>(.*?)</p>", head, re.DOTALL)]
+    assert lines[0].startswith("Against dexpilot, all tasks together (mode small-sample, Dunnett")
+    assert len(lines) == 4  # a line for each outcome
+    assert not re.search(r"\d (s|points|percentage)\b|[p=<] [=<\d]", "".join(lines))
+    for line, outcome, name in zip(
+        lines[1:], ("success", "time", "tlx"), ("Success", "Completion time", "Workload"),
+        strict=True,
+    ):  # fmt: skip
+        before, _, part = line.partition(": ")
+        assert before == name
         tests = results["small-sample"][outcome]["pooled"]["dunnett"]
         for retargeter, one in tests.items():
             word = "higher" if one["difference"] > 0 else "lower"

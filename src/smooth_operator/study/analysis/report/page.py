@@ -116,9 +116,9 @@ class _Page:
             f"{', '.join(analysis.retargeters)}; baseline {analysis.baseline}"
         )
         notes = [paragraph(note, "warning") for note in data.notes]
-        drawn = conclusion(analysis)
+        found = join(paragraph(line) for line in conclusion(analysis))
         top = [element("h1", "User study"), paragraph(said, "soft")]
-        top += [paragraph(drawn, "conclusion")] if drawn else []
+        top += [element("div", found, class_="verdict")] if found else []
         top += notes
         return element("header", element("div", join(top)))
 
