@@ -379,7 +379,7 @@ class Verdict:
 
 
 class ReaderProcess:
-    """A process that reads files, with limits on processor and memory; started anew if it dies.
+    """A process that reads files, with limits on processor and memory; started again if it dies.
 
     Args:
         paths: more folders to import from.

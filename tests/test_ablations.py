@@ -270,7 +270,7 @@ def test_the_command_refuses_before_it_computes(
 
 
 def test_published_says_how_many_starts_there_are(capsys: pytest.CaptureFixture[str]) -> None:
-    """Not every solver has the published number, and whoever asks is told which."""
+    """Not every solver has the published number, and the help says which."""
     with contextlib.suppress(SystemExit):
         main(["paper", "--help"])
     told = " ".join(capsys.readouterr().out.replace("│", " ").split())

@@ -58,7 +58,7 @@ class FrameRate:
         )
         return Outcome(
             f"{len(field.choices)} methods on {study.hand}, {seconds:.3g} s of "
-            f"{study.recordings} at each rate. The built-in operator is recorded anew "
+            f"{study.recordings} at each rate. The built-in operator is recorded again "
             "at each rate, the motion being the same; of other recordings frames are left out. "
             "Accelerations are by the real stamps. Lag is the shift of cubic splines through the "
             "commands against those through the human's motion that best aligns their velocities, "

@@ -132,7 +132,7 @@ def read_summary(path: Path) -> Summary | None:
 
 
 def _framed(stream: IO[bytes], size: int, *, footer: bool = True) -> Iterator[tuple[int, bytes]]:
-    """(opcode, content) of the records from here on, empty for those that nobody asks for.
+    """(opcode, content) of the records from here on, empty for those that are not wanted.
 
     Args:
         stream: the file, or what a chunk unpacks to.
