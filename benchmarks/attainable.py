@@ -48,11 +48,11 @@ from posing import Aim
 from report import RESULTS, BenchmarkError, Report
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.benchmark.settings import method_label, select_methods
-from smooth_operator.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.settings import method_label, select_methods
+from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
-from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.parallel import run_tasks
 
 NAMES = tuple(name for name in FILES if name != GLOVE)

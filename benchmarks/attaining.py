@@ -6,7 +6,7 @@ keyvectors point most like the human's. It has many local optima, so the search 
 many starts descend with a rising price on what breaks a limit; the best of them are finished by
 SLSQP, which keeps the limits; and frames try what their neighbours and the other gap limits have
 found, until nobody gains any more. What is kept has been checked with the exact shapes
-(:func:`smooth_operator.hands.collision.penetration_depths`).
+(``penetration_depths``).
 
 Not every gap can be reached: fingertips have a thickness. Where no pose was found that keeps the
 limit, the answer is the best one at the narrowest gap that was found, and it is said by how much
@@ -24,9 +24,9 @@ from jaxtyping import Bool, Float
 from posing import ELASTIC, Aim, Search
 
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.methods.compile_cache import enable_cache, healing
+from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
-from smooth_operator.offline.cache import enable_cache, healing
-from smooth_operator.offline.dispatch import dispatch_here
 from smooth_operator.types import Side
 
 TOLERANCE = 5e-5
@@ -75,7 +75,7 @@ class Attained:
         poses: (G, T, m) for each gap limit and frame, actuated joints [rad].
         value: (G, T) what was sought, of these poses; NaN where none is shallow enough.
         excess: (G, T) by how much a gap is wider than allowed [m]: the frame counts as solved up
-            to :data:`TOLERANCE`.
+            to ``TOLERANCE``.
         gains: what each round over the frames gained in the mean.
     """
 

@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 
 from smooth_operator import Retargeter, load_hand
-from smooth_operator.benchmark.sources import load_sources, parse_request
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.calibration.estimate import calibrate
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, OperatorProfile
+from smooth_operator.io import to_json
+from smooth_operator.io.environment import environment
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.methods.operated import operated_by
+from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.offline.environment import environment
-from smooth_operator.recording import to_json
-from smooth_operator.retargeters.operated import operated_by
-from smooth_operator.retargeters.presets import method_config
 from smooth_operator.types import HandRecording
 
 OPEN = 0.03

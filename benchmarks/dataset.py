@@ -27,12 +27,12 @@ from report import BenchmarkError, Report, cores
 
 from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
-from smooth_operator.offline.dataset import retarget_all, survey
-from smooth_operator.offline.plan import request
-from smooth_operator.offline.scan import CHUNK, Scan
-from smooth_operator.retargeters.method import HostMethod
-from smooth_operator.retargeters.program import compiled, frame_step
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.lab.offline.dataset import retarget_all, survey
+from smooth_operator.methods.method import HostMethod
+from smooth_operator.methods.program import compiled, frame_step
+from smooth_operator.methods.request import request
+from smooth_operator.methods.scan import CHUNK, Scan
+from smooth_operator.synthetic import SyntheticOperator
 
 
 @dataclass(frozen=True)

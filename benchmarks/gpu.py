@@ -27,7 +27,7 @@ from smooth_operator import Hand, HandFrame, Retargeter, SbrConfig, SmoothOperat
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 
 try:
     from mujoco import mjx

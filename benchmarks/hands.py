@@ -33,22 +33,23 @@ from rich.progress import (
 )
 
 from smooth_operator import HandRecording, SmoothOperatorError, hand_names, load_hand
-from smooth_operator.benchmark.sources import load_sources, parse_request
-from smooth_operator.checkup import round_trip, without_pull
 from smooth_operator.hands.hand import Hand
-from smooth_operator.metrics import METRICS, evaluate
-from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.offline import Plan, build, execute
-from smooth_operator.retargeters.geort import GeortConfig, built_in_model
-from smooth_operator.retargeters.geort_model import write_geort_model
-from smooth_operator.retargeters.presets import PRESETS, method_config, method_names
-from smooth_operator.retargeters.retargeter import Retargeter
-from smooth_operator.training import (
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.offline import build, execute
+from smooth_operator.lab.training import (
     GeortTrainer,
     GeortTraining,
     synthetic_recordings,
     training_data,
 )
+from smooth_operator.lab.validation import round_trip, without_pull
+from smooth_operator.methods.geort import GeortConfig, built_in_model
+from smooth_operator.methods.geort_model import write_geort_model
+from smooth_operator.methods.presets import PRESETS, method_config, method_names
+from smooth_operator.methods.request import Plan
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.metrics import METRICS, evaluate
+from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import Side
 
 SIDES = ("right", "left")

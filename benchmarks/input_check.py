@@ -2,7 +2,7 @@
 
 Windows of recordings and of built-in operators, as they are and mirrored, clean and with the noise
 of a tracker, go through the check that every recording and every live tracker goes through
-(``smooth_operator.recording.check_hand``). Prints a table: how many of the right ones are refused,
+(``smooth_operator.io.check_hand``). Prints a table: how many of the right ones are refused,
 which should be none; of each fault how many are noticed, and how many of these are named rightly.
 
     python benchmarks/input_check.py glove.npz video.npz@30hz
@@ -17,10 +17,10 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.benchmark.sources import load_sources, parse_request
+from smooth_operator.io.anatomy import FEWEST_FRAMES, doubt
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.recording.anatomy import FEWEST_FRAMES, doubt
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
 
 MIRROR: Final = np.array([-1.0, 1.0, 1.0])

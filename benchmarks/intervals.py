@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 import tyro
 
-from smooth_operator.ablations.experiment import Table
-from smooth_operator.ablations.intervals import Samples, contrast
-from smooth_operator.ablations.report import markdown
-from smooth_operator.ablations.verdicts import Direction, judge
+from smooth_operator.lab.paper.experiment import Table
+from smooth_operator.lab.paper.intervals import Samples, contrast
+from smooth_operator.lab.paper.report import markdown
+from smooth_operator.lab.paper.verdicts import Direction, judge
 
 COUNTS: Final = (2, 4, 8, 20)
 """Independent recordings."""

@@ -8,9 +8,9 @@ Words with the name of a method in front (METHOD, METHOD:PRESET, METHOD:FILE.tom
 others are recordings, named as for ``smooth-operator bench``. With ``--data`` the folder's glove
 recording (frames 0-499, 2600-3099, whole), ``human_alex`` and ``wilor_test_long`` are judged, and
 three synthetic operators: clean, and with 0.5 and 1 mm of tracker noise. The targets are those of
-``smooth_operator.benchmark.targets``: against every other method for the mimic hand, "better than
-sbr" for other hands. The other methods' figures are kept, and measured again only where their own
-code, or that of a metric, has changed.
+``smooth_operator.lab.benchmark.targets``: against every other method for the mimic hand, "better
+than sbr" for other hands. The other methods' figures are kept, and measured again only where
+their own code, or that of a metric, has changed.
 """
 
 from __future__ import annotations
@@ -26,18 +26,13 @@ from judging import Measured, Shelf, measure_cells
 from report import RESULTS, BenchmarkError, Report, markdown
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.benchmark.cells import Cell
-from smooth_operator.benchmark.latency import measure_latency
-from smooth_operator.benchmark.settings import Choice, method_label, select_methods
-from smooth_operator.benchmark.sources import Source, load_sources, parse_request
-from smooth_operator.benchmark.targets import (
-    SBR,
-    TargetLine,
-    judge,
-    judge_hand,
-)
-from smooth_operator.offline.dispatch import dispatch_here
-from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.latency import measure_latency
+from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
+from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.targets import SBR, TargetLine, judge, judge_hand
+from smooth_operator.methods.dispatch import dispatch_here
+from smooth_operator.methods.presets import PRESETS
 
 GLOVE = "manus_right_subject-000_run-010.npz"
 FILES = (

@@ -12,25 +12,26 @@ from pathlib import Path
 from typing import Any
 
 import smooth_operator
-from smooth_operator.benchmark.built import built_for
-from smooth_operator.benchmark.cells import Cell, file_name, hand_identity
-from smooth_operator.benchmark.store import write_json
-from smooth_operator.benchmark.targets import HumanFigures, human_figures
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.offline import Plan, execute, measure
+from smooth_operator.io import to_json
+from smooth_operator.lab.benchmark.built import built_for
+from smooth_operator.lab.benchmark.cells import Cell, file_name, hand_identity
+from smooth_operator.lab.benchmark.store import write_json
+from smooth_operator.lab.benchmark.targets import HumanFigures, human_figures
+from smooth_operator.lab.offline import execute, measure
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.operated import aligned_by
+from smooth_operator.methods.request import Plan
 from smooth_operator.parallel import run_tasks
-from smooth_operator.recording import to_json
-from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.retargeters.operated import aligned_by
 from smooth_operator.types import HandRecording
 
 HOME = Path(smooth_operator.__file__).parent
 ALL_METHODS = (HOME / "retargeters" / "presets.py", HOME / "offline" / "whole.py")
 """These import every method; what a method is configured to is in its key anyway."""
-ALWAYS = ("retargeters/retargeter.py", "metrics/evaluation.py", "metrics/assemble.py",
-          "offline/execution.py")  # fmt: skip
+ALWAYS = ("methods/retargeter.py", "metrics/evaluation.py", "metrics/assemble.py",
+          "lab/offline/execution.py")  # fmt: skip
 """What every figure comes from, whatever the method."""
-WHOLE = ("offline/frame_goals.py", "offline/segments.py", "solvers/trajectory.py")
+WHOLE = ("lab/offline/frame_goals.py", "lab/offline/segments.py", "solvers/trajectory.py")
 """And that of a preset for whole recordings."""
 
 
@@ -94,7 +95,7 @@ class Shelf:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A cell as a worker needs it; ``per_frame`` as in :func:`measure_cells`."""
+    """A cell as a worker needs it; ``per_frame`` as in ``measure_cells``."""
 
     recording: HandRecording
     hand: str

@@ -19,7 +19,7 @@ import tyro
 from report import BenchmarkError, Report, interleaved, percentiles
 
 from smooth_operator import Hand, SmoothOperatorError, load_hand
-from smooth_operator.ablations.fk_libraries import (
+from smooth_operator.lab.paper.fk_libraries import (
     AGREEMENT,
     BOUNDED,
     MJX,

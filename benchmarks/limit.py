@@ -24,7 +24,7 @@ from arithmetic import FLOAT, KINDS, operations
 from report import BenchmarkError, Report, cores, percentiles
 
 from smooth_operator import HandFrame, Retargeter, SmoothOperatorError
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,15 @@ import time
 from pathlib import Path
 
 from smooth_operator.cli.teleop import _attentive
-from smooth_operator.offline import build_retargeter, request, settle
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.settings import LoopConfig
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sources.catalogue import build_source
-from smooth_operator.ui.live.page import LivePage, PageSetup
-from smooth_operator.ui.live.session import LiveSession
+from smooth_operator.methods.building import build_retargeter
+from smooth_operator.methods.request import request, settle
+from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
+from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sources.catalogue import build_source
 
 _VISIT = """
 import shutil, sys, time

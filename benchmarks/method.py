@@ -38,12 +38,11 @@ from variants import (
 )
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.benchmark.cells import Cell
-from smooth_operator.benchmark.settings import Choice, method_label, select_methods
-from smooth_operator.benchmark.sources import SYNTHETIC, Source, load_sources, parse_request
-from smooth_operator.benchmark.targets import SBR, judge_hand
-from smooth_operator.offline.dispatch import dispatch_here
-from smooth_operator.tuning.pareto import (
+from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
+from smooth_operator.lab.benchmark.sources import SYNTHETIC, Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.targets import SBR, judge_hand
+from smooth_operator.lab.tuning.pareto import (
     ALL_VECTORS,
     COLLISION,
     FLATNESS,
@@ -55,6 +54,7 @@ from smooth_operator.tuning.pareto import (
     TradeOff,
     save_trade_offs,
 )
+from smooth_operator.methods.dispatch import dispatch_here
 
 METHOD = "smooth"
 

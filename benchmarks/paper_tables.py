@@ -22,10 +22,10 @@ from typing import Annotated, Any, Final
 import intervals
 import tyro
 
-from smooth_operator.ablations.catalogue import EXPERIMENTS
-from smooth_operator.ablations.experiment import Table
-from smooth_operator.ablations.report import markdown
-from smooth_operator.ablations.store import RESULTS
+from smooth_operator.lab.paper.catalogue import EXPERIMENTS
+from smooth_operator.lab.paper.experiment import Table
+from smooth_operator.lab.paper.report import markdown
+from smooth_operator.lab.paper.store import RESULTS
 
 ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "noise", "rate")
 """Experiments as the page has them."""

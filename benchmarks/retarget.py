@@ -25,9 +25,9 @@ from smooth_operator import (
     align_recording,
 )
 from smooth_operator.errors import RecordingError
+from smooth_operator.io import frame_slice, read_recording
 from smooth_operator.metrics import Trace, evaluate
-from smooth_operator.recording import frame_slice, read_recording
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 
 QUALITY = {
     "cosine_similarity": "cos thumb",

@@ -19,10 +19,10 @@ import numpy as np
 from report import markdown
 
 from smooth_operator import Retargeter
-from smooth_operator.benchmark import read_results
-from smooth_operator.benchmark.results import Row, row_method
-from smooth_operator.recording import read_recording
-from smooth_operator.retargeters import descent
+from smooth_operator.io import read_recording
+from smooth_operator.lab.benchmark import read_results
+from smooth_operator.lab.benchmark.results import Row, row_method
+from smooth_operator.methods import descent
 from smooth_operator.solvers.slsqp import SlsqpResult
 
 COLUMNS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {

@@ -23,7 +23,7 @@ import tyro
 from report import BenchmarkError, Report
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 
 CHILD = Path(__file__).with_name("first_command.py")
 STAGES = {

@@ -240,8 +240,8 @@ def visitor(wanted: bool, told: list[str]) -> Iterator[Any]:
 def judge(record: Path, summary: Mapping[str, Any], options: argparse.Namespace) -> dict[str, bool]:
     """What must hold of the recording."""
     from smooth_operator import load_hand
-    from smooth_operator.recording import read_log
-    from smooth_operator.runtime.settings import LimitsConfig
+    from smooth_operator.teleop.recording import read_log
+    from smooth_operator.teleop.runtime.settings import LimitsConfig
 
     log, hand, limits = read_log(record), load_hand(options.hand), LimitsConfig()
     assert log.commands is not None

@@ -13,19 +13,15 @@ from judging import code_of
 from report import BenchmarkError
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.benchmark.cells import hand_identity
-from smooth_operator.benchmark.sources import Source
+from smooth_operator.io import to_json
+from smooth_operator.lab.benchmark.cells import hand_identity
+from smooth_operator.lab.benchmark.sources import Source
+from smooth_operator.lab.tuning.log import Trial, TrialLog
+from smooth_operator.lab.tuning.score import figure
+from smooth_operator.lab.tuning.trial import TrialTask, run_trial
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.setting_paths import numeric_settings, with_settings, with_unchecked
 from smooth_operator.parallel import run_tasks
-from smooth_operator.recording import to_json
-from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.retargeters.setting_paths import (
-    numeric_settings,
-    with_settings,
-    with_unchecked,
-)
-from smooth_operator.tuning.log import Trial, TrialLog
-from smooth_operator.tuning.score import figure
-from smooth_operator.tuning.trial import TrialTask, run_trial
 
 Values = Mapping[str, float]
 """Path of a setting -> its value; the others are those of the preset."""

@@ -24,8 +24,8 @@ import tyro
 from report import RESULTS, BenchmarkError, Report, percentiles
 
 from smooth_operator import Retargeter, SmoothOperatorError, Status
-from smooth_operator.sources.live import Mailbox
-from smooth_operator.sources.webxr import WebXr
+from smooth_operator.teleop.sources.live import Mailbox
+from smooth_operator.teleop.sources.webxr import WebXr
 from smooth_operator.types import Side
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))

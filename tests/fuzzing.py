@@ -2,7 +2,7 @@
 
 ``mutate_bytes``, ``mutate_text``, ``mutate_json``, ``mutate_table`` (TOML, CSV and XML, by lines)
 and ``mutate_npz`` each take a random generator and the bytes of a good file and give those of a
-damaged one; the same seed gives the same mutant. :class:`ReaderProcess` calls a reader, named as
+damaged one; the same seed gives the same mutant. ``ReaderProcess`` calls a reader, named as
 ``module:function``, on a file in another process and tells what came of it::
 
     with ReaderProcess() as reader:

@@ -20,7 +20,7 @@ from typing import Any
 import fuzzing
 import numpy as np
 
-from smooth_operator.recording.episode import Episode
+from smooth_operator.io.episode import Episode
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 FRAMES = 12
@@ -35,14 +35,14 @@ def _believable(recording: Any) -> None:
 
 
 def recording(path: Path) -> None:
-    from smooth_operator.recording import read_recording
+    from smooth_operator.io import read_recording
 
     _believable(read_recording(path, rate=None))
 
 
 def episode(path: Path) -> None:
-    from smooth_operator.recording.convert import read_episode
-    from smooth_operator.recording.jsonable import to_json
+    from smooth_operator.io.jsonable import to_json
+    from smooth_operator.teleop.recording.convert import read_episode
 
     found = read_episode(path)
     if found.commands is not None:
@@ -52,7 +52,7 @@ def episode(path: Path) -> None:
 
 
 def commands(path: Path) -> None:
-    from smooth_operator.recording import read_commands
+    from smooth_operator.io import read_commands
 
     found = read_commands(path)
     assert np.isfinite(found.stamps).all()
@@ -61,7 +61,7 @@ def commands(path: Path) -> None:
 
 def scan(path: Path) -> None:
     """A folder that holds the file beside a good one: both are found."""
-    from smooth_operator.offline.discovery import find_recordings
+    from smooth_operator.lab.offline.discovery import find_recordings
 
     good = Path(__file__).with_name("test_architecture.py")
     folder = path.parent / "scanned"
@@ -75,16 +75,17 @@ def scan(path: Path) -> None:
 
 def overwrite(path: Path) -> None:
     """What is looked at before a file is replaced."""
-    from smooth_operator.offline.finished import foreign
-    from smooth_operator.recording.convert import check_target
+    from smooth_operator.lab.offline.finished import foreign
+    from smooth_operator.teleop.recording.convert import check_target
 
     foreign(path.with_suffix(".npz"))
     check_target(path, {".h5": "hdf5", ".mcap": "mcap"}.get(path.suffix, "npz"), [], True)  # type: ignore[arg-type]
 
 
 def latency(path: Path) -> None:
-    from smooth_operator.recording import read_log, to_json
-    from smooth_operator.runtime.log_timing import log_timing
+    from smooth_operator.io import to_json
+    from smooth_operator.teleop.recording import read_log
+    from smooth_operator.teleop.runtime.log_timing import log_timing
 
     to_json(log_timing(read_log(path)))
 
@@ -96,7 +97,7 @@ def operator(path: Path) -> None:
 
 
 def preset(path: Path) -> None:
-    from smooth_operator.retargeters.presets import method_config
+    from smooth_operator.methods.presets import method_config
 
     method_config("sbr", str(path))
 
@@ -108,7 +109,7 @@ def plan(path: Path) -> None:
 
 
 def geort(path: Path) -> None:
-    from smooth_operator.retargeters.geort_model import read_geort_model
+    from smooth_operator.methods.geort_model import read_geort_model
 
     read_geort_model(path)
 
@@ -120,7 +121,7 @@ def study(path: Path) -> None:
 
 
 def trial(path: Path) -> None:
-    from smooth_operator.study.tasks.record import read_trial
+    from smooth_operator.simulation.tasks.record import read_trial
 
     read_trial(path)
 
@@ -191,9 +192,9 @@ def _geort() -> bytes:
 
 
 def _trial(folder: Path) -> bytes:
-    from smooth_operator.sinks.scenes.state import SceneState
-    from smooth_operator.study.tasks.record import TrialRecord, write_trial
-    from smooth_operator.study.tasks.run import Outcome
+    from smooth_operator.simulation.scenes.state import SceneState
+    from smooth_operator.simulation.tasks.record import TrialRecord, write_trial
+    from smooth_operator.simulation.tasks.run import Outcome
 
     record = TrialRecord("card", "h", "right", ("a", "b"), events=[(0.0, "go")])
     for i in range(5):
@@ -368,7 +369,7 @@ Mutate = Callable[[random.Random, bytes], bytes]
 
 def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
     """Reader -> (name, content, how it is damaged) of its good files."""
-    from smooth_operator.recording.convert import write_episode
+    from smooth_operator.teleop.recording.convert import write_episode
 
     one = good_episode()
     for name in ("e.npz", "e.mcap", "e.h5"):
@@ -445,7 +446,7 @@ def campaign(
 def _datasets(
     tries: int, seed: int, folder: Path, process: fuzzing.ReaderProcess, faults: list[str]
 ) -> Counter[str]:
-    from smooth_operator.recording.lerobot import write_dataset
+    from smooth_operator.teleop.recording.lerobot import write_dataset
 
     write_dataset(folder / "set", [good_episode])
     counts: Counter[str] = Counter()

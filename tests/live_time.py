@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from smooth_operator.sources.live import Arrival, Mailbox, Running
+from smooth_operator.teleop.sources.live import Arrival, Mailbox, Running
 from smooth_operator.types import HandFrame
 
 

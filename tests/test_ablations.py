@@ -17,10 +17,14 @@ import numpy as np
 import pytest
 from trees import float64
 
-from smooth_operator.ablations import study as study_module
-from smooth_operator.ablations.catalogue import EXPERIMENTS, experiment
-from smooth_operator.ablations.compute import balance
-from smooth_operator.ablations.contestants import (
+from smooth_operator.cli import main
+from smooth_operator.cli.ablate_options import ExperimentName
+from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.paper import study as study_module
+from smooth_operator.lab.paper.catalogue import EXPERIMENTS, experiment
+from smooth_operator.lab.paper.compute import balance
+from smooth_operator.lab.paper.contestants import (
     Contestant,
     Newton,
     Rmsprop,
@@ -28,9 +32,9 @@ from smooth_operator.ablations.contestants import (
     Slsqp,
     Starts,
 )
-from smooth_operator.ablations.grid import Point, contours
-from smooth_operator.ablations.hessian import hessians, projected_jitter
-from smooth_operator.ablations.intervals import (
+from smooth_operator.lab.paper.grid import Point, contours
+from smooth_operator.lab.paper.hessian import hessians, projected_jitter
+from smooth_operator.lab.paper.intervals import (
     Estimate,
     Samples,
     contrast,
@@ -39,25 +43,16 @@ from smooth_operator.ablations.intervals import (
     pooled,
     typical,
 )
-from smooth_operator.ablations.lineup import make_lineup
-from smooth_operator.ablations.problems import Problem, unbroken
-from smooth_operator.ablations.rmsprop import RmspropConfig, rmsprop_minimise
-from smooth_operator.ablations.runs import Run, measure_run, run_contestant
-from smooth_operator.ablations.sizes import PUBLISHED_STARTS, QUICK, Size
-from smooth_operator.ablations.starts import scattered_starts, soft_mean
-from smooth_operator.ablations.store import Store
-from smooth_operator.ablations.study import TUNING_OPERATOR, Study
-from smooth_operator.ablations.suite import (
-    SIZES,
-    Settings,
-    load_recordings,
-    run_experiments,
-)
-from smooth_operator.ablations.verdicts import Direction, Effect, Equality, Held, judge
-from smooth_operator.benchmark.sources import load_sources, parse_request
-from smooth_operator.cli import main
-from smooth_operator.cli.ablate_options import ExperimentName
-from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.lab.paper.lineup import make_lineup
+from smooth_operator.lab.paper.problems import Problem, unbroken
+from smooth_operator.lab.paper.rmsprop import RmspropConfig, rmsprop_minimise
+from smooth_operator.lab.paper.runs import Run, measure_run, run_contestant
+from smooth_operator.lab.paper.sizes import PUBLISHED_STARTS, QUICK, Size
+from smooth_operator.lab.paper.starts import scattered_starts, soft_mean
+from smooth_operator.lab.paper.store import Store
+from smooth_operator.lab.paper.study import TUNING_OPERATOR, Study
+from smooth_operator.lab.paper.suite import SIZES, Settings, load_recordings, run_experiments
+from smooth_operator.lab.paper.verdicts import Direction, Effect, Equality, Held, judge
 from smooth_operator.objective.loss import FrameGoal
 from smooth_operator.solvers.normals import seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise

@@ -12,10 +12,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from smooth_operator.ablations import fk, fk_libraries, follow, more_sizes, noise, rate, table
-from smooth_operator.ablations.delay import sub_frame_lag
-from smooth_operator.ablations.figures_more import looks_of
-from smooth_operator.ablations.fk_libraries import (
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.lab.benchmark.ranking import HEADLINES
+from smooth_operator.lab.benchmark.settings import Choice
+from smooth_operator.lab.benchmark.sources import Request, Source, load_sources, parse_request
+from smooth_operator.lab.paper import fk, fk_libraries, follow, more_sizes, noise, rate, table
+from smooth_operator.lab.paper.delay import sub_frame_lag
+from smooth_operator.lab.paper.figures_more import looks_of
+from smooth_operator.lab.paper.fk_libraries import (
     AGREEMENT,
     BOUNDED,
     MJX,
@@ -28,22 +33,17 @@ from smooth_operator.ablations.fk_libraries import (
     missing,
     random_poses,
 )
-from smooth_operator.ablations.fk_urdf import write_urdf
-from smooth_operator.ablations.follow import PUBLISHED_SBR, Field, field_of
-from smooth_operator.ablations.intervals import independent, mean_of
-from smooth_operator.ablations.noise import Condition
-from smooth_operator.ablations.sizes import QUICK
-from smooth_operator.ablations.store import Store
-from smooth_operator.ablations.study import Study
-from smooth_operator.ablations.table import Benchmark
-from smooth_operator.ablations.takes import LEAD, at_rate, middle, nearest_frames, through_tracker
-from smooth_operator.benchmark.ranking import HEADLINES
-from smooth_operator.benchmark.settings import Choice
-from smooth_operator.benchmark.sources import Request, Source, load_sources, parse_request
-from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.retargeters.presets import PRESETS
-from smooth_operator.sources.tracker import TrackerModel
+from smooth_operator.lab.paper.fk_urdf import write_urdf
+from smooth_operator.lab.paper.follow import PUBLISHED_SBR, Field, field_of
+from smooth_operator.lab.paper.intervals import independent, mean_of
+from smooth_operator.lab.paper.noise import Condition
+from smooth_operator.lab.paper.sizes import QUICK
+from smooth_operator.lab.paper.store import Store
+from smooth_operator.lab.paper.study import Study
+from smooth_operator.lab.paper.table import Benchmark
+from smooth_operator.lab.paper.takes import LEAD, at_rate, middle, nearest_frames, through_tracker
+from smooth_operator.methods.presets import PRESETS
+from smooth_operator.synthetic.tracker import TrackerModel
 
 TINY = more_sizes.MoreSize(
     fk_batches=(1, 64),

@@ -9,18 +9,13 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
+from smooth_operator.io import check_hand, read_commands, read_recording, write_commands
+from smooth_operator.io.anatomy import FEWEST_FRAMES, Doubt, HandCheck, chirality, doubt
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.recording import (
-    check_hand,
-    read_commands,
-    read_episode,
-    read_recording,
-    write_commands,
-)
-from smooth_operator.recording.anatomy import FEWEST_FRAMES, Doubt, HandCheck, chirality, doubt
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.catalogue import build_source
-from smooth_operator.sources.payload import read_payload
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import read_episode
+from smooth_operator.teleop.sources.catalogue import build_source
+from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -16,7 +16,7 @@ from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 SIDES: tuple[Side, ...] = ("right", "left")

@@ -13,8 +13,8 @@ import pytest
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.methods.descent import DescentConfig
 from smooth_operator.objective.loss import FrameGoal, Objective
-from smooth_operator.retargeters.descent import DescentConfig
 
 TIPS = (4, 8, 12, 16, 20)
 Cost: TypeAlias = Callable[[np.ndarray], float]

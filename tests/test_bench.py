@@ -17,26 +17,26 @@ import pytest
 from metrics_cases import human_motion, make_trace
 
 from smooth_operator import Hand, Retargeter, SbrConfig, SyntheticOperator, load_hand
-from smooth_operator.benchmark import compare, latency, read_results, suite
-from smooth_operator.benchmark.cells import cells_of, file_name, fingerprint
-from smooth_operator.benchmark.clips import make_clip
-from smooth_operator.benchmark.comparison import verdict
-from smooth_operator.benchmark.machine import Watch
-from smooth_operator.benchmark.panels import Panel, Run, view_basis
-from smooth_operator.benchmark.per_finger import finger_metrics
-from smooth_operator.benchmark.quality import Task, measure_cell
-from smooth_operator.benchmark.ranking import HEADLINES, Line, best, failures, overall
-from smooth_operator.benchmark.results import Row
-from smooth_operator.benchmark.settings import Settings, select_methods
-from smooth_operator.benchmark.sources import load_sources, parse_request, unique_names
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.io import read_commands
+from smooth_operator.lab.benchmark import compare, latency, read_results, suite
+from smooth_operator.lab.benchmark.cells import cells_of, file_name, fingerprint
+from smooth_operator.lab.benchmark.clips import make_clip
+from smooth_operator.lab.benchmark.comparison import verdict
+from smooth_operator.lab.benchmark.machine import Watch
+from smooth_operator.lab.benchmark.panels import Panel, Run, view_basis
+from smooth_operator.lab.benchmark.per_finger import finger_metrics
+from smooth_operator.lab.benchmark.quality import Task, measure_cell
+from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, failures, overall
+from smooth_operator.lab.benchmark.results import Row
+from smooth_operator.lab.benchmark.settings import Settings, select_methods
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request, unique_names
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.methods.presets import PRESETS
 from smooth_operator.metrics import METRICS, Metric, evaluate
 from smooth_operator.parallel import run_tasks
-from smooth_operator.recording import read_commands
-from smooth_operator.retargeters.presets import PRESETS
 from smooth_operator.solvers.sampling import SamplingConfig
 
 # The smallest SBR there is: it compiles in a second.
@@ -82,7 +82,7 @@ def small() -> Iterator[None]:
         patch.setenv("SMOOTH_OPERATOR_CACHE", "off")
         patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
         # Other work in this checkout must not look like a change of a method between two runs.
-        patch.setattr("smooth_operator.benchmark.cells.code_digest", lambda: "fixed")
+        patch.setattr("smooth_operator.lab.benchmark.cells.code_digest", lambda: "fixed")
         yield
 
 

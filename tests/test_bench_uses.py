@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.benchmark import uses
-from smooth_operator.benchmark.drawing import colors_of, styled, write_figure
-from smooth_operator.benchmark.figures import latency_figure
-from smooth_operator.benchmark.page.tables import headline_table
-from smooth_operator.benchmark.ranking import COLUMNS, HEADLINES, Line
+from smooth_operator.lab.benchmark import uses
+from smooth_operator.lab.benchmark.figures import latency_figure
+from smooth_operator.lab.benchmark.page.tables import headline_table
+from smooth_operator.lab.benchmark.ranking import COLUMNS, HEADLINES, Line
+from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 
 NAMES = [metric.name for metric in COLUMNS]
 
@@ -90,7 +90,7 @@ def test_the_latency_in_the_plot_is_that_of_the_table() -> None:
 def test_tables_sort_and_plots_answer_to_the_pointer(chromium: Any, tmp_path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from smooth_operator.benchmark.drawing import series
+    from smooth_operator.reporting.drawing import series
 
     names = [one.method for one in LINES]
     with styled():
@@ -99,7 +99,9 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium: Any, tmp_path: Pa
         for i, name in enumerate(names):
             axes.plot([0, 1], [i, i], gid=series(name, f'{name} <b> "said"'))
         svg = write_figure(figure, tmp_path / "plot")
-    script = (files("smooth_operator.benchmark.page") / "interact.js").read_text(encoding="utf-8")
+    script = (files("smooth_operator.lab.benchmark.page") / "interact.js").read_text(
+        encoding="utf-8"
+    )
     page = chromium.new_page(viewport={"width": 900, "height": 900})
     table = headline_table(LINES, colors_of(names))
     page.set_content(f"<!doctype html>{table}{svg}<script>{script}</script>")

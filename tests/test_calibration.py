@@ -25,15 +25,15 @@ from smooth_operator.human.calibration.segments import poses
 from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.human.operator_file import read_operator
+from smooth_operator.io import read_recording
+from smooth_operator.lab.offline.dataset import survey
 from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.methods.operated import operated_by
+from smooth_operator.methods.request import request
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.offline.dataset import survey
-from smooth_operator.offline.plan import request
-from smooth_operator.recording import read_recording
-from smooth_operator.retargeters.operated import operated_by
+from smooth_operator.teleop.pages import Playback
 from smooth_operator.types import HandRecording, Side
-from smooth_operator.ui import Playback
 
 THREE = "thumb,index,pinky=ring"
 CHOSEN = {"thumb": "thumb", "index": "index", "pinky": "ring"}
@@ -525,8 +525,8 @@ def test_the_demo_drives_some_fingers_and_says_so(tmp_path: Path, run: Run) -> N
 
 def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held() -> None:
     from smooth_operator.human.calibration.prompts import Prompt
-    from smooth_operator.runtime.calibration_session import CalibrationSession
-    from smooth_operator.sources.live import Arrival
+    from smooth_operator.teleop.runtime.calibration_session import CalibrationSession
+    from smooth_operator.teleop.sources.live import Arrival
     from smooth_operator.types import HandFrame
 
     asked = (Prompt("flat", "flat", 0.5, 1.0), Prompt("fist", "fist", 0.5, 1.0))

@@ -24,12 +24,12 @@ from smooth_operator.hands.published import on_model
 from smooth_operator.hands.selection import parse_fingers, select_fingers
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.human.anatomy import couple, draw_anatomy
 from smooth_operator.human.joint_map import joint_map
+from smooth_operator.human.kinematics import mirror, pose_hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.sources.anatomy import couple, draw_anatomy
-from smooth_operator.sources.kinematics import mirror, pose_hand
-from smooth_operator.sources.poses import RELAXED
+from smooth_operator.synthetic.poses import RELAXED
 
 NAMES = (
     "ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050", "orca_v2",

@@ -14,23 +14,23 @@ import mujoco
 import numpy as np
 import pytest
 
-from smooth_operator.checkup import Checkup, check_hand, round_trip, without_pull
-from smooth_operator.checkup.pinches import closest_pinch
-from smooth_operator.checkup.reachable import human_landmarks, reachable_poses
-from smooth_operator.checkup.samples import Samples
-from smooth_operator.checkup.shapes import part_distances
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
-from smooth_operator.hands.discovery import discover
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.hands.spec_writer import write_hand_spec
+from smooth_operator.lab.discovery import discover
+from smooth_operator.lab.validation import Checkup, check_hand, round_trip, without_pull
+from smooth_operator.lab.validation.pinches import closest_pinch
+from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
+from smooth_operator.lab.validation.samples import Samples
+from smooth_operator.lab.validation.shapes import part_distances
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.retargeters.default import DEFAULT_METHOD
-from smooth_operator.retargeters.presets import method_config
-from smooth_operator.retargeters.retargeter import Retargeter
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.types import JointCommand, Result, Status
 
 ALLEGRO = load_hand("allegro_hand").spec

@@ -18,12 +18,13 @@ import pytest
 from smooth_operator import Retargeter, SbrConfig, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import RecordingError
+from smooth_operator.io import read_commands, read_recording
+from smooth_operator.methods import compile_cache as offline_cache
+from smooth_operator.methods.presets import PRESETS
 from smooth_operator.metrics import METRICS
-from smooth_operator.offline import cache as offline_cache
-from smooth_operator.recording import read_commands, read_log, read_recording
-from smooth_operator.retargeters.presets import PRESETS
 from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import read_log
 from smooth_operator.types import HandRecording, Side, Status
 
 TINY = ("--method", "sbr", "--preset", "tiny")

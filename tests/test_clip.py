@@ -12,7 +12,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from smooth_operator.cli import main
-from smooth_operator.ui.clip import PANE, RATE_HZ
+from smooth_operator.teleop.pages.clip import PANE, RATE_HZ
 
 METHOD = ("--method", "joint_angle", "--quiet")
 

@@ -17,15 +17,15 @@ from live_time import until
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli.teleop_keys import keyboard
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.remote import remote
-from smooth_operator.runtime.settings import LoopConfig
-from smooth_operator.runtime.switchboard import Switchboard
-from smooth_operator.runtime.turns import EXTRA
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sources.live import Mailbox, SourceHealth
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.remote import remote
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.runtime.switchboard import Switchboard
+from smooth_operator.teleop.runtime.turns import EXTRA
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Mailbox, SourceHealth
 
 zmq = pytest.importorskip("zmq")
 

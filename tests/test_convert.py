@@ -24,20 +24,13 @@ from smooth_operator.errors import (
     OutputError,
     RecordingError,
 )
+from smooth_operator.io import Episode, read_commands, read_recording, write_commands
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.recording import (
-    Episode,
-    read_commands,
-    read_episode,
-    read_log,
-    read_recording,
-    write_commands,
-    write_episode,
-)
-from smooth_operator.recording.convert import Format
-from smooth_operator.recording.lerobot import write_dataset
-from smooth_operator.recording.lerobot.stats import column_statistics, joint_statistics
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import read_episode, read_log, write_episode
+from smooth_operator.teleop.recording.convert import Format
+from smooth_operator.teleop.recording.lerobot import write_dataset
+from smooth_operator.teleop.recording.lerobot.stats import column_statistics, joint_statistics
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FRAMES = 40
@@ -448,9 +441,9 @@ def test_dataset_read_with_pyarrow_alone(tmp_path: Path) -> None:
 
 
 def test_dataset_in_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator.recording.lerobot.writer._FILE_MB", 0)
-    monkeypatch.setattr("smooth_operator.recording.lerobot.writer._CHUNKS_SIZE", 2)
-    monkeypatch.setattr("smooth_operator.recording.lerobot.writer._KEPT_BYTES", 0)
+    monkeypatch.setattr("smooth_operator.teleop.recording.lerobot.writer._FILE_MB", 0)
+    monkeypatch.setattr("smooth_operator.teleop.recording.lerobot.writer._CHUNKS_SIZE", 2)
+    monkeypatch.setattr("smooth_operator.teleop.recording.lerobot.writer._KEPT_BYTES", 0)
     values = [episode(seed=i, name=f"take {i}") for i in range(3)]
     write_dataset(tmp_path / "d", [lambda v=v: v for v in values])  # type: ignore[misc]
     files = sorted((tmp_path / "d" / "data").rglob("*.parquet"))

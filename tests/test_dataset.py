@@ -23,16 +23,17 @@ from jax.experimental.compilation_cache import compilation_cache
 from smooth_operator import Retargeter, SbrConfig
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.offline.dataset import Survey, retarget_all, survey
-from smooth_operator.offline.discovery import find_recordings
-from smooth_operator.offline.finished import claimed
-from smooth_operator.offline.jobs import Entry, checked
-from smooth_operator.offline.plan import Request, request
-from smooth_operator.offline.scan import CHUNK, Scan, find_scan
-from smooth_operator.recording import LogWriter, read_commands, read_recording
-from smooth_operator.retargeters.presets import PRESETS
+from smooth_operator.io import read_commands, read_recording
+from smooth_operator.lab.offline.dataset import Survey, retarget_all, survey
+from smooth_operator.lab.offline.discovery import find_recordings
+from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.lab.offline.jobs import Entry, checked
+from smooth_operator.methods.presets import PRESETS
+from smooth_operator.methods.request import Request, request
+from smooth_operator.methods.scan import CHUNK, Scan, find_scan
 from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.types import HandRecording, Side, Status
 
 # A small SBR, quick to compile. Of the smallest (32 samples) a scan gives other bits.
@@ -171,7 +172,7 @@ RUN = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from smooth_operator.offline.dataset import retarget_all, survey
+from smooth_operator.lab.offline.dataset import retarget_all, survey
 from test_dataset import ASKED
 
 if __name__ == "__main__":

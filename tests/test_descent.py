@@ -14,16 +14,16 @@ from smooth_operator import HandFrame, HandSpec, Retargeter, Status, load_hand, 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
+from smooth_operator.io import read_recording
+from smooth_operator.methods import descent
+from smooth_operator.methods.descent import Descent, DescentConfig
 from smooth_operator.objective.key_objectives import AkoTargets, PinchLayout
 from smooth_operator.objective.keyvectors import TipLayout
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.objective.targets import TipTargets
-from smooth_operator.recording import read_recording
-from smooth_operator.retargeters import descent
-from smooth_operator.retargeters.descent import Descent, DescentConfig
 from smooth_operator.solvers import slsqp
 from smooth_operator.solvers.slsqp import SlsqpConfig
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.synthetic import SyntheticOperator
 
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")

@@ -17,12 +17,12 @@ from discovery_hands import Model, Part, make_hand, mjcf, urdf
 from smooth_operator.cli.hands_add_options import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.hands.discovery import Discovery, Overrules, discover
-from smooth_operator.hands.discovery.words import fingers_said, side_said, words
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.lab.discovery import Discovery, Overrules, discover
+from smooth_operator.lab.discovery.words import fingers_said, side_said, words
 from smooth_operator.types import Side
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -251,9 +251,9 @@ def test_a_real_hand_is_read_right_by_one_who_can_not_read(
     shared: Path, model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing hangs on a name: without any, thumb, order, side and tips are the same."""
-    from smooth_operator.hands.discovery import landmarks, tips
+    from smooth_operator.lab.discovery import landmarks, tips
 
-    module = sys.modules["smooth_operator.hands.discovery.discover"]
+    module = sys.modules["smooth_operator.lab.discovery.discover"]
     monkeypatch.setattr(module, "fingers_said", lambda chains: [None] * len(chains))
     monkeypatch.setattr(module, "side_said", lambda names: None)
     monkeypatch.setattr(tips, "says_tip", lambda name: False)

@@ -11,12 +11,12 @@ import pytest
 from discovery_hands import Part, make_hand, urdf
 from real_hands import REAL
 
-from smooth_operator.checkup.palm import check_palm
-from smooth_operator.checkup.samples import Samples
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import neutral_overlaps
-from smooth_operator.hands.discovery import Discovery, discover
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.lab.discovery import Discovery, discover
+from smooth_operator.lab.validation.palm import check_palm
+from smooth_operator.lab.validation.samples import Samples
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +72,7 @@ def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(
     hand = load_hand_spec(found.spec)
     assert base_travel(hand).max() < 1e-4
     # left on its link it swings, but at rest it is at the same place
-    module = sys.modules["smooth_operator.hands.discovery.discover"]
+    module = sys.modules["smooth_operator.lab.discovery.discover"]
     monkeypatch.setattr(module, "fix_bases", lambda s, palm, fingers, reach, at: (fingers, {}))
     loose = found_in(tmp_path, parts)
     assert loose.spec.fingers[-1].base.body == knuckle

@@ -13,10 +13,10 @@ import pytest
 from discovery_hands import Model, Part, mjcf, urdf
 from odd_hands import Drawing
 
-from smooth_operator.hands.discovery import Discovery, discover
-from smooth_operator.hands.discovery.findings import SURE, UNSURE
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
+from smooth_operator.lab.discovery import Discovery, discover
+from smooth_operator.lab.discovery.findings import SURE, UNSURE
 
 
 @pytest.fixture(autouse=True)

@@ -16,8 +16,8 @@ from ticks import make_tick
 
 from smooth_operator import SyntheticOperator, load_hand
 from smooth_operator.landmarks import BONES, LANDMARKS
-from smooth_operator.recording import LogWriter, read_log
-from smooth_operator.sinks.record import RecordSink
+from smooth_operator.teleop.recording import LogWriter, read_log
+from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.types import JointCommand, Status
 
 # What Foxglove's published JSON schemas require, object by object.

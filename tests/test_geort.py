@@ -28,21 +28,8 @@ from smooth_operator.errors import (
 )
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.landmarks import TIPS
-from smooth_operator.metrics import evaluate
-from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.recording import read_recording
-from smooth_operator.retargeters.geort import GeortConfig, built_in_model
-from smooth_operator.retargeters.geort_model import (
-    GeortModel,
-    Weights,
-    finger_joints,
-    forward,
-    read_geort_model,
-    write_geort_model,
-)
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.training import (
+from smooth_operator.io import read_recording
+from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,
     GeortTraining,
@@ -52,13 +39,26 @@ from smooth_operator.training import (
     synthetic_recordings,
     training_data,
 )
-from smooth_operator.training import data as data_module
-from smooth_operator.training import operators as operators_module
-from smooth_operator.training.batches import draw_batches
-from smooth_operator.training.data import PointSet
-from smooth_operator.training.losses import Batch, GeortLoss
-from smooth_operator.training.operators import FIRST_SEED, TRAINING_OPERATORS
-from smooth_operator.training.session import CHECKPOINT, MODEL
+from smooth_operator.lab.training import data as data_module
+from smooth_operator.lab.training import operators as operators_module
+from smooth_operator.lab.training.batches import draw_batches
+from smooth_operator.lab.training.data import PointSet
+from smooth_operator.lab.training.losses import Batch, GeortLoss
+from smooth_operator.lab.training.operators import FIRST_SEED, TRAINING_OPERATORS
+from smooth_operator.lab.training.session import CHECKPOINT, MODEL
+from smooth_operator.landmarks import TIPS
+from smooth_operator.methods.geort import GeortConfig, built_in_model
+from smooth_operator.methods.geort_model import (
+    GeortModel,
+    Weights,
+    finger_joints,
+    forward,
+    read_geort_model,
+    write_geort_model,
+)
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandFrame, HandRecording, Status
 
 TINY = GeortTraining(epochs=4, batch=64, reach=64, seed=3)
@@ -735,7 +735,7 @@ def test_the_command_says_what_is_wrong(
 
 
 def test_the_file_of_a_model_stands_for_a_preset(tmp_path: Path) -> None:
-    built_in = files("smooth_operator.retargeters") / "models" / "geort_mimic_p050.npz"
+    built_in = files("smooth_operator.methods") / "models" / "geort_mimic_p050.npz"
     (tmp_path / "mine.npz").write_bytes(built_in.read_bytes())
     path = tmp_path / "mine.npz"
     assert method_config("geort", str(path)) == GeortConfig(model=path)

@@ -21,10 +21,8 @@ from smooth_operator import Retargeter, Status, load_hand, method_names
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.metrics import Trace, evaluate
-from smooth_operator.parallel import run_tasks
-from smooth_operator.retargeters.geort import GeortConfig, built_in_model
-from smooth_operator.retargeters.geort_model import (
+from smooth_operator.methods.geort import GeortConfig, built_in_model
+from smooth_operator.methods.geort_model import (
     HIDDEN,
     GeortModel,
     Weights,
@@ -32,7 +30,9 @@ from smooth_operator.retargeters.geort_model import (
     recognition,
     write_geort_model,
 )
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.parallel import run_tasks
+from smooth_operator.synthetic import SyntheticOperator
 
 NAMES = (
     "ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050", "orca_v2",
@@ -65,7 +65,7 @@ class Run:
         q: (T, n) commands [rad].
         tips: (T, F, 3) where they take the fingertips [m].
         status: (T,) of each frame.
-        metrics: of :func:`smooth_operator.metrics.evaluate`.
+        metrics: of ``evaluate``.
     """
 
     q: np.ndarray

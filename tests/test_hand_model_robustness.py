@@ -15,10 +15,10 @@ from fuzzing import EXTREMES, ReaderProcess, mutate_bytes, mutate_table, mutate_
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.catalogue import MODELS
-from smooth_operator.hands.discovery import discover
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.lab.discovery import discover
 
 HAND = make_hand(3)
 URDF, MJCF = urdf(HAND.parts), mjcf(HAND.parts)

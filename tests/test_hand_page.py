@@ -15,7 +15,7 @@ import pytest
 from browser_page import changed, new_page, settled
 
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.ui.hand_page import HandPage
+from smooth_operator.teleop.pages.hand_page import HandPage
 
 WIDTH, HEIGHT = 1000, 700
 SHOWN = 600  # the panel is to the right of this [px]

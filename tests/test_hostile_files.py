@@ -20,18 +20,19 @@ import numpy as np
 import pytest
 
 from smooth_operator.cli import main
-from smooth_operator.documents import json_object, parse_json, parse_toml, read_text
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
-from smooth_operator.offline.discovery import find_recordings
-from smooth_operator.offline.finished import identity
-from smooth_operator.recording import output_error, read_commands, read_log, read_recording
-from smooth_operator.recording import results as results_module
-from smooth_operator.recording.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
-from smooth_operator.recording.convert import read_episode, write_episode
-from smooth_operator.recording.results import encode_commands, write_encoded_commands
-from smooth_operator.retargeters.presets import method_config
-from smooth_operator.runtime.switchboard import _read
+from smooth_operator.io import output_error, read_commands, read_recording
+from smooth_operator.io import results as results_module
+from smooth_operator.io.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
+from smooth_operator.io.documents import json_object, parse_json, parse_toml, read_text
+from smooth_operator.io.results import encode_commands, write_encoded_commands
+from smooth_operator.lab.offline.discovery import find_recordings
+from smooth_operator.lab.offline.finished import identity
+from smooth_operator.methods.presets import method_config
 from smooth_operator.study.data.reading import read_study
+from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.recording.convert import read_episode, write_episode
+from smooth_operator.teleop.runtime.switchboard import _read
 
 HERE = str(Path(__file__).parent)
 
@@ -231,7 +232,7 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path: Path) -> None:
 def test_a_reader_of_hdf5_that_hangs_or_dies_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from smooth_operator.recording import hdf5_process, hdf5_tree
+    from smooth_operator.teleop.recording import hdf5_process, hdf5_tree
 
     path = good(tmp_path, "a.h5")
     first = read_episode(path)

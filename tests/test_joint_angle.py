@@ -17,6 +17,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.human.alignment import palm_alignment
+from smooth_operator.human.anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
 from smooth_operator.human.joint_angles import (
     JOINT_ANGLES,
     NUM_JOINT_ANGLES,
@@ -25,14 +26,13 @@ from smooth_operator.human.joint_angles import (
     palm_axes,
 )
 from smooth_operator.human.joint_map import human_palm_axes, joint_map, robot_joint_angles
+from smooth_operator.human.kinematics import mirror, pose_hand
+from smooth_operator.io import read_recording
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
+from smooth_operator.methods.joint_angle import JointAngleConfig, JointAngleMap
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.recording import read_recording
-from smooth_operator.retargeters.joint_angle import JointAngleConfig, JointAngleMap
-from smooth_operator.retargeters.retargeter import Retargeter
-from smooth_operator.sources.anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
-from smooth_operator.sources.kinematics import mirror, pose_hand
 from smooth_operator.types import Status
 
 SIDES: tuple[Literal["right", "left"], ...] = ("right", "left")

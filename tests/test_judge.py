@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.benchmark.cells import Cell
-from smooth_operator.benchmark.sources import load_sources, parse_request
-from smooth_operator.benchmark.targets import (
+from smooth_operator.errors import ConfigError
+from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.benchmark.targets import (
     HumanFigures,
     TargetLine,
     human_figures,
     judge,
     judge_hand,
 )
-from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.retargeters.presets import method_config
+from smooth_operator.methods.presets import method_config
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HUMAN = HumanFigures(flatness=1e-7, pinch_mm=4.0, pinch_strict_mm=3.0)
@@ -167,10 +167,10 @@ def test_figures_depend_on_the_code_of_their_own_method(programs: Any):
     _, judging = programs
     needed = {
         path.relative_to(judging.HOME).as_posix()
-        for path in judging._needed([judging.HOME / "retargeters/joint_angle.py"])
+        for path in judging._needed([judging.HOME / "methods/joint_angle.py"])
     }
-    assert {"retargeters/joint_angle.py", "human/joint_map.py", "hands/hand.py"} <= needed
-    assert not {"retargeters/sbr.py", "retargeters/presets.py", "solvers/sampling.py"} & needed
+    assert {"methods/joint_angle.py", "human/joint_map.py", "hands/hand.py"} <= needed
+    assert not {"methods/sbr.py", "methods/presets.py", "solvers/sampling.py"} & needed
     codes = {name: judging.code_of(method_config(*name.split(":"))) for name in
              ("joint_angle", "geort", "sbr", "sbr:paper", "sbr:offline")}  # fmt: skip
     assert codes["sbr"] == codes["sbr:paper"]

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.runtime.limiter import MAX_STEP_S, Limiter
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.settings import LimitsConfig, LoopConfig
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.live import Arrival
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, Limiter
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Arrival
 
 GEARED = {"schunk_svh": 1.44889, "inspire_hand": 1.334, "ability_hand": 1.05851}
 """Hands of which a coupled joint moves faster than the one that it follows, and by how much."""

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from smooth_operator.landmarks import BONES
-from smooth_operator.sources import picture_tracker
-from smooth_operator.sources.hand_labels import SeenHand
-from smooth_operator.sources.picture_tracker import PictureConfig, PictureTracker
-from smooth_operator.sources.seen_picture import SeenPicture
-from smooth_operator.ui.live.camera import CameraFeed, camera
-from smooth_operator.ui.palette import FINGER_COLORS, css
+from smooth_operator.teleop.pages.live.camera import CameraFeed, camera
+from smooth_operator.teleop.pages.palette import FINGER_COLORS, css
+from smooth_operator.teleop.sources import picture_tracker
+from smooth_operator.teleop.sources.hand_labels import SeenHand
+from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker
+from smooth_operator.teleop.sources.seen_picture import SeenPicture
 
 
 class Landmarker:

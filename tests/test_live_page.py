@@ -26,29 +26,29 @@ from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.operator_file import read_operator
-from smooth_operator.offline import request
-from smooth_operator.recording import read_log
-from smooth_operator.retargeters.presets import PRESETS, live_presets
-from smooth_operator.runtime.limiter import Limiter
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.live import Arrival, Running, SourceHealth, ThreadedSource
-from smooth_operator.sources.seen_picture import SeenPicture
-from smooth_operator.ui.live import words
-from smooth_operator.ui.live.coach import Coach
-from smooth_operator.ui.live.config_controls import ConfigControls
-from smooth_operator.ui.live.fields import changed, config_fields, field_docs
-from smooth_operator.ui.live.pace import period_for
-from smooth_operator.ui.live.page import LivePage, PageSetup
-from smooth_operator.ui.live.process import _Page
-from smooth_operator.ui.live.rates import RateMeter
-from smooth_operator.ui.live.session import LiveSession
-from smooth_operator.ui.palette import PALM, SIMULATED, css
-from smooth_operator.ui.viser_server import close_server, open_server, page_url
+from smooth_operator.methods.presets import PRESETS, live_presets
+from smooth_operator.methods.request import request
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.pages.live import words
+from smooth_operator.teleop.pages.live.coach import Coach
+from smooth_operator.teleop.pages.live.config_controls import ConfigControls
+from smooth_operator.teleop.pages.live.fields import changed, config_fields, field_docs
+from smooth_operator.teleop.pages.live.pace import period_for
+from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
+from smooth_operator.teleop.pages.live.process import _Page
+from smooth_operator.teleop.pages.live.rates import RateMeter
+from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.teleop.pages.palette import PALM, SIMULATED, css
+from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
+from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Arrival, Running, SourceHealth, ThreadedSource
+from smooth_operator.teleop.sources.seen_picture import SeenPicture
 
 RATE = 50.0
 PATIENT_S = 30.0

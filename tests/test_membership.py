@@ -14,16 +14,16 @@ from trees import limited_poses, mujoco_points, pincer, pincer_spec
 from smooth_operator import Retargeter
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.collision import penetration_depths
-from smooth_operator.hands.discovery import discover
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling
 from smooth_operator.hands.published import on_model
 from smooth_operator.hands.selection import select_fingers
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.retargeters.default import DEFAULT_METHOD
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.lab.discovery import discover
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.types import Side
-from smooth_operator.ui.hand_view import HandView
 
 
 def world_tips(hand: Hand, q: np.ndarray) -> np.ndarray:

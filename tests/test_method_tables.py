@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.benchmark.drawing import name_points
-from smooth_operator.benchmark.sources import load_sources, parse_request
-from smooth_operator.retargeters.presets import PRESETS, method_config
-from smooth_operator.retargeters.setting_paths import with_settings
-from smooth_operator.retargeters.whole import WholeConfig
-from smooth_operator.tuning.pareto import (
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.tuning.pareto import (
     COLLISION,
     FLATNESS,
     VELOCITY,
     TradeOff,
     save_trade_offs,
 )
-from smooth_operator.tuning.score import figure
-from smooth_operator.tuning.trial import run_trial
+from smooth_operator.lab.tuning.score import figure
+from smooth_operator.lab.tuning.trial import run_trial
+from smooth_operator.methods.presets import PRESETS, method_config
+from smooth_operator.methods.setting_paths import with_settings
+from smooth_operator.methods.whole import WholeConfig
+from smooth_operator.reporting.drawing import name_points
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "method.md"
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"

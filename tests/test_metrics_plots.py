@@ -11,7 +11,8 @@ import pytest
 from metrics_cases import human_motion, make_trace
 
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.metrics import plots, save_plots
+from smooth_operator.reporting import metric_plots as plots
+from smooth_operator.reporting.metric_plots import save_plots
 
 NAMES = ["thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp"]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
-from smooth_operator.offline.segments import (
+from smooth_operator.lab.offline.segments import (
     even_stamps,
     segments,
     tracker_noise,

@@ -15,17 +15,18 @@ from smooth_operator import HandRecording, Retargeter, Status, align_recording
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.io import read_commands, read_recording
+from smooth_operator.lab.offline import WholeRetargeter, build, execute
+from smooth_operator.lab.offline import whole as whole_module
+from smooth_operator.lab.offline.segments import windows
+from smooth_operator.lab.offline.whole import check_method
+from smooth_operator.methods.operated import aligned_by
+from smooth_operator.methods.presets import PRESETS, live_presets, method_config
+from smooth_operator.methods.request import plan, request
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.offline import WholeRetargeter, build, execute, plan, request
-from smooth_operator.offline import whole as whole_module
-from smooth_operator.offline.segments import windows
-from smooth_operator.offline.whole import check_method
-from smooth_operator.recording import read_commands, read_recording
-from smooth_operator.retargeters.operated import aligned_by
-from smooth_operator.retargeters.presets import PRESETS, live_presets, method_config
-from smooth_operator.retargeters.sbr import SbrConfig
-from smooth_operator.retargeters.whole import WholeConfig
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import (
@@ -34,7 +35,7 @@ from smooth_operator.solvers.trajectory import (
     motion_price,
     smooth_trajectory,
 )
-from smooth_operator.sources import SyntheticOperator, TrackerModel
+from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 
 # -- the solver ----------------------------------------------------------------------------------
 

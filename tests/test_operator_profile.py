@@ -27,9 +27,9 @@ from smooth_operator.human.operator import (
 )
 from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.methods.operated import left_out, operated_by
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.targets import DexPilotTargets
-from smooth_operator.retargeters.operated import left_out, operated_by
 from smooth_operator.types import HandRecording, Side
 
 PALM = (0, *BASES)

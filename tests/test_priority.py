@@ -9,7 +9,7 @@ import pytest
 
 ASKING = """
 import os, threading
-from smooth_operator.runtime.priority import going_first
+from smooth_operator.teleop.runtime.priority import going_first
 done = threading.Event()
 other = threading.Thread(target=done.wait)
 other.start()
@@ -52,7 +52,7 @@ def test_what_was_granted_is_what_is_said(allowed: bool) -> None:
 
 
 def test_elsewhere_nothing_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    from smooth_operator.runtime import priority
+    from smooth_operator.teleop.runtime import priority
 
     monkeypatch.setattr(priority.sys, "platform", "darwin")
     with priority.going_first() as got:

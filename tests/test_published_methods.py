@@ -16,13 +16,13 @@ import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import Hand
+from smooth_operator.human.anatomy import JOINTS, NUM_JOINTS, draw_anatomy
+from smooth_operator.human.kinematics import pose_hand
+from smooth_operator.io import read_recording
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.recording import read_recording
-from smooth_operator.retargeters.descent import Descent
-from smooth_operator.retargeters.joint_angle import JointAngleMap
-from smooth_operator.retargeters.published_angles import PublishedAngles
-from smooth_operator.sources.anatomy import JOINTS, NUM_JOINTS, draw_anatomy
-from smooth_operator.sources.kinematics import pose_hand
+from smooth_operator.methods.descent import Descent
+from smooth_operator.methods.joint_angle import JointAngleMap
+from smooth_operator.methods.published_angles import PublishedAngles
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

@@ -21,16 +21,17 @@ from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.recording import Log, LogWriter, read_episode, read_log, read_recording
-from smooth_operator.recording.log_episode import write_log_episode
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.settings import LoopConfig
-from smooth_operator.sinks.catalogue import build_sink
-from smooth_operator.sinks.record import RecordSink
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.tick import Mode
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.live import Mailbox
+from smooth_operator.io import read_recording
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import Log, LogWriter, read_episode, read_log
+from smooth_operator.teleop.recording.log_episode import write_log_episode
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.catalogue import build_sink
+from smooth_operator.teleop.sinks.record import RecordSink
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Mode
+from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.types import Side
 
 
@@ -334,7 +335,7 @@ def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
         sys.path.insert(0, sys.argv[2])
         from ticks import make_tick
         from smooth_operator.hands.catalogue import load_hand
-        from smooth_operator.sinks.record import RecordSink
+        from smooth_operator.teleop.sinks.record import RecordSink
         hand = load_hand("mimic_p050")
         for name in range(20):
             if os.fork() == 0:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.io import frame_slice, read_recording
+from smooth_operator.io.checks import check_units
 from smooth_operator.landmarks import FROM_MANUS_25, FROM_OPENXR_26, METACARPALS_MANUS_25
-from smooth_operator.recording import frame_slice, read_recording
-from smooth_operator.recording.checks import check_units
 from smooth_operator.types import HandRecording
 
 FRAMES = 12

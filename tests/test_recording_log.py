@@ -18,7 +18,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.recording import LogWriter, read_log, read_recording
+from smooth_operator.io import read_recording
+from smooth_operator.teleop.recording import LogWriter, read_log
 from smooth_operator.types import HandFrame, HandRecording, JointCommand, Side, Status
 
 NAMES = ("base", "tip")
@@ -277,7 +278,7 @@ def test_killed_writer_leaves_a_readable_log(tmp_path: Path) -> None:
         """
         import sys, time
         import numpy as np
-        from smooth_operator.recording import LogWriter
+        from smooth_operator.teleop.recording import LogWriter
         from smooth_operator.types import HandFrame
 
         points = np.linspace(0.0, 0.1, 63).reshape(21, 3)

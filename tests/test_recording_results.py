@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.recording import (
+from smooth_operator.io import (
     atomic_write,
     config_path,
     output_error,

@@ -30,29 +30,29 @@ from smooth_operator.errors import (
     UnknownNameError,
 )
 from smooth_operator.human.operator_file import write_operator
-from smooth_operator.live import workshop as workshop_module
-from smooth_operator.live.orders import Orders
-from smooth_operator.live.workshop import Workshop
-from smooth_operator.offline import request
-from smooth_operator.recording import read_log
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.remote import remote
-from smooth_operator.runtime.remote_client import RemoteTeleop
-from smooth_operator.runtime.settings import LoopConfig
-from smooth_operator.sinks.record import RecordSink
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.scenes import SceneState
-from smooth_operator.sinks.simulation import Simulation
-from smooth_operator.sinks.tick import Driver, Mode, Tick
-from smooth_operator.sources.catalogue import build_source
-from smooth_operator.study.tasks import read_trial
-from smooth_operator.study.tasks.desk import TaskDesk
-from smooth_operator.ui.live.link import Link
-from smooth_operator.ui.live.panel import LivePanel
-from smooth_operator.ui.live.scene import LiveScene
-from smooth_operator.ui.live.session import LiveSession
-from smooth_operator.ui.viser_server import close_server, open_server
+from smooth_operator.methods.request import request
+from smooth_operator.simulation.scenes import SceneState
+from smooth_operator.simulation.tasks import read_trial
+from smooth_operator.simulation.tasks.desk import TaskDesk
+from smooth_operator.teleop.control import workshop as workshop_module
+from smooth_operator.teleop.control.orders import Orders
+from smooth_operator.teleop.control.workshop import Workshop
+from smooth_operator.teleop.pages.live.link import Link
+from smooth_operator.teleop.pages.live.panel import LivePanel
+from smooth_operator.teleop.pages.live.scene import LiveScene
+from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.teleop.pages.viser_server import close_server, open_server
+from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.remote import remote
+from smooth_operator.teleop.runtime.remote_client import RemoteTeleop
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.record import RecordSink
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.simulation import Simulation
+from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
+from smooth_operator.teleop.sources.catalogue import build_source
 
 zmq = pytest.importorskip("zmq")
 

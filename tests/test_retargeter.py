@@ -25,14 +25,14 @@ from smooth_operator.human.alignment import (
     reference_landmarks,
 )
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
+from smooth_operator.methods import program as program_module
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.presets import PRESETS, method_config, method_names
+from smooth_operator.methods.request import request
+from smooth_operator.methods.retargeter import Retargeter, RetargetState
+from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
-from smooth_operator.offline.plan import request
-from smooth_operator.retargeters import program as program_module
-from smooth_operator.retargeters.default import DEFAULT_METHOD
-from smooth_operator.retargeters.presets import PRESETS, method_config, method_names
-from smooth_operator.retargeters.retargeter import Retargeter, RetargetState
-from smooth_operator.retargeters.sbr import SbrConfig
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.types import HandFrame, HandRecording, Result, Status

@@ -13,21 +13,21 @@ import pytest
 from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.io.anatomy import FEWEST_FRAMES, finger_curl
+from smooth_operator.io.readers import read_recording
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.recording.anatomy import FEWEST_FRAMES, finger_curl
-from smooth_operator.recording.readers import read_recording
-from smooth_operator.retargeters.retargeter import RetargetState
-from smooth_operator.runtime import statistics as run_statistics
-from smooth_operator.runtime.delay import TrackerDelay
-from smooth_operator.runtime.limiter import Limiter
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.plausible import implausible
-from smooth_operator.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
-from smooth_operator.runtime.statistics import LoopStatistics, percentiles
-from smooth_operator.runtime.supervisor import Supervisor
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.live import Arrival
+from smooth_operator.methods.retargeter import RetargetState
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.runtime import statistics as run_statistics
+from smooth_operator.teleop.runtime.delay import TrackerDelay
+from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.plausible import implausible
+from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.runtime.statistics import LoopStatistics, percentiles
+from smooth_operator.teleop.runtime.supervisor import Supervisor
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandRecording
 
 PERIOD = 0.01

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from smooth_operator.cli import main
-from smooth_operator.recording import read_recording
-from smooth_operator.sources import SyntheticOperator, TrackerModel
+from smooth_operator.io import read_recording
+from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 
 
 @pytest.mark.parametrize("suffix", ["npz", "mcap"])

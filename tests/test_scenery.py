@@ -14,13 +14,13 @@ from browser_page import new_page, settled
 
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.human.joint_map import human_palm_axes
-from smooth_operator.sinks.simulation import Simulation
+from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.live.scene import LiveScene
+from smooth_operator.teleop.pages.live.scenery import Scenery
+from smooth_operator.teleop.pages.meshes import above
+from smooth_operator.teleop.pages.viser_server import close_server, open_server
+from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
-from smooth_operator.ui.hand_view import HandView
-from smooth_operator.ui.live.scene import LiveScene
-from smooth_operator.ui.live.scenery import Scenery
-from smooth_operator.ui.meshes import above
-from smooth_operator.ui.viser_server import close_server, open_server
 
 SIDES: tuple[Side, ...] = ("right", "left")
 

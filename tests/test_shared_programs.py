@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
-from smooth_operator.retargeters.shared import fingerprint, shared_program
-from smooth_operator.sources import SyntheticOperator
+from smooth_operator.methods.shared import fingerprint, shared_program
+from smooth_operator.synthetic import SyntheticOperator
 
 
 def test_the_same_hand_and_settings_share_and_others_do_not() -> None:

@@ -11,11 +11,11 @@ from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.catalogue import hand_names, load_hand
-from smooth_operator.hands.discovery import discover
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.sinks.catalogue import build_sink
-from smooth_operator.sinks.physics import HandPhysics
-from smooth_operator.sinks.simulation import Simulation
+from smooth_operator.lab.discovery import discover
+from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator.teleop.sinks.catalogue import build_sink
+from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 
 BUILT_IN = [

@@ -21,12 +21,12 @@ from ticks import make_tick
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.sinks.catalogue import SINKS, build_sink
-from smooth_operator.sinks.ros2 import Ros2Sink
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.table import HandPanel, TableSink
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sinks.zmq_sink import ZmqSink
+from smooth_operator.teleop.sinks.catalogue import SINKS, build_sink
+from smooth_operator.teleop.sinks.ros2 import Ros2Sink
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.table import HandPanel, TableSink
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
 from smooth_operator.types import Side
 
 

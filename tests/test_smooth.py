@@ -14,12 +14,12 @@ from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.pursuit import PursuitConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
+from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.scan import Scan
+from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
 from smooth_operator.objective.clearance import ClearanceConfig
-from smooth_operator.offline.scan import Scan
-from smooth_operator.retargeters.presets import method_config
-from smooth_operator.retargeters.retargeter import Retargeter
-from smooth_operator.retargeters.smooth import SmoothConfig
 from smooth_operator.types import HandFrame, HandRecording, Status
 
 RATE = 115.0

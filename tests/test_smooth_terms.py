@@ -18,12 +18,12 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
+from smooth_operator.methods.program import ticks_of
 from smooth_operator.objective.clearance import ClearanceConfig, crowding
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.objective.polar import PolarConfig, polar
 from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
-from smooth_operator.retargeters.program import ticks_of
 from smooth_operator.solvers.damped import damped_newton
 from smooth_operator.solvers.newton import NewtonConfig
 

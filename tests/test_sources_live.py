@@ -21,14 +21,14 @@ from smooth_operator.errors import (
     SourceError,
     UnknownNameError,
 )
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.catalogue import SOURCES, build_source
-from smooth_operator.sources.intake import Intake
-from smooth_operator.sources.live import Mailbox, Running, ThreadedSource
-from smooth_operator.sources.pacing import on_time
-from smooth_operator.sources.payload import Reading
-from smooth_operator.sources.replay import Replay
-from smooth_operator.sources.synthetic_live import SyntheticSource
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.sources.catalogue import SOURCES, build_source
+from smooth_operator.teleop.sources.intake import Intake
+from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource
+from smooth_operator.teleop.sources.pacing import on_time
+from smooth_operator.teleop.sources.payload import Reading
+from smooth_operator.teleop.sources.replay import Replay
+from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
 from smooth_operator.types import HandFrame, Side
 
 

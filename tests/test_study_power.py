@@ -11,12 +11,12 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
+from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.analysis.analyze import analyze_study
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data import Questionnaires, StudyData, Trials
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
-from smooth_operator.study.design.rubrics import PAPER_TASKS
 from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.layout import Layout, layout
 from smooth_operator.study.power.report import power_json, write_power

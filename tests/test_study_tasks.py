@@ -24,12 +24,10 @@ from smooth_operator.errors import (
     UnknownNameError,
 )
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.sinks.catalogue import build_sink
-from smooth_operator.sinks.scenes import SCENES, ScenePhysics, SceneState, scene_for
-from smooth_operator.sinks.scenes.card import CARD, CardScene
-from smooth_operator.sinks.scenes.reach import opposition
-from smooth_operator.sinks.simulation import Simulation
-from smooth_operator.study.tasks import (
+from smooth_operator.simulation.scenes import SCENES, ScenePhysics, SceneState, scene_for
+from smooth_operator.simulation.scenes.card import CARD, CardScene
+from smooth_operator.simulation.scenes.reach import opposition
+from smooth_operator.simulation.tasks import (
     TASKS,
     Phase,
     TaskRun,
@@ -40,7 +38,9 @@ from smooth_operator.study.tasks import (
     task_named,
     write_trial,
 )
-from smooth_operator.study.tasks.demonstration import load_demonstration, play
+from smooth_operator.simulation.tasks.demonstration import load_demonstration, play
+from smooth_operator.teleop.sinks.catalogue import build_sink
+from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 
 STEP = 0.02  # between two moments of a scripted path [s]
@@ -723,8 +723,8 @@ def test_a_trial_with_the_keys_of_teleop(
 def test_film_strips_are_drawn_or_say_why_not(tmp_path: Path) -> None:
     """In a process of its own: MuJoCo picks its OpenGL once."""
     code = (
-        "from smooth_operator.study.tasks.pictures import film_strip as f\n"
-        "from smooth_operator.study.tasks.demonstration import load_demonstration as d\n"
+        "from smooth_operator.simulation.tasks.pictures import film_strip as f\n"
+        "from smooth_operator.simulation.tasks.demonstration import load_demonstration as d\n"
         "from smooth_operator.errors import ConfigError\n"
         "try:\n    s = f(d('cube'), (0.02, 1.5), (150, -35), (80, 60))\n"
         "except ConfigError as e:\n    print('no', e)\n"

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.human.anatomy import JOINTS, LOWER, UPPER, couple
+from smooth_operator.human.kinematics import pose_hand
 from smooth_operator.landmarks import (
     BONES,
     FROM_MANUS_25,
@@ -20,11 +22,9 @@ from smooth_operator.landmarks import (
     NUM_LANDMARKS,
     TIPS,
 )
-from smooth_operator.sources import GESTURES, SyntheticOperator, TrackerModel, WristMotion
-from smooth_operator.sources.anatomy import JOINTS, LOWER, UPPER, couple
-from smooth_operator.sources.gestures import Programme
-from smooth_operator.sources.kinematics import pose_hand
-from smooth_operator.sources.poses import FREE_LOWER, FREE_UPPER, pinch_postures
+from smooth_operator.synthetic import GESTURES, SyntheticOperator, TrackerModel, WristMotion
+from smooth_operator.synthetic.gestures import Programme
+from smooth_operator.synthetic.poses import FREE_LOWER, FREE_UPPER, pinch_postures
 from smooth_operator.types import HandFrame, HandRecording
 
 PINCHES = GESTURES[1:5]
@@ -541,7 +541,7 @@ def test_twenty_seconds_take_well_under_a_second() -> None:
 
 def test_no_heavy_import() -> None:
     code = (
-        "import sys; from smooth_operator.sources import SyntheticOperator as S; S().record(1.0);"
+        "import sys; from smooth_operator.synthetic import SyntheticOperator as S; S().record(1.0);"
         "print([m for m in ('jax', 'scipy', 'mujoco', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -24,15 +24,15 @@ from smooth_operator.cli import main
 from smooth_operator.cli import teleop as teleop_module
 from smooth_operator.errors import SinkError, SourceError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.recording import read_log
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.plausible import implausible
-from smooth_operator.runtime.settings import LoopConfig, SafetyConfig
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.live import Mailbox, Running, SourceHealth, ThreadedSource
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.plausible import implausible
+from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Mailbox, Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side
 
 RATE = 50.0
@@ -251,7 +251,7 @@ def test_switches_work_from_another_program(
     retargeters: dict[Side, Retargeter], frames: list[HandFrame]
 ) -> None:
     zmq = pytest.importorskip("zmq")
-    from smooth_operator.runtime.remote import remote
+    from smooth_operator.teleop.runtime.remote import remote
 
     sink = Keeper()
     loop = looped(retargeters, Player(frames * 2), sink)
@@ -347,7 +347,7 @@ def test_an_emergency_stop_does_not_wait_for_the_next_tick(
 
 
 def test_a_source_is_told_which_hands_are_wanted() -> None:
-    from smooth_operator.sources.catalogue import build_source
+    from smooth_operator.teleop.sources.catalogue import build_source
 
     for text, told in (("synthetic", "left"), ("udp:0", "left"), ("synthetic:seed=1", "both")):
         assert build_source(text, told).side == told  # type: ignore[arg-type, attr-defined]
@@ -480,7 +480,7 @@ def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert json.loads(out)["frames_answered"] > 0
-    from smooth_operator.recording import read_log
+    from smooth_operator.teleop.recording import read_log
 
     assert read_log(log) is not None
 

@@ -10,32 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
-from smooth_operator.retargeters.preset_file import (
-    PresetFile,
-    read_preset_file,
-    write_preset_file,
-)
-from smooth_operator.retargeters.presets import PRESETS, SBR_REALTIME, method_config
-from smooth_operator.retargeters.retargeter import Retargeter
-from smooth_operator.retargeters.sbr import SbrConfig
-from smooth_operator.retargeters.setting_paths import (
-    find_setting,
-    numeric_settings,
-    with_settings,
-)
+from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
+from smooth_operator.lab.tuning.held_out import check_held_out
+from smooth_operator.lab.tuning.log import Trial, TrialLog
+from smooth_operator.lab.tuning.pareto import front
+from smooth_operator.lab.tuning.score import Bound, Scoring
+from smooth_operator.lab.tuning.search import search
+from smooth_operator.lab.tuning.traced import TracedRun
+from smooth_operator.lab.tuning.variables import parse_variable, values_at
+from smooth_operator.methods.preset_file import PresetFile, read_preset_file, write_preset_file
+from smooth_operator.methods.presets import PRESETS, SBR_REALTIME, method_config
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.setting_paths import find_setting, numeric_settings, with_settings
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.tuning import Tuned, TuningSettings, plan_tuning, tune
-from smooth_operator.tuning.held_out import check_held_out
-from smooth_operator.tuning.log import Trial, TrialLog
-from smooth_operator.tuning.pareto import front
-from smooth_operator.tuning.score import Bound, Scoring
-from smooth_operator.tuning.search import search
-from smooth_operator.tuning.traced import TracedRun
-from smooth_operator.tuning.variables import parse_variable, values_at
 from smooth_operator.types import HandRecording
 
 TINY = SbrConfig(

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smooth_operator.runtime.turns import EXTRA, LONGEST, SHORTEST, Turns
-from smooth_operator.sources import SyntheticOperator
-from smooth_operator.sources.live import Mailbox
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.runtime.turns import EXTRA, LONGEST, SHORTEST, Turns
+from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.types import HandFrame
 
 PERIOD = 0.01

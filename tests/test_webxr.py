@@ -21,17 +21,18 @@ import pytest
 from emulated_headset import NoEmulator, fetch_emulator, new_headset
 
 from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
+from smooth_operator.io.checks import check_units
 from smooth_operator.landmarks import BONES, FROM_WEBXR_25, METACARPALS_WEBXR_25
-from smooth_operator.recording.checks import check_units
-from smooth_operator.sources.catalogue import build_source
-from smooth_operator.sources.live import Arrival, Mailbox
-from smooth_operator.sources.webxr import WebXr, addresses, server
-from smooth_operator.sources.webxr.certificate import SWITCH, VALID, get_certificate
-from smooth_operator.sources.webxr.link import LinkState
-from smooth_operator.sources.webxr.packet import HEADER, MAX_BYTES, read_packet
-from smooth_operator.sources.webxr.pairing import IN_ALL, PER_ADDRESS, WINDOW, Pairing
-from smooth_operator.sources.webxr.source import describe
+from smooth_operator.teleop.sources.catalogue import build_source
+from smooth_operator.teleop.sources.live import Arrival, Mailbox
+from smooth_operator.teleop.sources.webxr import WebXr, server
+from smooth_operator.teleop.sources.webxr.certificate import SWITCH, VALID, get_certificate
+from smooth_operator.teleop.sources.webxr.link import LinkState
+from smooth_operator.teleop.sources.webxr.packet import HEADER, MAX_BYTES, read_packet
+from smooth_operator.teleop.sources.webxr.pairing import IN_ALL, PER_ADDRESS, WINDOW, Pairing
+from smooth_operator.teleop.sources.webxr.source import describe
 from smooth_operator.types import Side
+from smooth_operator.web import addresses
 from smooth_operator.web.listening import LimitedListener, listen
 
 pytest.importorskip("cryptography", reason="the extra webxr is not installed")

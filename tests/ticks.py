@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.sinks.tick import Mode, Tick
-from smooth_operator.sources.live import Arrival
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandFrame, JointCommand, Status
 
 

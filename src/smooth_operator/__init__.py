@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from smooth_operator.hands.spec import Point as Point
     from smooth_operator.human.alignment import align_recording as align_recording
     from smooth_operator.human.alignment import calibrate_scale as calibrate_scale
+    from smooth_operator.io import read_recording as read_recording
     from smooth_operator.landmarks import LANDMARKS as LANDMARKS
-    from smooth_operator.recording import read_recording as read_recording
-    from smooth_operator.retargeters.presets import method_config as method_config
-    from smooth_operator.retargeters.presets import method_names as method_names
-    from smooth_operator.retargeters.retargeter import Retargeter as Retargeter
-    from smooth_operator.retargeters.retargeter import RetargetState as RetargetState
-    from smooth_operator.retargeters.sbr import SbrConfig as SbrConfig
-    from smooth_operator.sources import SyntheticOperator as SyntheticOperator
+    from smooth_operator.methods.presets import method_config as method_config
+    from smooth_operator.methods.presets import method_names as method_names
+    from smooth_operator.methods.retargeter import Retargeter as Retargeter
+    from smooth_operator.methods.retargeter import RetargetState as RetargetState
+    from smooth_operator.methods.sbr import SbrConfig as SbrConfig
+    from smooth_operator.synthetic import SyntheticOperator as SyntheticOperator
     from smooth_operator.types import CommandTrajectory as CommandTrajectory
     from smooth_operator.types import HandFrame as HandFrame
     from smooth_operator.types import HandRecording as HandRecording
@@ -47,13 +47,13 @@ _HOME = {
     "align_recording": "smooth_operator.human.alignment",
     "calibrate_scale": "smooth_operator.human.alignment",
     "LANDMARKS": "smooth_operator.landmarks",
-    "read_recording": "smooth_operator.recording",
-    "method_config": "smooth_operator.retargeters.presets",
-    "method_names": "smooth_operator.retargeters.presets",
-    "Retargeter": "smooth_operator.retargeters.retargeter",
-    "RetargetState": "smooth_operator.retargeters.retargeter",
-    "SbrConfig": "smooth_operator.retargeters.sbr",
-    "SyntheticOperator": "smooth_operator.sources",
+    "read_recording": "smooth_operator.io",
+    "method_config": "smooth_operator.methods.presets",
+    "method_names": "smooth_operator.methods.presets",
+    "Retargeter": "smooth_operator.methods.retargeter",
+    "RetargetState": "smooth_operator.methods.retargeter",
+    "SbrConfig": "smooth_operator.methods.sbr",
+    "SyntheticOperator": "smooth_operator.synthetic",
     "CommandTrajectory": "smooth_operator.types",
     "HandFrame": "smooth_operator.types",
     "HandRecording": "smooth_operator.types",

@@ -1,7 +1,7 @@
 """One error family: every message says what was expected, what came, and what to do.
 
-All errors derive from :class:`SmoothOperatorError`, so a caller can catch the family; the ones
-that are about a value also derive from :class:`ValueError`, those about a missing thing from the
+All errors derive from ``SmoothOperatorError``, so a caller can catch the family; the ones
+that are about a value also derive from ``ValueError``, those about a missing thing from the
 matching built-in, so that code which knows nothing of this package still catches them.
 """
 
@@ -97,3 +97,19 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return self.message
+
+
+_SHOWN: Final = 80
+
+
+def brief(value: object, most: int = _SHOWN) -> str:
+    """The ``repr`` of a value, cut where it is too long for a message."""
+    text = repr(value)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def listed(names: Iterable[object], most: int = 12) -> str:
+    """Names in a row for a message, the first ones where there are many."""
+    words = [str(name) for name in names]
+    shown = [word if len(word) <= 40 else f"{word[:37]}..." for word in words[:most]]
+    return ", ".join(shown) + (f" and {len(words) - most} more" if len(words) > most else "")

@@ -3,7 +3,7 @@
 Order: wrist, then per finger from base to tip. It is the order of MediaPipe's hand landmarker, and
 ``docs/conventions.md`` draws it. Trackers with more nodes (MANUS 25, WebXR 25, OpenXR 26) are
 mapped by index; what the maps leave out are the metacarpal bases of the long fingers, which
-:data:`METACARPALS_MANUS_25` and its siblings pick.
+``METACARPALS_MANUS_25`` and its siblings pick.
 """
 
 from __future__ import annotations

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from smooth_operator.documents import brief
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError, RecordingError, brief
 from smooth_operator.landmarks import NUM_LANDMARKS
 
 Side: TypeAlias = Literal["right", "left"]
@@ -66,7 +65,7 @@ class HandFrame:
     """One moment of a tracked human hand.
 
     Attributes:
-        landmarks: (21, 3) positions [m], ordered as :data:`smooth_operator.landmarks.LANDMARKS`, in
+        landmarks: (21, 3) positions [m], ordered as ``LANDMARKS``, in
             any right-handed frame (retargeting aligns it to the robot's palm).
         stamp: time of the measurement [s]; None where the tracker gives none, which a live source
             and a call of the retargeter take for the time when the frame came.
@@ -229,7 +228,7 @@ class CommandTrajectory:
         joint_names: (n,) names.
         stamps: (T,) stamps of the hand frames [s].
         latency_ms: (T,) time from landmarks to command [ms].
-        status: (T,) :class:`Status` values.
+        status: (T,) ``Status`` values.
     """
 
     joint_positions: Float[np.ndarray, "T n"]

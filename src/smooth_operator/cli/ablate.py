@@ -11,19 +11,19 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from smooth_operator.ablations.experiment import Outcome
-from smooth_operator.ablations.report import REPORT, verdict_lines
-from smooth_operator.ablations.sizes import trial_note
-from smooth_operator.ablations.store import check_folder
-from smooth_operator.ablations.study import Advance, Track
-from smooth_operator.ablations.suite import Settings, load_recordings, run_experiments
 from smooth_operator.cli.ablate_options import Experimenting
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.offline.cache import enable_cache, healing
-from smooth_operator.offline.dispatch import dispatch_here
-from smooth_operator.offline.finished import claimed
+from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.lab.paper.experiment import Outcome
+from smooth_operator.lab.paper.report import REPORT, verdict_lines
+from smooth_operator.lab.paper.sizes import trial_note
+from smooth_operator.lab.paper.store import check_folder
+from smooth_operator.lab.paper.study import Advance, Track
+from smooth_operator.lab.paper.suite import Settings, load_recordings, run_experiments
+from smooth_operator.methods.compile_cache import enable_cache, healing
+from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.terminal import open_console
 
 _WIDTH_OF_A_FILE = 160

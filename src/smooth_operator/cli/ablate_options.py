@@ -97,7 +97,7 @@ Examples:
 
     def run(self) -> None:
         """Runs the command."""
-        from smooth_operator.ablations.catalogue import EXPERIMENTS
         from smooth_operator.cli.ablate import ablate
+        from smooth_operator.lab.paper.catalogue import EXPERIMENTS
 
         ablate(self, tuple(EXPERIMENTS), self.recordings)

@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def program() -> int:
-    """The process of a command: :func:`main`, and an end that no thread can spoil.
+    """The process of a command: ``main``, and an end that no thread can spoil.
 
     A daemon thread that is still within compiled code (a driver that does not answer, a library)
     asks for the interpreter while that ends, and is unwound through frames that do not expect it:

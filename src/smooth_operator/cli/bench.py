@@ -15,17 +15,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from smooth_operator.benchmark import (
-    Settings,
-    compare,
-    make_rows,
-    plan_cells,
-    read_results,
-    run_suite,
-)
-from smooth_operator.benchmark.cells import Cell
-from smooth_operator.benchmark.store import REPORT, RESULTS, write_json
-from smooth_operator.benchmark.suite import Advance
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.outputs import folder_for
@@ -33,10 +22,21 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
-from smooth_operator.offline.dispatch import dispatch_here
-from smooth_operator.offline.finished import claimed
-from smooth_operator.recording import reading_notes
-from smooth_operator.retargeters.notes import method_notes
+from smooth_operator.io import reading_notes
+from smooth_operator.lab.benchmark import (
+    Settings,
+    compare,
+    make_rows,
+    plan_cells,
+    read_results,
+    run_suite,
+)
+from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.store import REPORT, RESULTS, write_json
+from smooth_operator.lab.benchmark.suite import Advance
+from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.methods.dispatch import dispatch_here
+from smooth_operator.methods.notes import method_notes
 from smooth_operator.terminal import open_console
 
 SOME_FAILED = 1
@@ -48,7 +48,7 @@ def bench(options: Bench) -> None:
 
     Raises:
         SmoothOperatorError: what was asked for can't be; nothing was measured then.
-        SystemExit: with :data:`SOME_FAILED`.
+        SystemExit: with ``SOME_FAILED``.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
     console = open_console(stderr=True)
@@ -86,7 +86,7 @@ def bench(options: Bench) -> None:
             comparison = compare(rows, others, str(options.compare))
         write_json(options.output / RESULTS, rows, indent=1)
         if not options.no_report:
-            from smooth_operator.benchmark.page import write_report
+            from smooth_operator.lab.benchmark.page import write_report
 
             with _waiting(console, options.quiet, "drawing the report"):
                 write_report(finished, rows, settings, comparison)

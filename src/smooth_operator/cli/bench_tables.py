@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from smooth_operator.benchmark.comparison import Comparison
-from smooth_operator.benchmark.ranking import (
+from smooth_operator.lab.benchmark.comparison import Comparison
+from smooth_operator.lab.benchmark.ranking import (
     COLUMNS,
     SHORT,
     Line,
@@ -23,8 +23,8 @@ from smooth_operator.benchmark.ranking import (
     overall,
     shown_value,
 )
-from smooth_operator.benchmark.results import Row
-from smooth_operator.benchmark.uses import verdict as verdict_of
+from smooth_operator.lab.benchmark.results import Row
+from smooth_operator.lab.benchmark.uses import verdict as verdict_of
 from smooth_operator.metrics import Metric
 from smooth_operator.terminal import open_console
 

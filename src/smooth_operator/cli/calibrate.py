@@ -20,18 +20,12 @@ from smooth_operator.human.calibration.report import report
 from smooth_operator.human.calibration.segments import Segment
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
 from smooth_operator.human.operator_file import read_operator, write_operator
-from smooth_operator.offline.calibration_picture import draw_calibration
-from smooth_operator.offline.environment import environment
-from smooth_operator.offline.plan import PROGRAM
-from smooth_operator.recording import (
-    atomic_write,
-    frame_slice,
-    read_recording,
-    reading_notes,
-    to_json,
-)
-from smooth_operator.retargeters.default import DEFAULT_METHOD
-from smooth_operator.sources.catalogue import build_source
+from smooth_operator.io import atomic_write, frame_slice, read_recording, reading_notes, to_json
+from smooth_operator.io.environment import environment
+from smooth_operator.lab.offline.calibration_picture import draw_calibration
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.request import PROGRAM
+from smooth_operator.teleop.sources.catalogue import build_source
 from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
 

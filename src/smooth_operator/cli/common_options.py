@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from tyro.conf import arg
 
-from smooth_operator.retargeters.default import DEFAULT_METHOD
+from smooth_operator.methods.default import DEFAULT_METHOD
 
 HandSide: TypeAlias = Literal["right", "left"]
 # Spelt out again: the module that owns it imports JAX, and `--help` needs none.

@@ -119,7 +119,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
 
     Args:
         title: above it.
-        metrics: of :func:`smooth_operator.metrics.evaluate`.
+        metrics: of ``evaluate``.
     """
     from smooth_operator.metrics import GROUPS, METRICS
 

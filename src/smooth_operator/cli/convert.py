@@ -12,8 +12,12 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.outputs import folder_for, read_configuration
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.recording.checks import check_rate
-from smooth_operator.recording.convert import (
+from smooth_operator.io.checks import check_rate
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.frames import frame_slice
+from smooth_operator.io.readers import rated_if_unstamped
+from smooth_operator.io.sniff import is_dataset
+from smooth_operator.teleop.recording.convert import (
     SUFFIXES,
     Format,
     Source,
@@ -25,14 +29,10 @@ from smooth_operator.recording.convert import (
     read_episode,
     write_episode,
 )
-from smooth_operator.recording.episode import Episode
-from smooth_operator.recording.frames import frame_slice
-from smooth_operator.recording.lerobot import write_dataset
-from smooth_operator.recording.readers import rated_if_unstamped
-from smooth_operator.recording.sniff import is_dataset
-from smooth_operator.sources.picture_tracker import PictureConfig
-from smooth_operator.sources.video_file import is_video
-from smooth_operator.sources.video_recording import track_video
+from smooth_operator.teleop.recording.lerobot import write_dataset
+from smooth_operator.teleop.sources.picture_tracker import PictureConfig
+from smooth_operator.teleop.sources.video_file import is_video
+from smooth_operator.teleop.sources.video_recording import track_video
 
 _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 

@@ -18,12 +18,12 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import requested
 from smooth_operator.errors import OutputError, RecordingError
-from smooth_operator.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
-from smooth_operator.offline.environment import environment
-from smooth_operator.offline.finished import claimed, read_configuration
-from smooth_operator.offline.jobs import Entry, checked
-from smooth_operator.offline.plan import PROGRAM
-from smooth_operator.recording import atomic_write, to_json
+from smooth_operator.io import atomic_write, to_json
+from smooth_operator.io.environment import environment
+from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
+from smooth_operator.lab.offline.finished import claimed, read_configuration
+from smooth_operator.lab.offline.jobs import Entry, checked
+from smooth_operator.methods.request import PROGRAM
 from smooth_operator.terminal import open_console, printable
 
 _SHOWN_FAILURES = 40

@@ -11,9 +11,12 @@ from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.hands.menagerie import drawn_on
-from smooth_operator.metrics import Trace, save_plots
-from smooth_operator.offline import Outcome, configuration, plan
-from smooth_operator.recording import LogWriter, atomic_write, to_json, write_commands
+from smooth_operator.io import atomic_write, to_json, write_commands
+from smooth_operator.lab.offline import Outcome
+from smooth_operator.methods.request import configuration, plan
+from smooth_operator.metrics import Trace
+from smooth_operator.reporting.metric_plots import save_plots
+from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.types import HandRecording, JointCommand, Status
 
 
@@ -40,7 +43,7 @@ def demo(options: Demo) -> None:
     progress.note(f"wrote {options.output}")
     if not options.no_view:
         from smooth_operator.cli.page import playback
-        from smooth_operator.ui import serve
+        from smooth_operator.teleop.pages import serve
 
         page = playback(title, todo.hand, trace, metrics, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)

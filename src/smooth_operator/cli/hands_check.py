@@ -18,10 +18,10 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from smooth_operator.checkup import Checkup, check_hand
-from smooth_operator.checkup.checks import Verdict
 from smooth_operator.cli.hands_check_options import Check
-from smooth_operator.offline.cache import enable_cache, healing
+from smooth_operator.lab.validation import Checkup, check_hand
+from smooth_operator.lab.validation.checks import Verdict
+from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.terminal import open_console
 
 FAILED: Final = 1
@@ -43,7 +43,7 @@ def check_hand_command(options: Check) -> None:
     Raises:
         UnknownNameError: there is no such hand.
         HandModelError: it can't be loaded.
-        SystemExit: with :data:`FAILED`, if a check failed.
+        SystemExit: with ``FAILED``, if a check failed.
     """
     bar = Progress(
         TextColumn("{task.description}", markup=False),

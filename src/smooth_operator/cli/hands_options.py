@@ -1,8 +1,8 @@
 """Options of ``smooth-operator hands`` and of its subcommands.
 
-A further subcommand: write its options as a dataclass like :class:`Show` below (in a file of its
+A further subcommand: write its options as a dataclass like ``Show`` below (in a file of its
 own, as ``hands_check_options.py``) and its work in another (``hands_check.py``), then add one line
-to :data:`What`.
+to ``What``.
 The group itself is one line in ``cli/options.py``.
 """
 

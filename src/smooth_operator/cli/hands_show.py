@@ -36,7 +36,7 @@ def show_hand(options: Show) -> None:
         return
     _print_tables(hand)
     if not options.no_view:
-        from smooth_operator.ui.hand_page import serve_hand
+        from smooth_operator.teleop.pages.hand_page import serve_hand
 
         serve_hand(hand, host=options.host, port=options.port, open_browser=not options.no_browser)
 
@@ -49,7 +49,7 @@ def render_hand(options: Render) -> None:
         HandModelError: it can't be used.
         OutputError: the picture can't be written.
     """
-    from smooth_operator.ui.hand_picture import save_hand_picture
+    from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
     hand = _hand(options)
     output = options.output or Path(f"{hand.name}_{hand.spec.side}.png")
@@ -59,7 +59,7 @@ def render_hand(options: Render) -> None:
 
 def describe(hand: Hand) -> dict[str, Any]:
     """A hand as plain values, for ``--json``."""
-    from smooth_operator.ui.hand_view import joint_rows
+    from smooth_operator.teleop.pages.hand_view import joint_rows
 
     spec, followed = hand.spec, {c.joint: c for c in hand.couplings}
     joints = []
@@ -112,7 +112,7 @@ def _point(point: Point) -> dict[str, Any]:
 
 
 def _print_tables(hand: Hand) -> None:
-    from smooth_operator.ui.hand_view import joint_rows
+    from smooth_operator.teleop.pages.hand_view import joint_rows
 
     spec = hand.spec
     console = open_console()

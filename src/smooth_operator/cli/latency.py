@@ -12,9 +12,10 @@ from rich.table import Table
 
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.recording import read_log, to_json
-from smooth_operator.recording.log_reader import Log
-from smooth_operator.runtime.log_timing import added_latency, log_timing
+from smooth_operator.io import to_json
+from smooth_operator.teleop.recording import read_log
+from smooth_operator.teleop.recording.log_reader import Log
+from smooth_operator.teleop.runtime.log_timing import added_latency, log_timing
 from smooth_operator.terminal import open_console
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from smooth_operator.errors import OutputError, RecordingError
-from smooth_operator.offline.finished import read_configuration as read_configuration
-from smooth_operator.recording import config_path, output_error, read_commands
+from smooth_operator.io import config_path, output_error, read_commands
+from smooth_operator.lab.offline.finished import read_configuration as read_configuration
 
 
 def check_commands_path(path: Path, recording: Path) -> None:

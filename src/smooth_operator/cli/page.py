@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
-from smooth_operator.ui import Playback
+from smooth_operator.teleop.pages import Playback
 
 
 def playback(
@@ -30,7 +30,7 @@ def playback(
         trace: the run, in the palm frame.
         metrics: for the page's table.
         drawn: the same hand on the model to draw, with the same joints by name, in any order; see
-            :func:`smooth_operator.hands.published.on_model`. The hand itself if left out.
+            ``on_model``. The hand itself if left out.
         label: what stands above the robot.
     """
     drawn = drawn or hand

@@ -10,8 +10,8 @@ from smooth_operator.errors import SourceError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.calibration.prompts import prompts
 from smooth_operator.human.calibration.segments import Segment
-from smooth_operator.runtime.calibration_session import CalibrationSession, Moment
-from smooth_operator.sources.live import LiveSource, Mailbox
+from smooth_operator.teleop.runtime.calibration_session import CalibrationSession, Moment
+from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import HandRecording
 
 _TURN_S: Final = 0.05

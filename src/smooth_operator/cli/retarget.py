@@ -7,16 +7,10 @@ from smooth_operator.cli.outputs import check_commands_path, folder_for
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
-from smooth_operator.offline import configuration, plan
-from smooth_operator.recording import (
-    frame_slice,
-    read_recording,
-    reading_notes,
-    to_json,
-    write_commands,
-)
-from smooth_operator.retargeters.operated import left_out
-from smooth_operator.retargeters.whole import WholeConfig
+from smooth_operator.io import frame_slice, read_recording, reading_notes, to_json, write_commands
+from smooth_operator.methods.operated import left_out
+from smooth_operator.methods.request import configuration, plan
+from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.types import Status
 
 

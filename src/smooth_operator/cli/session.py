@@ -7,10 +7,11 @@ from typing import Any
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
 from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.offline import Outcome, build, execute, measure
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.notes import method_notes
+from smooth_operator.methods.request import Plan, Request, request
 from smooth_operator.metrics import Definition, Trace
-from smooth_operator.offline import Outcome, Plan, Request, build, execute, measure, request
-from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.retargeters.notes import method_notes
 from smooth_operator.types import Side
 
 

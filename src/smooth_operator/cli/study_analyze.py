@@ -43,7 +43,7 @@ def analyze_command(options: Analyze) -> None:
     Raises:
         StudyError: the data can't be used; nothing is written then.
         OutputError: the folder can't be written to.
-        SystemExit: with :data:`SOME_REFUSED`.
+        SystemExit: with ``SOME_REFUSED``.
     """
     console = open_console(stderr=True)
     if not options.study:

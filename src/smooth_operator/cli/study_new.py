@@ -14,11 +14,11 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_questions import ask_protocol
 from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
 from smooth_operator.study.design.plan_file import NAME, read_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
-from smooth_operator.study.design.rubrics import PAPER_TASKS
 from smooth_operator.study.design.schedule import (
     imbalances,
     schedule_table,

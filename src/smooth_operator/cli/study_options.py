@@ -2,7 +2,7 @@
 
 A further subcommand: write its options as a dataclass in a file of its own (as
 ``study_analyze_options.py``) and its work in another (``study_analyze.py``), then add one line to
-:data:`What`.
+``What``.
 """
 
 from __future__ import annotations

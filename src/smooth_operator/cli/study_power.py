@@ -15,10 +15,10 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
 from smooth_operator.cli.study_power_options import Power
 from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol
-from smooth_operator.study.design.rubrics import PAPER_TASKS
 from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.report import TITLES, Tallies, found, power_json, write_power
 from smooth_operator.study.power.run import PowerSettings, run_power

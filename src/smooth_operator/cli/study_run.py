@@ -12,7 +12,6 @@ from pathlib import Path
 
 from smooth_operator.cli.study_run_options import Run
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.sources.webxr.addresses import is_local
 from smooth_operator.study.console.desk import Desk
 from smooth_operator.study.console.gate import gate_for
 from smooth_operator.study.console.server import Console, check_installed
@@ -24,6 +23,7 @@ from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.study_store import StudyStore
 from smooth_operator.study.store.tables import FILE
 from smooth_operator.terminal import print_note
+from smooth_operator.web.addresses import is_local
 from smooth_operator.web.browser import open_page
 from smooth_operator.web.listening import listen
 
@@ -134,7 +134,7 @@ def _kept(plan: Plan, folder: Path | None) -> None:
 def _teleop(address: str | None) -> Teleop | None:
     if address is None:
         return None
-    from smooth_operator.runtime.remote_client import RemoteTeleop
+    from smooth_operator.teleop.runtime.remote_client import RemoteTeleop
 
     return RemoteTeleop(address, timeout_s=2.0)
 

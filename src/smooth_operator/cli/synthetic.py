@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from smooth_operator.cli.common_options import Synthetic
-from smooth_operator.sources import SyntheticOperator, TrackerModel
+from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 
 
 def synthetic_operator(options: Synthetic, seed: int) -> SyntheticOperator:

@@ -22,32 +22,28 @@ from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.teleop_page import begun_page, show_page
 from smooth_operator.cli.teleop_task import TaskTrials, with_task
 from smooth_operator.hands.hand import Hand
-from smooth_operator.live.orders import Orders
-from smooth_operator.live.workshop import Workshop
-from smooth_operator.offline import (
-    Request,
-    build_retargeter,
-    live_configuration,
-    request,
-)
-from smooth_operator.recording import to_json
-from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.retargeters.retargeter import Retargeter
-from smooth_operator.runtime.controls import Controls
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.runtime.pipeline import HandPipeline
-from smooth_operator.runtime.priority import going_first
-from smooth_operator.runtime.settings import LoopConfig
-from smooth_operator.sinks.catalogue import build_sink
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sinks.sink import Sink
-from smooth_operator.sinks.tick import Driver
-from smooth_operator.sources.catalogue import build_source
-from smooth_operator.sources.live import LiveSource
+from smooth_operator.io import to_json
+from smooth_operator.methods.building import build_retargeter
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.request import Request, live_configuration, request
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.teleop.control.orders import Orders
+from smooth_operator.teleop.control.workshop import Workshop
+from smooth_operator.teleop.runtime.controls import Controls
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.priority import going_first
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.catalogue import build_sink
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.tick import Driver
+from smooth_operator.teleop.sources.catalogue import build_source
+from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.ui.live.page import LivePage
+    from smooth_operator.teleop.pages.live.page import LivePage
 
 _ANNOUNCE_S: Final = 5.0
 """How long a source may take to say how it is reached [s]."""
@@ -261,7 +257,7 @@ def _remote(
     if address is None:
         yield
         return
-    from smooth_operator.runtime.remote import remote
+    from smooth_operator.teleop.runtime.remote import remote
 
     with remote(loop, address, orders.words, orders.status) as bound:
         progress.note(f"switches at {bound}")

@@ -8,12 +8,12 @@ from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
-from smooth_operator.offline import Request, settle
-from smooth_operator.retargeters.method import MethodConfig
-from smooth_operator.runtime.limiter import Limiter
-from smooth_operator.runtime.settings import LoopConfig
-from smooth_operator.sinks.runner import SinkRunner
-from smooth_operator.sources.live import LiveSource
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.request import Request, settle
+from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.types import Side
 
 
@@ -39,11 +39,11 @@ def checked(
         Limiter(hand, config.limits)
     sinks.check(hands)
     if options.control is not None:
-        from smooth_operator.runtime.remote import check_address
+        from smooth_operator.teleop.runtime.remote import check_address
 
         check_address(options.control)
     if not options.no_view:
-        from smooth_operator.ui.ports import free_port
+        from smooth_operator.teleop.pages.ports import free_port
 
         free_port(options.host, options.port)
         if options.model is not None:

@@ -8,7 +8,7 @@ from typing import Final
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.keys import keys
-from smooth_operator.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")
 """Each always stops, whatever the robot does; no other key does."""

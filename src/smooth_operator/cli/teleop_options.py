@@ -10,10 +10,10 @@ from tyro.conf import arg
 
 from smooth_operator.cli.common_options import Common, Meshes, Page
 from smooth_operator.components import describe_components
-from smooth_operator.retargeters.default import DEFAULT_METHOD
-from smooth_operator.runtime.settings import LimitsConfig, SafetyConfig
-from smooth_operator.sinks.catalogue import SINKS
-from smooth_operator.sources.catalogue import SOURCES
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig
+from smooth_operator.teleop.sinks.catalogue import SINKS
+from smooth_operator.teleop.sources.catalogue import SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)

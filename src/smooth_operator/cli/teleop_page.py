@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.teleop_options import Teleop
-from smooth_operator.live.workshop import Workshop
-from smooth_operator.offline import Request
-from smooth_operator.runtime.loop import TeleopLoop
-from smooth_operator.sinks.sink import Sink
+from smooth_operator.methods.request import Request
+from smooth_operator.teleop.control.workshop import Workshop
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
-    from smooth_operator.ui.live.page import LivePage
+    from smooth_operator.teleop.pages.live.page import LivePage
 
 
 @contextlib.contextmanager
@@ -27,7 +27,7 @@ def begun_page(
     if options.no_view:
         yield None
         return
-    from smooth_operator.ui.live.page import LivePage, PageSetup
+    from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
 
     simulated = any(hasattr(sink, "state") for sink in acting)
     setup = PageSetup(
@@ -60,7 +60,7 @@ def show_page(
     """
     if page is None:
         return
-    from smooth_operator.ui.live.session import LiveSession
+    from smooth_operator.teleop.pages.live.session import LiveSession
 
     session = LiveSession(loop, asked, acting, workshop=workshop, blind=options.blind)
     loop.watch = session.watch

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.live.workshop import Choice
-    from smooth_operator.study.tasks import Outcome
-    from smooth_operator.study.tasks.desk import TaskDesk
+    from smooth_operator.simulation.tasks import Outcome
+    from smooth_operator.simulation.tasks.desk import TaskDesk
+    from smooth_operator.teleop.control.workshop import Choice
 
 
 class TaskTrials:
@@ -68,8 +68,8 @@ class TaskTrials:
         simulation = next((sink for sink in self._sinks if sink.label == "mujoco"), None)
         if simulation is None or (self._options.task is None and self._options.control is None):
             return
-        from smooth_operator.sinks.simulation import Simulation
-        from smooth_operator.study.tasks.desk import TaskDesk
+        from smooth_operator.simulation.tasks.desk import TaskDesk
+        from smooth_operator.teleop.sinks.simulation import Simulation
 
         assert isinstance(simulation, Simulation)  # it is called so
         self.desk = TaskDesk(

@@ -23,10 +23,8 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.train_options import Train
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.offline.cache import enable_cache, healing
-from smooth_operator.recording import frame_slice, read_recording, reading_notes
-from smooth_operator.terminal import open_console
-from smooth_operator.training import (
+from smooth_operator.io import frame_slice, read_recording, reading_notes
+from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,
     GeortTraining,
@@ -35,6 +33,8 @@ from smooth_operator.training import (
     synthetic_recordings,
     training_data,
 )
+from smooth_operator.methods.compile_cache import enable_cache, healing
+from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
 
 SYNTHETIC: Final = "synthetic"

@@ -19,12 +19,12 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.selection import FingerChoice, parse_fingers
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.io import config_path, frame_slice, read_commands, read_recording
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.recording import config_path, frame_slice, read_commands, read_recording
+from smooth_operator.teleop.pages import Playback, serve
+from smooth_operator.teleop.pages.clip import save_clip
 from smooth_operator.types import CommandTrajectory, HandRecording
-from smooth_operator.ui import Playback, serve
-from smooth_operator.ui.clip import save_clip
 
 
 def view(options: View) -> None:

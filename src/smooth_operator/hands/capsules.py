@@ -1,6 +1,6 @@
 """The solid parts of a hand as capsules, and which pairs of them could touch.
 
-The shapes that :mod:`smooth_operator.hands.collision` measures with are capsules already in the
+The shapes that ``smooth_operator.hands.collision`` measures with are capsules already in the
 built-in hands; boxes, such as palms, become a row of parallel capsules inside them. A capsule is
 two points and a radius, so its distance from another is cheap, and differentiable with the points.
 """
@@ -57,13 +57,13 @@ class CapsulePairs:
 def capsule_pairs(hand: Hand) -> CapsulePairs:
     """The pairs that count as self-collision, but for those that no pose brings together.
 
-    They are the pairs of :func:`smooth_operator.hands.collision.penetration_depths`: of two
+    They are the pairs of ``penetration_depths``: of two
     fingers, or a finger and the palm, not joined, and not touching in the neutral pose. Of more
-    than :data:`MOST` those are kept that are the nearest of their two links in most random poses,
+    than ``MOST`` those are kept that are the nearest of their two links in most random poses,
     and of any two links that meet one at least, as long as there is room. A mesh is one capsule
     about as thick as it; where that reaches into another part in the neutral pose, though the mesh
     does not, the pair is left out. Links whose shapes can't be read have estimated capsules
-    (:mod:`smooth_operator.hands.stand_ins`).
+    (``smooth_operator.hands.stand_ins``).
 
     Args:
         hand: the robot hand.
@@ -155,7 +155,7 @@ def segments_apart(
         first, second: (..., 3) ends of a segment; NumPy or JAX.
 
     Returns:
-        (..., 3) from the second to the first, and the (...) shares of :func:`segment_parameters`.
+        (..., 3) from the second to the first, and the (...) shares of ``segment_parameters``.
     """
     s, t = segment_parameters(first, second)
     apart = (
@@ -184,7 +184,7 @@ def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
 
 
 def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarray:
-    """Indices of the pairs that random poses bring together, :data:`MOST` at most, in order."""
+    """Indices of the pairs that random poses bring together, ``MOST`` at most, in order."""
     low, high = hand.limits.T
     poses = _POSES if len(pairs) <= _MANY else _POSES // 4
     q = np.random.default_rng(0).uniform(low, high, (poses, len(low)))

@@ -27,7 +27,7 @@ from smooth_operator.hands.user_folder import (
     spec_name,
     user_hands_folder,
 )
-from smooth_operator.recording.atomic import output_error
+from smooth_operator.io.atomic import output_error
 from smooth_operator.types import Side, as_side
 
 MODELS: Final = Path(__file__).parent / "models"
@@ -81,7 +81,7 @@ def catalogue() -> dict[str, Entry]:
     """All hands by name, the built-in ones first.
 
     The user's are looked for anew each time. One that has a built-in hand's name is left out here;
-    :func:`load_hand` refuses the name while it is there.
+    ``load_hand`` refuses the name while it is there.
     """
     entries = dict(_builtin())
     for name, files in find_specs(user_hands_folder()).items():
@@ -113,7 +113,7 @@ def find_hand(name: str) -> Entry:
 
 
 def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
-    """Puts a description into the user's folder, where :func:`load_hand` finds it by name.
+    """Puts a description into the user's folder, where ``load_hand`` finds it by name.
 
     Args:
         spec: the hand; a description of the same name and side is replaced.
@@ -173,7 +173,7 @@ def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
 
 
 def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """What :func:`remove_hand` would delete.
+    """What ``remove_hand`` would delete.
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
@@ -212,7 +212,7 @@ def load_hand(
         side: ``right`` or ``left``. Of a name it is ``right`` if left out. A spec file brings its
             own side, and is mirrored if the other is asked for; a description keeps its own.
         fingers: to drive fewer fingers, or by other human fingers; see
-            :func:`smooth_operator.hands.selection.select_fingers`.
+            ``select_fingers``.
 
     Raises:
         UnknownNameError: if there is no hand of that name, or it has no such finger.

@@ -14,7 +14,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 
 PALM: Final = -1
-"""What :func:`owners` gives for the palm, and for all that is of no finger."""
+"""What ``owners`` gives for the palm, and for all that is of no finger."""
 
 
 def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarray, " T"] | None:
@@ -56,7 +56,7 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
 
 
 def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
-    """Which pairs of the model's shapes :func:`penetration_depths` looks at."""
+    """Which pairs of the model's shapes ``penetration_depths`` looks at."""
     counts = _counting_pairs(hand)
     if counts.any():
         neutral, depth = _overlaps(hand, mujoco.MjData(hand.model), hand.expand(hand.neutral))
@@ -66,7 +66,7 @@ def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
 
 
 def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
-    """What touches in the neutral pose, of the pairs that :func:`penetration_depths` looks at.
+    """What touches in the neutral pose, of the pairs that ``penetration_depths`` looks at.
 
     Left out are also the first two links of a finger against the palm: around a knuckle of two
     joints, shapes overlap by design.
@@ -128,7 +128,7 @@ def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
 
 
 def owners(hand: Hand) -> Int[np.ndarray, " bodies"]:
-    """Index of the finger that each body belongs to, or :data:`PALM`.
+    """Index of the finger that each body belongs to, or ``PALM``.
 
     A finger is the bodies between palm and fingertip that it shares with no other finger, and what
     hangs from them.

@@ -1,6 +1,6 @@
 """Fingertips with their first and second derivatives, for one hand at a time.
 
-The unrolled walk of :mod:`smooth_operator.hands.kinematics` is made for thousands of candidates. A
+The unrolled walk of ``smooth_operator.hands.kinematics`` is made for thousands of candidates. A
 Newton step asks for one pose, with derivatives, and wants a small program: here the tree is swept
 level by level in batched 3 x 3 products, and the derivatives come from the geometry of a hinge
 rather than from differentiating code. With axis a_j and lever r_fj from joint j to point f:

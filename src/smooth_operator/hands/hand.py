@@ -103,7 +103,7 @@ class Hand:
 
     @cached_property
     def align_points(self) -> Float[np.ndarray, "a 3"]:
-        """The robot's counterparts of :attr:`align_indices`, palm frame, neutral pose [m]."""
+        """The robot's counterparts of ``align_indices``, palm frame, neutral pose [m]."""
         at = dict(zip(self.tree.names, self.landmark_positions(self.neutral), strict=True))
         return np.stack([at[LANDMARKS[i]] for i in self.align_indices])
 
@@ -119,7 +119,7 @@ class Hand:
             q: (..., m) actuated joint positions [rad].
 
         Returns:
-            (..., n) positions of all joints [rad], in the order of :attr:`joint_names`.
+            (..., n) positions of all joints [rad], in the order of ``joint_names``.
         """
         matrix, offset = self.expansion
         expanded: np.ndarray = np.asarray(q, float) @ matrix.T + offset

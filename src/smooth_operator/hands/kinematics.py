@@ -82,7 +82,7 @@ class KinematicTree:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Keypoint names, in the order of :meth:`positions`."""
+        """Keypoint names, in the order of ``positions``."""
         return tuple(self.keypoints)
 
     def positions(self, q: Float[AnyKind, "*batch n"]) -> Float[AnyKind, "*batch k 3"]:
@@ -93,7 +93,7 @@ class KinematicTree:
                 is answered on the host in float64, without compiling anything.
 
         Returns:
-            (..., k, 3) positions [m], in the order of :attr:`names`; differentiable in q.
+            (..., k, 3) positions [m], in the order of ``names``; differentiable in q.
         """
         xp = namespace(q)
         batch = q.shape[:-1]
@@ -164,7 +164,7 @@ def build_tree(
     keypoints: Mapping[str, tuple[int, np.ndarray]],
     own: Sequence[int] | None = None,
 ) -> KinematicTree:
-    """Unroll a MuJoCo model into a :class:`KinematicTree`.
+    """Unroll a MuJoCo model into a ``KinematicTree``.
 
     Args:
         model: the compiled model.

@@ -24,7 +24,7 @@ from smooth_operator.hands.mirroring import mirror_spec
 from smooth_operator.hands.model_xml import decode_xml, read_model_xml
 
 NO_ROOM: Final = 0.25
-"""A coupling that can use less of its joints' ranges, see :func:`shared_range`, is a mistake."""
+"""A coupling that can use less of its joints' ranges, see ``shared_range``, is a mistake."""
 _ROOM: Final = 0.75
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 
@@ -156,11 +156,11 @@ def _refused(what: str, path: Path, error: Exception) -> HandModelError:
 
 
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
-    """The model that :func:`load_model` compiles, to be edited further; it may lack its meshes.
+    """The model that ``load_model`` compiles, to be edited further; it may lack its meshes.
 
     Args:
         path: MJCF or URDF file that can be loaded.
-        mirror: as for :func:`load_model`.
+        mirror: as for ``load_model``.
 
     Raises:
         HandModelError: MuJoCo can't compile it.

@@ -35,7 +35,7 @@ def drawn_on(hand: Hand, model: str | Path) -> Hand:
 
     Args:
         hand: a hand, not a mirrored one.
-        model: MJCF or URDF file of that hand, or :data:`MENAGERIE` for the package's.
+        model: MJCF or URDF file of that hand, or ``MENAGERIE`` for the package's.
 
     Raises:
         HandModelError: there is no such model, or it is not of this hand.

@@ -36,7 +36,7 @@ class FingerSpec:
     """One robot finger and the human finger that drives it.
 
     Attributes:
-        name: the human finger, one of :data:`smooth_operator.landmarks.FINGERS`.
+        name: the human finger, one of ``FINGERS``.
         points: the robot's counterparts of that finger's four human landmarks, base to tip; None
             where the robot has none. The base and the tip are needed.
     """
@@ -72,7 +72,7 @@ class JointMap:
     Attributes:
         joint: name of an actuated joint.
         offset: its position where all angles are zero, a straight finger [rad].
-        gains: angle name, one of :data:`smooth_operator.human.joint_angles.JOINT_ANGLES` -> gain
+        gains: angle name, one of ``JOINT_ANGLES`` -> gain
             with sign.
     """
 

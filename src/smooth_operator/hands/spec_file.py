@@ -31,7 +31,7 @@
 
 Offsets are in the body's frame [m]. The points of a finger are the counterparts of its human
 landmarks; the first and the tip are needed. What each entry means is told by
-:class:`smooth_operator.hands.spec.HandSpec`.
+``HandSpec``.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.documents import brief, read_toml
-from smooth_operator.errors import DocumentError, HandModelError, SmoothOperatorError
+from smooth_operator.errors import DocumentError, HandModelError, SmoothOperatorError, brief
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
+from smooth_operator.io.documents import read_toml
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
 FORMAT: Final = 1

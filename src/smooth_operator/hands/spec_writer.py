@@ -10,14 +10,14 @@ from pathlib import Path
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
-from smooth_operator.recording.atomic import atomic_write, output_error
+from smooth_operator.io.atomic import atomic_write, output_error
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
 
 def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> None:
-    """Writes a spec file that :func:`smooth_operator.hands.spec_file.read_hand_spec` reads back.
+    """Writes a spec file that ``read_hand_spec`` reads back.
 
     Args:
         spec: the hand. A model in the file's folder, or below it, is named relative to it, so that

@@ -16,7 +16,7 @@ SWITCH: Final = "SMOOTH_OPERATOR_HANDS"
 def user_hands_folder() -> Path:
     """Where the user's spec files are; it need not exist.
 
-    :data:`SWITCH`, or ``hands`` in this program's folder among the user's settings:
+    ``SWITCH``, or ``hands`` in this program's folder among the user's settings:
     ``~/.config/smooth-operator`` (or under ``XDG_CONFIG_HOME``) on Linux, ``~/Library/Application
     Support/smooth-operator`` on macOS, ``%APPDATA%\\smooth-operator`` on Windows.
     """

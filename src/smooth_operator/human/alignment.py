@@ -28,7 +28,7 @@ class AlignmentConfig:
 
     Attributes:
         scale: robot size over human size. None estimates it in every frame, as published; a number
-            holds it fixed, as calibrated once for an operator by :func:`calibrate_scale`.
+            holds it fixed, as calibrated once for an operator by ``calibrate_scale``.
         operator: the calibrated operator, whose landmarks are corrected after the alignment. Its
             own scale holds where ``scale`` is None. None changes nothing.
     """
@@ -63,7 +63,7 @@ def palm_alignment(
 
     Returns:
         the transform into the palm frame; its ``condition`` tells a degenerate palm
-        (below :data:`MIN_CONDITION`).
+        (below ``MIN_CONDITION``).
     """
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)

@@ -96,12 +96,12 @@ def palm_axes(landmarks: AnyKind, side: Side) -> PalmAxes[AnyKind]:
 
 
 def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*batch 20"]:
-    """The angles :data:`JOINT_ANGLES` of a hand.
+    """The angles ``JOINT_ANGLES`` of a hand.
 
     Args:
         landmarks: (..., 21, 3) [m]. Landmarks that are NaN make the angles of their finger NaN and
             leave the others alone; the wrist is not used.
-        axes: of the palm: its own (:func:`palm_axes`), or constant ones of the frame that the
+        axes: of the palm: its own (``palm_axes``), or constant ones of the frame that the
             landmarks have been aligned to.
 
     Returns:

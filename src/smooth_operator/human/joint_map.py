@@ -2,7 +2,7 @@
 
 A row says how one joint follows: position = offset + sum of gain x angle. Rows that a hand's
 description does not give are measured: the robot's own counterparts of the human landmarks are put
-through the same angles as a human hand (:func:`smooth_operator.human.joint_angles.joint_angles`),
+through the same angles as a human hand (``joint_angles``),
 so that equal angles come from equal poses.
 """
 
@@ -17,15 +17,15 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import palm_alignment
+from smooth_operator.human.anatomy import NUM_JOINTS, draw_anatomy
 from smooth_operator.human.joint_angles import (
     JOINT_ANGLES,
     PalmAxes,
     joint_angles,
     palm_axes,
 )
+from smooth_operator.human.kinematics import mirror, pose_hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS
-from smooth_operator.sources.anatomy import NUM_JOINTS, draw_anatomy
-from smooth_operator.sources.kinematics import mirror, pose_hand
 
 _POSES = 128  # over which the effect of a joint on the angles is taken, by its median
 _STEP = 1e-5  # [share of a joint's range]
@@ -93,7 +93,7 @@ def robot_joint_angles(
     Args:
         hand: the robot hand.
         q: (..., m) actuated joint positions [rad].
-        axes: of the palm, from :func:`human_palm_axes`.
+        axes: of the palm, from ``human_palm_axes``.
 
     Returns:
         (..., 20) [rad], NaN for fingers whose four landmarks are not all known.

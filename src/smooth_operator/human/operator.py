@@ -1,7 +1,7 @@
 """One operator on one robot hand, as a calibration found them, and how that corrects landmarks.
 
 The correction comes after the alignment to the palm, in the palm frame, and is the same for every
-method. It has parts that are switched one by one (:data:`COMPONENTS`); which are on is a field of
+method. It has parts that are switched one by one (``COMPONENTS``); which are on is a field of
 the profile, and docs/calibration.md says what each did where it was measured.
 """
 
@@ -32,7 +32,7 @@ DEFAULT_COMPONENTS: Final[tuple[Component, ...]] = ("scale", "pinch")
 """Those that did good on recordings that they were not fitted on: docs/calibration.md."""
 
 THUMB_FLEXES_TOWARDS: Final = (0.5, -1.0)
-"""(distal, radial): where a thumb flexes to, as in :mod:`smooth_operator.human.joint_angles`."""
+"""(distal, radial): where a thumb flexes to, as in ``smooth_operator.human.joint_angles``."""
 
 _NEAR, _FAR = 0.010, 0.045  # thumb to tip [m]: a pinch is kept whole under, and is none over
 _TINY = 1e-9
@@ -205,7 +205,7 @@ class OperatorProfile:
             scale: (...) of the alignment.
             hand: the robot hand.
             axes: of the human palm in the palm frame, as
-                :func:`~smooth_operator.human.joint_map.human_palm_axes` gives them.
+                ``human_palm_axes`` gives them.
 
         Returns:
             (..., 21, 3) [m]. The palm's own landmarks move by ``palm`` only.

@@ -1,4 +1,4 @@
-"""``operator.json``: an :class:`~smooth_operator.human.operator.OperatorProfile` as a file."""
+"""``operator.json``: an ``OperatorProfile`` as a file."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.documents import brief, listed, read_json
-from smooth_operator.errors import UPGRADE, ConfigError, DocumentError, SmoothOperatorError
+from smooth_operator.errors import (
+    UPGRADE,
+    ConfigError,
+    DocumentError,
+    SmoothOperatorError,
+    brief,
+    listed,
+)
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
-from smooth_operator.recording.atomic import atomic_write
-from smooth_operator.recording.jsonable import to_json
+from smooth_operator.io.atomic import atomic_write
+from smooth_operator.io.documents import read_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import as_side
 
 FORMAT: Final = "smooth-operator operator"
@@ -38,7 +45,7 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
 
 
 def read_operator(path: Path) -> OperatorProfile:
-    """Reads what :func:`write_operator` wrote.
+    """Reads what ``write_operator`` wrote.
 
     Raises:
         ConfigError: no such file, no such content, a field that is missing, unknown or outside what

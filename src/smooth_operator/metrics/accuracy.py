@@ -59,14 +59,14 @@ def length_ratios(
 def cosine_similarity(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Mean of :func:`cosines` over frames and keyvectors; towards 1, None without data."""
+    """Mean of ``cosines`` over frames and keyvectors; towards 1, None without data."""
     return summary.mean(cosines(human, robot))
 
 
 def scale_ratio(
     human: Float[np.ndarray, "T K 3"], robot: Float[np.ndarray, "T K 3"]
 ) -> float | None:
-    """Mean of :func:`length_ratios` over frames and keyvectors; towards 1, None without data."""
+    """Mean of ``length_ratios`` over frames and keyvectors; towards 1, None without data."""
     return summary.mean(length_ratios(human, robot))
 
 

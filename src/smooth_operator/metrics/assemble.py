@@ -40,7 +40,7 @@ def assemble_trace(
         seed: of those poses.
 
     Returns:
-        The trace, with everything that :func:`smooth_operator.metrics.evaluate` can use.
+        The trace, with everything that ``evaluate`` can use.
         ``penetration`` is None where the hand's model has no shapes that could touch.
 
     Raises:

@@ -16,7 +16,7 @@ ROBOT_STILL: Final = 1e-9
 JOINTS_STILL: Final = 1e-5
 """A robot none of whose joints moves further than this in one frame is frozen [rad]."""
 MAX_LAG_FRAMES: Final = 14
-"""Longest delay that :func:`lag` looks for [frames]."""
+"""Longest delay that ``lag`` looks for [frames]."""
 MIN_LAG_OVERLAP: Final = 5
 """Fewest velocity frames that a delay is judged by; fewer correlate by chance."""
 
@@ -26,8 +26,8 @@ def motion_preservation(
 ) -> float | None:
     """Mean cosine of the fingertips' steps, human against robot; towards 1.
 
-    Source: the paper's consistency metrics. Steps in which either rests (:data:`HUMAN_STILL`,
-    :data:`ROBOT_STILL`) have no direction worth comparing and are left out.
+    Source: the paper's consistency metrics. Steps in which either rests (``HUMAN_STILL``,
+    ``ROBOT_STILL``) have no direction worth comparing and are left out.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
@@ -46,7 +46,7 @@ def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:
     """Mean |p(t+1) + p(t-1) - 2 p(t)|^2 over frames and fingertips [m^2]; down.
 
     Source: the paper's consistency metrics. It grows with the fourth power of the frame's duration:
-    compare at one rate only, or use :func:`fingertip_acceleration`.
+    compare at one rate only, or use ``fingertip_acceleration``.
 
     Args:
         tips: (T, F, 3) robot fingertips [m].
@@ -62,7 +62,7 @@ def fingertip_acceleration(
 ) -> float | None:
     """Mean magnitude of fingertip acceleration [m/s^2], by the real stamps; down.
 
-    The companion of :func:`flatness` that does not depend on the frame rate; exact for motion of
+    The companion of ``flatness`` that does not depend on the frame rate; exact for motion of
     constant acceleration, evenly sampled or not.
 
     Args:
@@ -96,7 +96,7 @@ def lag(
 
     Returns:
         The lag [ms], down, and the Pearson correlation at the best whole delay, towards 1; both
-        None for recordings under :data:`MIN_LAG_OVERLAP` + 1 frames and where either hand rests.
+        None for recordings under ``MIN_LAG_OVERLAP`` + 1 frames and where either hand rests.
     """
     vh, vr = np.diff(human, axis=0), np.diff(robot, axis=0)
     steps = len(vh)
@@ -118,8 +118,8 @@ def frozen_share(
 ) -> float | None:
     """Share of the frames with a moving human in which no robot joint moves; down.
 
-    The human moves if any fingertip goes further than :data:`HUMAN_STILL` in a frame; the robot is
-    frozen if no joint goes further than :data:`JOINTS_STILL`.
+    The human moves if any fingertip goes further than ``HUMAN_STILL`` in a frame; the robot is
+    frozen if no joint goes further than ``JOINTS_STILL``.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.

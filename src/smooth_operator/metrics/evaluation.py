@@ -22,7 +22,7 @@ from smooth_operator.metrics.trace import Trace, keyvectors
 
 Definition: TypeAlias = Literal["sound", "paper"]
 """``sound``: means over frames, human aligned as the retargeter saw it, still frames masked.
-``paper``: as published (:mod:`smooth_operator.metrics.published`)."""
+``paper``: as published (``smooth_operator.metrics.published``)."""
 
 Value: TypeAlias = float | int | str | Mapping[str, float | int | None] | None
 
@@ -48,7 +48,7 @@ def evaluate(
         extra: figures that need more than the trace, such as ``tracking_loss``.
 
     Returns:
-        The keys of :data:`smooth_operator.metrics.METRICS`, in that order, then any others of
+        The keys of ``METRICS``, in that order, then any others of
         ``extra``. Numbers are finite; what could not be measured (too few frames, an absent input,
         no pinch) is None.
 

@@ -17,7 +17,7 @@ LIMIT_TOLERANCE: Final = 1e-6
 def joint_jitter(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
     """Mean |q(t+1) + q(t-1) - 2 q(t)| over frames and joints [rad]; down.
 
-    Like flatness it depends on the frame rate; :func:`joint_acceleration` does not.
+    Like flatness it depends on the frame rate; ``joint_acceleration`` does not.
 
     Args:
         joint_positions: (T, n) [rad].
@@ -67,7 +67,7 @@ def limit_violation(
 
     Returns:
         The largest excess [rad], 0 if there is none, and the share of frames in which some joint
-        is out by more than :data:`LIMIT_TOLERANCE`; both None for an empty run.
+        is out by more than ``LIMIT_TOLERANCE``; both None for an empty run.
     """
     lower, upper = joint_limits.T
     excess = np.fmax(np.fmax(lower - joint_positions, joint_positions - upper), 0.0)

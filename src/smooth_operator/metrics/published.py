@@ -91,7 +91,7 @@ def fit_to_robot(
     Args:
         human: (T, N, 3) human landmarks in any frame [m], NaN where unknown.
         robot: (T, N, 3) robot landmarks [m], NaN where there is none.
-        using: indices of the landmarks that the fit may use, of :func:`fit_landmarks`; None for
+        using: indices of the landmarks that the fit may use, of ``fit_landmarks``; None for
             all.
 
     Returns:

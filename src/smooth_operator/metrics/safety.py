@@ -24,7 +24,7 @@ def self_collision(penetration: Float[np.ndarray, " T"]) -> dict[str, float | No
             unknown. Zero or negative (a clearance) is no overlap.
 
     Returns:
-        ``share`` of frames deeper than :data:`COLLISION_DEPTH`, ``mean_depth_mm`` (over all frames,
+        ``share`` of frames deeper than ``COLLISION_DEPTH``, ``mean_depth_mm`` (over all frames,
         0 where clear) and ``max_depth_mm``.
     """
     depth = np.maximum(penetration, 0.0)

@@ -29,7 +29,7 @@ def latency(latency_ms: Float[np.ndarray, " T"]) -> dict[str, float | None]:
 
 
 def status_counts(status: Int[np.ndarray, " T"]) -> dict[str, int]:
-    """Number of frames of each :class:`smooth_operator.types.Status`, by its name in lower case.
+    """Number of frames of each ``Status``, by its name in lower case.
 
     Args:
         status: (T,) values; one that is no known status is counted as ``unknown``.

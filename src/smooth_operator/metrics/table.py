@@ -14,12 +14,12 @@ class Metric:
     """One line of the table.
 
     Attributes:
-        name: key in the result of :func:`smooth_operator.metrics.evaluate`; a dot steps into a
+        name: key in the result of ``evaluate``; a dot steps into a
             nested one.
         unit: "" for a plain number.
         goal: ``"->1"`` best at one, ``"down"`` or ``"up"``; ``""`` for a fact that is not a merit.
         meaning: one line for a person.
-        group: key of :data:`GROUPS`; "" for a figure that stands alone.
+        group: key of ``GROUPS``; "" for a figure that stands alone.
     """
 
     name: str

@@ -25,7 +25,7 @@ class Trace:
         joint_positions: (T, n) [rad], coupled joints included.
         joint_limits: (n, 2) lower and upper limits [rad]; NaN or infinite where there is none.
         stamps: (T,) strictly increasing times [s].
-        status: (T,) :class:`smooth_operator.types.Status` values.
+        status: (T,) ``Status`` values.
         latency_ms: (T,) time from landmarks to command [ms]; NaN where it was not measured.
         reach: (S, F, 3) fingertips of random poses [m], for workspace utilisation; or None.
         penetration: (T,) deepest overlap of two robot links per frame [m], positive inside; or
@@ -126,12 +126,12 @@ class Trace:
 
     @property
     def human_keyvectors(self) -> Float[np.ndarray, "T K 3"]:
-        """All human keyvectors [m], as :func:`keyvectors` orders them."""
+        """All human keyvectors [m], as ``keyvectors`` orders them."""
         return keyvectors(self.human_tips, self.human[:, WRIST])
 
     @property
     def robot_keyvectors(self) -> Float[np.ndarray, "T K 3"]:
-        """All robot keyvectors [m], as :func:`keyvectors` orders them."""
+        """All robot keyvectors [m], as ``keyvectors`` orders them."""
         return keyvectors(self.robot_tips, np.broadcast_to(self.robot_wrist, (len(self), 3)))
 
     @property

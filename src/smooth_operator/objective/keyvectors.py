@@ -16,7 +16,7 @@ from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 class VectorLayout(ABC):
     """Which vectors between landmarks a target policy speaks of.
 
-    Subclasses say :attr:`vectors`; a robot's counterparts of the landmarks have the same names.
+    Subclasses say ``vectors``; a robot's counterparts of the landmarks have the same names.
     """
 
     @property
@@ -44,7 +44,7 @@ class VectorLayout(ABC):
         """The vectors among points.
 
         Args:
-            points: one (..., 3) array for each of :attr:`landmarks` [m].
+            points: one (..., 3) array for each of ``landmarks`` [m].
 
         Returns:
             (..., K, 3) [m].

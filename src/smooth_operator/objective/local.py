@@ -17,7 +17,7 @@ from smooth_operator.objective.loss import FrameGoal, Objective
 
 @dataclass(frozen=True, eq=False)
 class LocalObjective:
-    """The same objective as :class:`Objective`, for single poses, with derivatives."""
+    """The same objective as ``Objective``, for single poses, with derivatives."""
 
     objective: Objective
 

@@ -211,7 +211,7 @@ class Objective:
         previous: Float[Array, " m"],
         velocity_weight: Array | float,
     ) -> tuple[Float[Array, " m"], Float[Array, " m"] | float]:
-        """First derivative of :meth:`regularisation`, and the diagonal of its second derivative,
+        """First derivative of ``regularisation``, and the diagonal of its second derivative,
         whose other elements are zero."""
         reg = self.config.pose_weight
         pull = 2 * reg * (q - jnp.asarray(self.pose_centre, q.dtype))
@@ -230,5 +230,5 @@ class Objective:
         return vector_price(error, weight, self.config.loss, self.config.transition)
 
     def slopes(self, errors: Float[Array, "K 3"], weights: Float[Array, " K"]) -> PenaltySlopes:
-        """Derivatives of :meth:`price` for the errors of all K vectors [m]."""
+        """Derivatives of ``price`` for the errors of all K vectors [m]."""
         return vector_slopes(errors, weights, self.config.loss, self.config.transition)

@@ -40,7 +40,7 @@ def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
 
 
 def smooth_l1_slopes(x: Array, transition: float) -> tuple[Array, Array]:
-    """First and second derivative of :func:`smooth_l1`."""
+    """First and second derivative of ``smooth_l1``."""
     slope = jnp.clip(x / transition, -1, 1)
     return slope, (jnp.abs(slope) < 1) / transition
 
@@ -64,7 +64,7 @@ def vector_price(error: Sequence[Array], weight: Array, loss: Loss, transition: 
 def vector_slopes(
     errors: Float[Array, "K 3"], weights: Float[Array, " K"], loss: Loss, transition: float
 ) -> PenaltySlopes:
-    """Derivatives of :func:`vector_price` for K vectors.
+    """Derivatives of ``vector_price`` for K vectors.
 
     The second is exact but on the measure-zero kinks of smooth-L1.
 

@@ -1,8 +1,8 @@
 """What the method ``smooth`` minimises near one pose: value, gradient and Hessian.
 
 Eq. (1) with three more terms: fingertips move as the human's do, parts of the hand stay out of each
-other (:mod:`smooth_operator.objective.clearance`), and the thumb's vectors are held by angle and
-length, too (:mod:`smooth_operator.objective.polar`).
+other (``smooth_operator.objective.clearance``), and the thumb's vectors are held by angle and
+length, too (``smooth_operator.objective.polar``).
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def run_on_cluster(
     cluster: str,
     retries: int,
 ) -> Iterator[TaskResult[R]]:
-    """See :func:`smooth_operator.parallel.run_tasks`."""
+    """See ``run_tasks``."""
     try:
         import ray
     except ImportError as error:

@@ -20,7 +20,7 @@ class Crew(Generic[T, R]):
     """Processes that keep what they have compiled from one list of tasks to the next.
 
     For a search, whose next tasks depend on the results of the last. What is said of
-    :func:`smooth_operator.parallel.run_tasks` holds here, too; use it as a context manager, so that
+    ``run_tasks`` holds here, too; use it as a context manager, so that
     the workers end with it.
 
     Args:

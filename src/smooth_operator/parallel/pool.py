@@ -43,7 +43,7 @@ class _Worker:
 def run_in_pool(
     function: Callable[[T], R], tasks: Sequence[T], workers: int, retries: int
 ) -> Iterator[TaskResult[R]]:
-    """See :func:`smooth_operator.parallel.run_tasks`."""
+    """See ``run_tasks``."""
     pool = Pool(function, retries)
     try:
         pool.add(tasks)

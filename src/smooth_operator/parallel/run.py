@@ -43,7 +43,7 @@ def run_tasks(
         retries: how often a task is tried again whose worker died.
 
     Returns:
-        An iterator of one :class:`TaskResult` per task, in the order in which they finish.
+        An iterator of one ``TaskResult`` per task, in the order in which they finish.
 
     Raises:
         ConfigError: a number is negative, or the function can't be sent to another process.

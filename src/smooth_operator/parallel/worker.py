@@ -33,7 +33,7 @@ class _Stopped(BaseException):
 def serve(link: Connection[Any, Any], slot: int) -> None:
     """Answers tasks until the parent closes the link.
 
-    Messages in: the function, then tasks. Messages out: (:data:`READY`, None) or (:data:`BROKEN`,
+    Messages in: the function, then tasks. Messages out: (``READY``, None) or (``BROKEN``,
     reason), then (value, error, seconds) per task. Running code ends with its clean-up on SIGTERM.
 
     Args:

@@ -1,6 +1,6 @@
 """Projected Newton descent that looks at derivatives once a step.
 
-As :mod:`smooth_operator.solvers.newton`, but where derivatives cost many times what a value does:
+As ``smooth_operator.solvers.newton``, but where derivatives cost many times what a value does:
 only values are taken of the steps of several dampings that are tried side by side.
 """
 
@@ -37,7 +37,7 @@ def damped_newton(
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
         config: settings; its iterations are the most that are made, none give the start back.
-        still: see :data:`STILL`.
+        still: see ``STILL``.
 
     Returns:
         (m,) the best point found.

@@ -45,7 +45,7 @@ def counter_normals(
 def counter_normal_matrix(
     index: UInt32[Array, " n"], words: UInt32[Array, "2"], count: int
 ) -> Float[Array, "count n"]:
-    """The same numbers as :func:`counter_normals`, as one matrix: less code, for few candidates."""
+    """The same numbers as ``counter_normals``, as one matrix: less code, for few candidates."""
     pairs = (count + 1) // 2
     which = jnp.arange(pairs, dtype=jnp.uint32)[:, None]
     return jnp.concatenate(_pair(index * jnp.uint32(pairs) + which, words))[:count]

@@ -2,7 +2,7 @@
 
 The descending methods as published are solved by it, with a limit of 20 iterations. Where that
 limit ends a frame, the answer is not a minimum, and the next frame goes on from it: the limit acts
-as a filter. :mod:`smooth_operator.solvers.slsqp` has NLopt's form of the same algorithm.
+as a filter. ``smooth_operator.solvers.slsqp`` has NLopt's form of the same algorithm.
 """
 
 from __future__ import annotations

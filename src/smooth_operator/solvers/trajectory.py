@@ -54,7 +54,7 @@ class TrajectoryConfig:
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed. 0 leaves it constant.
         speed_limit: of joints [rad/s]; a change from frame to frame that is more at the median rate
-            costs half of :data:`SPEEDING` times the square of what is too much. After a lost
+            costs half of ``SPEEDING`` times the square of what is too much. After a lost
             frame a command must not jump further than after any other.
         iterations: Newton steps at most.
         tolerance: a step that moves no joint further ends it [rad].

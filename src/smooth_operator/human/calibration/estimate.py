@@ -248,7 +248,7 @@ def _project(gaps: dict[str, np.ndarray], scale: float, corrected: int) -> float
     """Where the latch closes: over what nearly all pinches are held at, once they are corrected.
 
     Args:
-        gaps: as :attr:`Calibration.gaps`.
+        gaps: as ``Calibration.gaps``.
         scale: of the palm.
         corrected: 1 if tips are, 0 if not.
     """

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import RecordingError
+from smooth_operator.io.anatomy import check_hand
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.recording.anatomy import check_hand
 from smooth_operator.types import HandRecording
 
 BONE_TOLERANCE: Final = 0.3

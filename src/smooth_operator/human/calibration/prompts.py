@@ -17,7 +17,7 @@ class Prompt:
     """One pose to hold.
 
     Attributes:
-        pose: its name, as in :class:`~smooth_operator.human.calibration.segments.Segment`.
+        pose: its name, as in ``Segment``.
         text: what the operator is told.
         settle: time to get there, which is not used [s].
         hold: time to hold it, which is used [s].

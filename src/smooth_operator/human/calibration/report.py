@@ -82,7 +82,7 @@ def closed_gaps(calibration: Calibration, finger: str) -> Float[np.ndarray, " N"
 
     Returns:
         (N,) [m], at human size; None if the finger was not seen pinching, or in fewer than
-        :data:`FEWEST` frames.
+        ``FEWEST`` frames.
     """
     gaps, operator = calibration.gaps.get(finger), calibration.operator
     if gaps is None:

@@ -1,7 +1,7 @@
 """Poses found in a recording: flat, spread, fist, and a pinch per finger.
 
-The finder and the estimator share nothing but :class:`Segment`: frames that prompts mark go to
-the estimator in the same way (:mod:`smooth_operator.human.calibration.prompts`).
+The finder and the estimator share nothing but ``Segment``: frames that prompts mark go to
+the estimator in the same way (``smooth_operator.human.calibration.prompts``).
 """
 
 from __future__ import annotations

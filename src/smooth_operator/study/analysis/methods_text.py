@@ -14,7 +14,7 @@ def methods_paragraph(analysis: Analysis) -> str:
 
     Returns:
         One paragraph per model and one on corrections; citations by the keys of
-        :data:`smooth_operator.study.analysis.citations.CITATIONS`.
+        ``CITATIONS``.
     """
     data = analysis.data
     tasks = [scope for scope in analysis.scopes if scope != POOLED]

@@ -5,7 +5,7 @@ depends on them, so the box becomes nested integrals with smooth limits, and the
 difference of two normal distribution functions. Gauss-Legendre nodes then converge geometrically. A
 t divides all of them by one chi variable, which is one more integral. Two and fewer independent
 directions are one integral over an angle, exact for singular correlations as well. Many
-variables go to :mod:`smooth_operator.study.analysis.quasi_random`.
+variables go to ``smooth_operator.study.analysis.quasi_random``.
 
 Source: Genz and Bretz 2009, chapters 3 and 4. Nothing depends on a random seed: the same data give
 the same p-value.

@@ -50,7 +50,7 @@ class Command:
 
     Attributes:
         token: belongs to it alone, however often it is sent.
-        do: one of :data:`EVENTS` or :data:`OTHER`.
+        do: one of ``EVENTS`` or ``OTHER``.
         operator: pseudonym.
         after: number of the last event that the page had seen; None where that doesn't matter.
         fields: what else its word needs.

@@ -337,7 +337,7 @@ class Desk:
 
 @contextmanager
 def _store_told_apart() -> Iterator[None]:
-    """Raises :class:`StoreFailedError` where a database is to blame, and not what was asked."""
+    """Raises ``StoreFailedError`` where a database is to blame, and not what was asked."""
     from sqlalchemy.exc import SQLAlchemyError
 
     try:

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from smooth_operator.recording.user_cache import OFF, SWITCH, user_cache
-from smooth_operator.sources.webxr.addresses import is_local, page_addresses
+from smooth_operator.io.user_cache import OFF, SWITCH, user_cache
 from smooth_operator.study.console.commands import Role
+from smooth_operator.web.addresses import is_local, page_addresses
 from smooth_operator.web.origin import cookie, names_this_machine, same_origin, same_secret
 
 if TYPE_CHECKING:

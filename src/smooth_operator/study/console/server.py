@@ -1,7 +1,7 @@
 """Both pages and their WebSockets on one port.
 
 From a page come ``{"type": "hello", "operator": ...}`` and ``{"type": "command", ...}``
-(:mod:`.commands`). To it go ``state`` (all that it shows, anew after each change), ``done`` and
+(``.commands``). To it go ``state`` (all that it shows, anew after each change), ``done`` and
 ``refused`` (by the command's token; ``again`` if the same may succeed later) and, once a second,
 ``alive``, whose silence tells the page that it is cut off. A command is answered with ``done`` only
 when it is on the disk.
@@ -22,8 +22,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
-from smooth_operator.documents import json_object
 from smooth_operator.errors import MissingExtraError, SmoothOperatorError
+from smooth_operator.io.documents import json_object
 from smooth_operator.study.console.commands import Role, command_of
 from smooth_operator.study.console.desk import Desk, StoreFailedError
 from smooth_operator.study.console.gate import HOME, LINK, Gate, qr_code
@@ -64,7 +64,7 @@ class Console:
     """Serves a desk.
 
     Args:
-        desk: what commands are carried out by; tell it :meth:`changed`.
+        desk: what commands are carried out by; tell it ``changed``.
         gate: who may open what.
         links: role -> address of its page.
         local: whether only this machine reaches the pages.
@@ -102,7 +102,7 @@ class Console:
 
         self._loop = asyncio.get_running_loop()
         site = page_files(__package__)
-        site["/icon.svg"] = page_files("smooth_operator.sources.webxr")["/icon.svg"]
+        site["/icon.svg"] = page_files("smooth_operator.teleop.sources.webxr")["/icon.svg"]
         site |= {HOME["experimenter"]: site["/experimenter.html"],
                  HOME["operator"]: site["/operator.html"]}  # fmt: skip
         if not self._local:

@@ -74,7 +74,7 @@ class Switch:
 
     Args:
         teleop: what is told.
-        changed: called when :attr:`heard` is new, from the thread that found out.
+        changed: called when ``heard`` is new, from the thread that found out.
     """
 
     def __init__(self, teleop: Teleop, changed: Callable[[], None] = lambda: None) -> None:

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from smooth_operator.documents import brief, listed
-from smooth_operator.errors import StudyError
+from smooth_operator.errors import StudyError, brief, listed
 
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _SHOWN = 8

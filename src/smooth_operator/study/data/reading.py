@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.documents import brief, listed, parse_json, read_text
-from smooth_operator.errors import DocumentError, StudyError
-from smooth_operator.recording.csv_table import plain_cell
+from smooth_operator.errors import DocumentError, StudyError, brief, listed
+from smooth_operator.io.csv_table import plain_cell
+from smooth_operator.io.documents import parse_json, read_text
 from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
 from smooth_operator.study.data.tables import (
     METRIC_COLUMNS,

@@ -66,7 +66,7 @@ class Questionnaires:
         retargeter: names (n,) of str.
         block: which block of the operator's task, from 1 (n,).
         point: 1, 2 or 3: initial, midpoint, final (n,).
-        answers: of :data:`ITEMS`, 0 to 100, NaN where one was left out (n, 6).
+        answers: of ``ITEMS``, 0 to 100, NaN where one was left out (n, 6).
         weights: how often each was chosen, 0 to 5, 15 together, NaN in rows without (n, 6); None
             if no row has them.
         kind: of the workload.

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.documents import brief
+from smooth_operator.errors import brief
 from smooth_operator.study.data.cells import Checked, is_missing
 from smooth_operator.study.data.rows import (
     ITEMS,
@@ -38,7 +38,7 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
 
     Args:
         name: of the file, for messages.
-        rows: (number, values by column), with all of :data:`TRIAL_COLUMNS`.
+        rows: (number, values by column), with all of ``TRIAL_COLUMNS``.
         unit: what the number counts.
 
     Returns:
@@ -90,7 +90,7 @@ def make_questionnaires(
 
     Args:
         name: of the file, for messages.
-        rows: (number, values by column), with all of :data:`QUESTIONNAIRE_COLUMNS`.
+        rows: (number, values by column), with all of ``QUESTIONNAIRE_COLUMNS``.
         unit: what the number counts.
 
     Returns:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.design.checks import check_name
+from smooth_operator.simulation.tasks.checks import check_name
 from smooth_operator.study.design.draws import blind_labels, shuffled
 from smooth_operator.study.design.enrolment import Enrolment, Orders, enrol_all, enrolled
 from smooth_operator.study.design.latin import Balance, balance, balanced_rows

@@ -49,9 +49,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.documents import read_toml
 from smooth_operator.errors import DocumentError, SmoothOperatorError, StudyError
-from smooth_operator.recording.atomic import atomic_write
+from smooth_operator.io.atomic import atomic_write
+from smooth_operator.io.documents import read_toml
 from smooth_operator.study.design.enrolment import Enrolment, Orders
 from smooth_operator.study.design.entries import Entries
 from smooth_operator.study.design.plan import Plan, make_plan
@@ -140,7 +140,7 @@ def plan_text(plan: Plan) -> str:
 
 
 def plan_table(plan: Plan) -> dict[str, Any]:
-    """The file as a table; :func:`plan_of` makes the plan of it again."""
+    """The file as a table; ``plan_of`` makes the plan of it again."""
     return tomllib.loads(plan_text(plan))
 
 

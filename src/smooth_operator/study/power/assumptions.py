@@ -111,7 +111,7 @@ def assumptions_for(
         success: condition -> probability.
         time_s: condition -> [s].
         workload: condition -> points.
-        more: other fields of :class:`Assumptions`.
+        more: other fields of ``Assumptions``.
 
     Raises:
         StudyError: a condition is given that the study hasn't, or one has no value.

@@ -18,10 +18,10 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 import smooth_operator
-from smooth_operator.documents import parse_json
 from smooth_operator.errors import StudyError
+from smooth_operator.io.atomic import output_error
+from smooth_operator.io.documents import parse_json
 from smooth_operator.parallel import run_tasks
-from smooth_operator.recording.atomic import output_error
 from smooth_operator.study.analysis.results import POOLED
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table

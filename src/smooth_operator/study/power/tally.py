@@ -14,7 +14,7 @@ from smooth_operator.study.power.verdicts import Verdict
 _Z: Final = 1.959963984540054
 
 Counts = dict[str, int]
-"""What was counted -> how often; see :func:`count`."""
+"""What was counted -> how often; see ``count``."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def rate(hits: int, studies: int) -> Rate:
 
 
 def rates(tally: Tally) -> dict[str, dict[str, Any]]:
-    """``outcome/scope/mode`` -> what was counted -> :class:`Rate`."""
+    """``outcome/scope/mode`` -> what was counted -> ``Rate``."""
     return {
         key: {
             what: rate(counts[what], tally.studies)

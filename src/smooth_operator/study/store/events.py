@@ -59,7 +59,7 @@ class FamiliarisationStarted(_OfBlock):
     """Free movement begins, and its countdown.
 
     Attributes:
-        clock: reading of a steady clock (:mod:`smooth_operator.study.store.clock`).
+        clock: reading of a steady clock (``smooth_operator.study.store.clock``).
     """
 
     kind: ClassVar[str] = "familiarisation_started"
@@ -78,7 +78,7 @@ class TrialStarted(_OfTrial):
     """The clock of a trial runs.
 
     Attributes:
-        clock: reading of a steady clock (:mod:`smooth_operator.study.store.clock`).
+        clock: reading of a steady clock (``smooth_operator.study.store.clock``).
     """
 
     kind: ClassVar[str] = "trial_started"

@@ -182,7 +182,7 @@ class Progress:
 
     @property
     def undoable(self) -> Record | None:
-        """What :class:`Undone` would take back now: the last event that counts, notes aside."""
+        """What ``Undone`` would take back now: the last event that counts, notes aside."""
         for record in reversed(self._effective):
             if not isinstance(record.event, Noted):
                 return record

@@ -40,7 +40,7 @@ AUTHORS: Final = ("experimenter", "operator", "system")
 class StudyStore:
     """One study in a database.
 
-    Made by :func:`smooth_operator.study.store.opening.open_study`. All methods may be called from
+    Made by ``open_study``. All methods may be called from
     any thread.
     """
 

@@ -12,8 +12,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from smooth_operator.documents import parse_json
 from smooth_operator.errors import DocumentError, MissingExtraError, StudyError
+from smooth_operator.io.documents import parse_json
 
 if TYPE_CHECKING:
     from sqlalchemy import URL, Engine, MetaData

@@ -84,7 +84,7 @@ def check_winners(winners: Sequence[str]) -> None:
     """Refuses what is no answer to the fifteen pairs.
 
     Args:
-        winners: of each pair of :data:`PAIRS`, the scale that added more.
+        winners: of each pair of ``PAIRS``, the scale that added more.
 
     Raises:
         StudyError: their number is another, or one is not of its pair.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from smooth_operator.benchmark.drawing import GRID
+from smooth_operator.reporting.drawing import GRID
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.results import MODES, POOLED
 from smooth_operator.study.data.rows import ITEMS

@@ -6,17 +6,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from smooth_operator.benchmark.drawing import colors_of, styled, write_figure
-from smooth_operator.benchmark.page.html import (
-    Html,
-    details,
-    element,
-    escape,
-    figure,
-    join,
-    paragraph,
-)
-from smooth_operator.recording import atomic_write, output_error
+from smooth_operator.io import atomic_write, output_error
+from smooth_operator.reporting.drawing import colors_of, styled, write_figure
+from smooth_operator.reporting.html import Html, details, element, escape, figure, join, paragraph
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.methods_text import methods_paragraph
@@ -98,7 +90,7 @@ class _Page:
                         "and the CSV tables; plots as files: figures/."),
             ]
         )  # fmt: skip
-        style = files("smooth_operator.benchmark.page") / "report.css"
+        style = files("smooth_operator.lab.benchmark.page") / "report.css"
         return (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

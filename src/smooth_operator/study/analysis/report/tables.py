@@ -6,15 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from smooth_operator.benchmark.page.html import (
-    Html,
-    element,
-    escape,
-    join,
-    name_cell,
-    paragraph,
-    table,
-)
+from smooth_operator.reporting.html import Html, element, escape, join, name_cell, paragraph, table
 from smooth_operator.study.analysis.results import Outcome, ScopeResult
 
 DIGITS: dict[Outcome, tuple[float, int, str]] = {

@@ -1,0 +1,228 @@
+"""Opening ``.npy`` and ``.npz`` files without ever unpickling.
+
+Headers are read first: what an array is, is known (and refused) before its data is loaded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.io.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
+from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.sniff import NPY_MAGIC, PICKLE_REMEDY
+
+_Bytes: TypeAlias = Any
+"""A binary file or a member of a zip, which have no common type that holds at run time."""
+
+_MOST_MEMBERS = 1000  # of a zip; a recording has a dozen
+
+
+def damaged(path: Path, cause: object) -> RecordingError:
+    """The error for a file whose bytes can't be read to the end."""
+    text = " ".join(str(cause).split())
+    text = text if len(text) <= 160 else f"{text[:157]}..."
+    return RecordingError(
+        f"{path}: the file is damaged or cut off ({text or 'no detail'}); copy or record it again"
+    )
+
+
+@dataclass(frozen=True)
+class StoredArray:
+    """One array of a file: what its header says, and how to load it.
+
+    Attributes:
+        shape: its shape.
+        dtype: its element type; ``dtype.hasobject`` means that it is a pickle.
+        allowance: what may be unpacked of the file.
+    """
+
+    path: Path
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    open: Callable[[], _Bytes]
+    allowance: Allowance
+
+    def load(self) -> np.ndarray:
+        """Read the data.
+
+        Raises:
+            RecordingError: if it is a pickled array, damaged, or takes more than a file of this
+                size may.
+        """
+        label = f"array {self.name!r}" if self.name else "the array"
+        if self.dtype.hasobject:
+            raise RecordingError(f"{self.path}: {label} holds pickled objects; {PICKLE_REMEDY}")
+        each = max(self.dtype.itemsize, NUMBER_BYTES)
+        if self.dtype.kind in "US":
+            each = self.dtype.itemsize + TEXT_BYTES
+        self.allowance.take(self.name or "the array", math.prod(self.shape) * each)
+        with _foreign(self.path), self.open() as stream:
+            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+    def numbers(self) -> np.ndarray:
+        """Read the data as float64.
+
+        Raises:
+            RecordingError: as ``load``, or if it is not numeric.
+        """
+        array = self.load()
+        if array.dtype.kind not in "fiu":
+            raise RecordingError(
+                f"{self.path}: array {self.name!r} must hold real numbers, not {self.dtype}"
+            )
+        return array.astype(np.float64, copy=False)
+
+    def text(self) -> str:
+        """Read the data as one text.
+
+        Raises:
+            RecordingError: as ``texts``, or if there is more than one.
+        """
+        if self.shape not in ((), (1,)):
+            raise RecordingError(
+                f"{self.path}: array {self.name!r} must hold one text, not {self.shape} of them"
+            )
+        return self.texts()[0]
+
+    def texts(self) -> list[str]:
+        """Read the data as a flat list of strings (bytes are taken as ASCII).
+
+        Raises:
+            RecordingError: as ``load``, or if it is not text.
+        """
+        array = self.load()
+        if array.dtype.kind not in "US":
+            raise RecordingError(
+                f"{self.path}: array {self.name!r} must hold text, not {self.dtype}"
+            )
+        if array.dtype.kind == "S":
+            array = np.char.decode(array, "ascii", "replace")
+        else:  # NumPy checks the text only when it is read
+            native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
+            codes = native.reshape(-1).view(np.uint32) if array.dtype.itemsize else np.zeros(0)
+            if ((codes > sys.maxunicode) | ((codes >= 0xD800) & (codes < 0xE000))).any():
+                raise damaged(self.path, f"array {brief(self.name)} holds what is no text")
+        return [str(item) for item in array.ravel()]
+
+
+class StoredArrays(Mapping[str, StoredArray]):
+    """The arrays of an ``.npz`` by name; a bare ``.npy`` is one array named ``""``."""
+
+    def __init__(self, path: Path, entries: dict[str, StoredArray]) -> None:
+        self.path = path
+        self._entries = entries
+
+    def __getitem__(self, name: str) -> StoredArray:
+        return self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def describe(self) -> str:
+        """Names and shapes, for error messages."""
+        items = (f"{name or 'one array'} {item.shape}" for name, item in self.items())
+        return listed(items) or "no arrays"
+
+
+def open_arrays(path: Path) -> StoredArrays:
+    """Read the headers of the arrays in an ``.npy`` or ``.npz`` file.
+
+    Raises:
+        RecordingError: if the file is cut off, damaged, no plain file, or a pickle inside a zip
+            (PyTorch's form).
+    """
+    with _foreign(path):
+        size = check_plain_file(path)
+        allowance = Allowance.of(path, size)
+        with path.open("rb") as stream:
+            is_npy = stream.read(len(NPY_MAGIC)) == NPY_MAGIC
+            stream.seek(0)
+            if is_npy:
+                shape, dtype = _header(stream, path, "", size)
+                one = StoredArray(path, "", shape, dtype, lambda: path.open("rb"), allowance)
+                return StoredArrays(path, {"": one})
+        with zipfile.ZipFile(path) as archive:
+            return StoredArrays(path, _members(archive, path, allowance))
+
+
+def _members(archive: zipfile.ZipFile, path: Path, allowance: Allowance) -> dict[str, StoredArray]:
+    members = archive.infolist()
+    if len(members) > _MOST_MEMBERS:
+        raise RecordingError(
+            f"{path}: it holds {len(members)} files, at most {_MOST_MEMBERS} are read; save one "
+            "recording by itself"
+        )
+    pickles = [m.filename for m in members if m.filename.endswith((".pkl", ".pickle"))]
+    if pickles:
+        raise RecordingError(f"{path}: it holds the pickle {brief(pickles[0])}; {PICKLE_REMEDY}")
+    entries = {}
+    for member in members:
+        if member.filename.endswith(".npy"):
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as stream:
+                shape, dtype = _header(stream, path, name, member.file_size)
+            opener = _member_opener(path, member.filename)
+            entries[name] = StoredArray(path, name, shape, dtype, opener, allowance)
+    return entries
+
+
+@contextlib.contextmanager
+def _foreign(path: Path) -> Iterator[None]:
+    """Whatever NumPy, zipfile and the decompressors raise on damaged bytes becomes one error.
+
+    They promise no list of what that may be: a bit that flips in a header has made NumPy's call of
+    ``tokenize`` fail, and a member's flags make zipfile ask for a password.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of Python 2's headers and of names that come twice
+            yield
+    except RecordingError:
+        raise
+    except Exception as error:
+        raise damaged(path, error) from error
+
+
+def _header(
+    stream: _Bytes, path: Path, name: str, size: int
+) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    version = np.lib.format.read_magic(stream)
+    # Version 3 differs from 2 only in the encoding of field names, which no array of ours has.
+    read = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, _, dtype = read(stream)
+    if any(isinstance(length, bool) or length < 0 for length in shape):
+        raise damaged(path, f"an array has the shape {shape}")
+    expected = math.prod(shape) * dtype.itemsize + stream.tell()
+    if not dtype.hasobject and size < expected:
+        # Before loading, since a header with an absurd shape would otherwise ask for the memory.
+        label = f"array {brief(name)}" if name else "the array"
+        raise damaged(path, f"{label} should take {expected} bytes, {size} are there")
+    return shape, dtype
+
+
+def _member_opener(path: Path, member: str) -> Callable[[], _Bytes]:
+    def opener() -> _Bytes:
+        # The member keeps the archive's file alive, and closing the member closes it.
+        with zipfile.ZipFile(path) as archive:
+            return archive.open(member)
+
+    return opener

@@ -1,0 +1,279 @@
+"""What makes a recording of a hand believable: its units, its stamps, its side.
+
+Each check has its own message, which names the likely cause and the way out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.landmarks import WRIST, index
+from smooth_operator.types import HandRecording, Side, as_side
+
+PALM_RANGE_M = (0.05, 0.14)
+"""Bounds [m] on the distance from the wrist to the middle finger's MCP.
+
+An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
+a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
+"""
+
+RATE_RANGE_HZ = (1.0, 2000.0)
+"""Bounds [Hz] on a tracker's median rate. Stamps of 2 to 1000 Hz in another unit fall outside."""
+
+_TYPICAL_PALM_M = 0.095
+_PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
+_REACH = 3.0  # palm lengths from the wrist; a straight middle finger ends at 2
+_TYPICAL_RATE_HZ = 60.0
+_LENGTH_UNITS = {
+    "micrometres": 1e-6,
+    "millimetres": 1e-3,
+    "centimetres": 1e-2,
+    "decimetres": 1e-1,
+    "inches": 0.0254,
+    "feet": 0.3048,
+}
+_TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0}
+
+
+def check_recording(recording: HandRecording, where: str) -> None:
+    """Refuse a recording that is empty, has no valid landmark, bad stamps or wrong units.
+
+    Landmarks missing here and there are no fault; they stay flagged invalid.
+
+    Args:
+        recording: what was read.
+        where: the file, for the message.
+
+    Raises:
+        RecordingError: with the reason.
+    """
+    if not len(recording):
+        raise RecordingError(f"{where}: the recording holds no frames")
+    check_stamps(recording.stamps, where)
+    assert recording.valid is not None  # filled in by HandRecording
+    check_units(recording.landmarks, recording.valid, where)
+
+
+def check_units(
+    landmarks: Float[np.ndarray, "T 21 3"], valid: Bool[np.ndarray, "T 21"], where: str
+) -> None:
+    """Refuse landmarks that are not in metres, by the size of the palm.
+
+    Args:
+        landmarks: (T, 21, 3) positions.
+        valid: (T, 21) which of them count.
+        where: the file, for the message.
+
+    Raises:
+        RecordingError: if the median distance from wrist to middle MCP lies outside
+            ``PALM_RANGE_M``, with the likely unit and factor; or if no frame has both.
+    """
+    if not valid.any():
+        raise RecordingError(
+            f"{where}: no landmark of any frame is a finite number; the tracker never saw the hand"
+        )
+    middle = index("middle_mcp")
+    both = valid[:, WRIST] & valid[:, middle]
+    if not both.any():
+        raise RecordingError(
+            f"{where}: no frame has both the wrist and the middle finger's MCP, so neither the "
+            "units nor the palm can be found; record again with the whole hand in view"
+        )
+    palm = float(
+        np.median(np.linalg.norm(landmarks[both, middle] - landmarks[both, WRIST], axis=1))
+    )
+    low, high = PALM_RANGE_M
+    if low <= palm <= high:
+        return
+    raise RecordingError(
+        f"{where}: the distance from the wrist to the middle finger's MCP is {palm:.4g} (median), "
+        f"but a hand in metres has {low} to {high}; {_length_hint(palm)}"
+    )
+
+
+def _length_hint(palm: float) -> str:
+    if palm <= 0.0:
+        return "the landmarks coincide: the tracker never saw the hand"
+    metres = {unit: palm * factor for unit, factor in _LENGTH_UNITS.items()}
+    units = _plausible(metres, PALM_RANGE_M, _TYPICAL_PALM_M)
+    if units:
+        likely = " or ".join(f"{unit} (multiply by {_LENGTH_UNITS[unit]:g})" for unit in units)
+        return f"it looks like {likely}"
+    return (
+        "no common unit fits. Landmarks that are normalised or in pixels must be scaled to the "
+        f"operator's hand (for a palm of {_TYPICAL_PALM_M} m: multiply by "
+        f"{_TYPICAL_PALM_M / palm:.3g}); otherwise look at the order of the landmarks"
+    )
+
+
+def without_outliers(recording: HandRecording) -> HandRecording:
+    """A recording in which what no hand could do is flagged invalid; for one in metres.
+
+    A frame is flagged whose palm is less than half or more than twice the usual length, such as one
+    in another unit; a landmark, that is more than three palm lengths from the wrist. How many
+    frames are concerned stands in ``meta["implausible_frames"]``, if any.
+    """
+    points, valid = recording.landmarks, recording.valid
+    assert valid is not None  # filled in by HandRecording
+    with np.errstate(over="ignore", invalid="ignore"):
+        from_wrist = np.linalg.norm(points - points[:, :1], axis=-1)
+    palms = np.where(valid[:, WRIST] & valid[:, index("middle_mcp")], from_wrist[:, 9], np.nan)
+    if np.isnan(palms).all():
+        return recording
+    usual = float(np.nanmedian(palms))
+    with np.errstate(invalid="ignore"):
+        frame = (palms < usual / _PALM_RATIO) | (palms > usual * _PALM_RATIO)
+        far = valid & (from_wrist > _REACH * usual) & valid[:, :1]
+    wrong = valid & (frame[:, None] | far)
+    if not wrong.any():
+        return recording
+    meta = {**recording.meta, "implausible_frames": int(wrong.any(axis=1).sum())}
+    return replace(recording, valid=valid & ~wrong, meta=meta)
+
+
+def reading_notes(recording: HandRecording, where: str) -> list[str]:
+    """What a person should know of how a recording was read: sentences, none if nothing."""
+    notes = []
+    if recording.meta.get("side_assumed"):
+        notes.append(
+            f"{where} does not say which hand it is: taken for a right one; say --side left if it "
+            "is not"
+        )
+    odd = recording.meta.get("implausible_frames", 0)
+    if odd:
+        notes.append(
+            f"{where}: {odd} of {len(recording)} frames have a palm or a landmark that is too "
+            "large or too small for the hand; what is wrong in them counts as not seen"
+        )
+    return notes
+
+
+def check_stamps(stamps: Float[np.ndarray, " T"], where: str) -> None:
+    """Refuse stamps that are not finite, not strictly increasing, or not in seconds.
+
+    Args:
+        stamps: (T,) times.
+        where: the file, for the message.
+
+    Raises:
+        RecordingError: with the first offending frame, or the likely unit and factor.
+    """
+    finite = np.isfinite(stamps)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise RecordingError(
+            f"{where}: the stamp of frame {first} is {stamps[first]} ({np.sum(~finite)} of "
+            f"{len(stamps)} are not finite); every frame needs a time in seconds"
+        )
+    if len(stamps) < 2:
+        return
+    steps = np.diff(stamps)
+    if (steps < 0).any():
+        i = int(np.argmax(steps < 0)) + 1
+        raise RecordingError(
+            f"{where}: the stamps go backwards at frame {i}: {float(stamps[i - 1])!r} s, then "
+            f"{float(stamps[i])!r} s ({np.sum(steps < 0)} such steps). Frames are shuffled, or "
+            "recordings were joined; sort the frames by time, or split the file there"
+        )
+    if (steps == 0).any():
+        i = int(np.argmax(steps == 0)) + 1
+        raise RecordingError(
+            f"{where}: frames {i - 1} and {i} have the same stamp, {float(stamps[i])!r} s "
+            f"({np.sum(steps == 0)} repeats); drop repeated frames: "
+            "keep = numpy.diff(timestamps, prepend=-numpy.inf) > 0"
+        )
+    rate = 1.0 / float(np.median(steps))
+    low, high = RATE_RANGE_HZ
+    if not low <= rate <= high:
+        rates = {unit: rate / factor for unit, factor in _TIME_UNITS.items()}
+        units = _plausible(rates, RATE_RANGE_HZ, _TYPICAL_RATE_HZ)
+        hint = (
+            f"these look like {units[0]} (multiply by {_TIME_UNITS[units[0]]:g})"
+            if units
+            else "and no other common unit fits these; check where they come from"
+        )
+        raise RecordingError(
+            f"{where}: by its stamps the recording has {rate:.4g} frames a second, expected "
+            f"{low:g} to {high:g}; stamps are in seconds, {hint}"
+        )
+
+
+def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.ndarray, " T"]:
+    """Evenly spaced stamps [s] from 0, for a recording without its own.
+
+    Raises:
+        RecordingError: if there is no rate and more than one frame.
+        ConfigError: if the rate is outside ``RATE_RANGE_HZ``.
+    """
+    if rate is not None:
+        low, high = RATE_RANGE_HZ
+        if not low <= rate <= high:  # NaN too
+            raise ConfigError(f"rate must be {low:g} to {high:g} frames a second, not {rate:g}")
+    elif count > 1:
+        raise RecordingError(
+            f"{where}: the recording has {count} frames and no time stamps; say how many frames a "
+            "second it has, e.g. --rate 100 (in Python: rate=100)"
+        )
+    return np.arange(count) / (rate or 1.0)
+
+
+def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) -> None:
+    """Refuse a rate that contradicts the stamps of the file by more than a tenth.
+
+    Raises:
+        RecordingError: with both rates.
+    """
+    if rate is None or len(stamps) < 2:
+        return
+    own = 1.0 / float(np.median(np.diff(stamps)))
+    if not 0.9 * own <= rate <= 1.1 * own:  # NaN too
+        raise RecordingError(
+            f"{where}: the file has its own stamps, of {own:.4g} frames a second, which contradict "
+            f"--rate {rate:g}; leave --rate out"
+        )
+
+
+def check_side(labels: Iterable[str], asked: Side | None, where: str) -> tuple[Side, bool]:
+    """Find the side of a recording from what the file says and what the caller asked for.
+
+    Args:
+        labels: the chirality labels in the file, none if it has none.
+        asked: the caller's side, if any.
+        where: the file, for the message.
+
+    Returns:
+        The side, and whether it was assumed: where nobody says, it is ``"right"``.
+
+    Raises:
+        RecordingError: for an unknown label, labels of both sides, or a side that contradicts the
+            caller's.
+    """
+    try:
+        sides = {as_side(label) for label in labels}
+    except ConfigError as error:
+        raise RecordingError(f"{where}: {error}") from error
+    if len(sides) > 1:
+        raise RecordingError(
+            f"{where}: the recording mixes left and right hands; split it into one file per hand"
+        )
+    if not sides:
+        return asked or "right", asked is None
+    side = sides.pop()
+    if asked is not None and asked != side:
+        raise RecordingError(
+            f"{where}: it is a recording of a {side} hand, but side {asked!r} was asked for; use "
+            f"--side {side}, or another recording"
+        )
+    return side, False
+
+
+def _plausible(values: dict[str, float], bounds: tuple[float, float], typical: float) -> list[str]:
+    """Units whose converted value falls within the bounds, the most typical first."""
+    units = [unit for unit, value in values.items() if bounds[0] <= value <= bounds[1]]
+    return sorted(units, key=lambda unit: abs(math.log(values[unit] / typical)))

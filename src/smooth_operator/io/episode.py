@@ -1,0 +1,198 @@
+"""What one file of any format holds, in memory: a hand, the commands it gave rise to, and how."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
+
+STAMP_TOLERANCE_S: Final = 1e-6
+"""How far the stamp of a command may be from that of the frame it answers [s].
+
+Commands carry the stamps of their frames, so they are equal; what is left for is a file that once
+held them as whole microseconds.
+"""
+
+DERIVED_META: Final = ("format", "truncated", "side_assumed", "implausible_frames", "layout")
+"""Entries of ``HandRecording.meta`` that every reader makes anew, and that no file keeps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One demonstration: what the formats of this package are converted through.
+
+    Attributes:
+        recording: the hand, or None.
+        commands: the commands to the robot, or None; one of the two is always there. They need not
+            answer every frame.
+        config: the resolved configuration that made the commands, as JSON has it, or None.
+        stages_ms: (C,) time of each stage of the loop [ms] by name, one value per command, NaN
+            where a command did not have the stage.
+        task: what was being done, in words, or None.
+        name: of the episode, for files and reports.
+        notes: what a person should know about how it was read.
+
+    Raises:
+        RecordingError: there is neither hand nor command, arrays do not fit each other, or a stamp
+            or status is not a possible one.
+    """
+
+    recording: HandRecording | None = None
+    commands: CommandTrajectory | None = None
+    config: dict[str, Any] | None = None
+    stages_ms: Mapping[str, Float[np.ndarray, " C"]] = field(default_factory=dict)
+    task: str | None = None
+    name: str = "episode"
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.recording is None and self.commands is None:
+            raise RecordingError(f"{self.name}: it holds neither hand frames nor commands")
+        if self.commands is not None:
+            check_commands(self.commands, self.name)
+        count = 0 if self.commands is None else len(self.commands)
+        for stage, values in self.stages_ms.items():
+            if np.shape(values) != (count,):
+                raise RecordingError(
+                    f"{self.name}: stage {stage!r} must have one time for each of the {count} "
+                    f"commands, not shape {np.shape(values)}"
+                )
+
+    def __len__(self) -> int:
+        """Frames of the hand; commands, where there is no hand."""
+        part = self.commands if self.recording is None else self.recording
+        assert part is not None  # one is always there
+        return len(part)
+
+    @property
+    def stamps(self) -> Float[np.ndarray, " T"]:
+        """(T,) stamps of the frames [s]; of the commands, where there is no hand."""
+        part = self.commands if self.recording is None else self.recording
+        assert part is not None
+        return part.stamps
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """What the recording's source said of it, less what every reader finds out anew."""
+        meta = {} if self.recording is None else self.recording.meta
+        return {key: value for key, value in meta.items() if key not in DERIVED_META}
+
+    def answered(self) -> Int[np.ndarray, " C"]:
+        """Index of the frame that each command answers, found by its stamp; -1 where none is it.
+
+        Without a hand, each command is its own frame.
+        """
+        if self.commands is None:
+            return np.zeros(0, np.int64)
+        if self.recording is None:
+            return np.arange(len(self.commands))
+        frames, stamps = self.recording.stamps, self.commands.stamps
+        if not len(frames):
+            return np.full(len(stamps), -1)
+        right = np.clip(np.searchsorted(frames, stamps), 0, len(frames) - 1)
+        left = np.maximum(right - 1, 0)
+        nearest = np.where(
+            np.abs(frames[left] - stamps) < np.abs(frames[right] - stamps), left, right
+        )
+        return np.where(np.abs(frames[nearest] - stamps) <= STAMP_TOLERANCE_S, nearest, -1)
+
+    def sliced(self, frames: slice) -> Episode:
+        """The episode cut to some of its frames, and the commands from their time.
+
+        Args:
+            frames: without a step; not empty.
+        """
+        stamps = self.stamps[frames]
+        recording = None if self.recording is None else self.recording[frames]
+        if self.commands is None:
+            return replace(self, recording=recording)
+        if self.recording is None:
+            kept: Any = frames
+        else:
+            first, last = stamps[0] - STAMP_TOLERANCE_S, stamps[-1] + STAMP_TOLERANCE_S
+            kept = (self.commands.stamps >= first) & (self.commands.stamps <= last)
+        commands = replace(
+            self.commands,
+            joint_positions=self.commands.joint_positions[kept],
+            stamps=self.commands.stamps[kept],
+            latency_ms=self.commands.latency_ms[kept],
+            status=self.commands.status[kept],
+        )
+        stages = {name: np.asarray(values)[kept] for name, values in self.stages_ms.items()}
+        return replace(self, recording=recording, commands=commands, stages_ms=stages)
+
+    def joined(self, other: Episode, where: str) -> Episode:
+        """This recording with the commands of another file beside it.
+
+        Args:
+            other: what holds the commands.
+            where: its name, for messages.
+
+        Raises:
+            RecordingError: ``other`` holds no commands, this episode has some already or no hand,
+                or a command answers none of the frames.
+        """
+        if other.commands is None:
+            raise RecordingError(
+                f"{where}: it holds no commands; give the OUT.npz of a retargeting"
+            )
+        if self.recording is None or self.commands is not None:
+            raise RecordingError(
+                f"{self.name}: commands of another file can be put beside a recording only, and it "
+                + ("holds no hand frames" if self.recording is None else "has commands already")
+            )
+        both = replace(
+            self,
+            commands=other.commands,
+            config=other.config,
+            stages_ms=other.stages_ms,
+            task=other.task if self.task is None else self.task,
+            notes=(*self.notes, *other.notes),
+        )
+        found = both.answered() >= 0
+        if not found.all():
+            raise RecordingError(
+                f"{where} was not made from {self.name}: {int(found.sum())} of its {len(found)} "
+                "time stamps are those of frames in it; give the recording that it was made from, "
+                "with the same --rate if it holds no stamps"
+            )
+        return both
+
+
+def check_commands(commands: CommandTrajectory, where: str) -> None:
+    """Refuses a trajectory whose arrays do not fit each other.
+
+    Raises:
+        RecordingError: with the array, what was expected and what came.
+    """
+    shape = np.shape(commands.joint_positions)
+    joints = len(commands.joint_names)
+    if len(shape) != 2 or shape[1] != joints:
+        raise RecordingError(
+            f"{where}: joint_positions must have shape (commands, {joints}) to fit its {joints} "
+            f"joint names, not {shape}"
+        )
+    for name in ("stamps", "latency_ms", "status"):
+        if np.shape(getattr(commands, name)) != shape[:1]:
+            raise RecordingError(
+                f"{where}: {name} must have shape {shape[:1]} to fit joint_positions {shape}, not "
+                f"{np.shape(getattr(commands, name))}"
+            )
+    if len(set(commands.joint_names)) != joints:
+        raise RecordingError(f"{where}: a joint name comes twice: {listed(commands.joint_names)}")
+    if not np.isfinite(commands.stamps).all():
+        raise RecordingError(f"{where}: the stamps of the commands must be finite numbers [s]")
+    known = {int(status) for status in Status}
+    unknown = sorted(set(np.asarray(commands.status).tolist()) - known)
+    if unknown:
+        raise RecordingError(
+            f"{where}: status {brief(unknown)} is not one of "
+            f"{[f'{s.name}={int(s)}' for s in Status]}; if a newer version "
+            f"wrote it, upgrade: {UPGRADE}"
+        )

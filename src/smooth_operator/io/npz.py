@@ -1,0 +1,164 @@
+"""Episodes as ``.npz``: plain arrays that NumPy alone reads.
+
+========================  ==================  ============================================
+array                     shape               what it holds
+========================  ==================  ============================================
+``landmarks``             (T, 21, 3) float64  positions [m], NaN where not finite
+``timestamps``            (T,) float64        stamps of the frames [s]
+``valid``                 (T, 21) bool        False where the tracker lost the landmark
+``side``                  text                right or left
+``metacarpals``           (T, 4, 3) float64   metacarpal bases [m], if tracked
+``orientations``          (T, 21, 4) float64  quaternions wxyz, if tracked
+``joint_positions``       (C, n) float64      [rad], if there are commands
+``joint_names``           (n,) text
+``latency_ms``            (C,) float64
+``status``                (C,) int8           indices of ``status_names``
+``stages_ms``             (C, k) float64      times of the stages in ``stage_names``
+``configuration``         text                JSON
+``episode``               text                JSON: name, task, and what the source said
+========================  ==================  ============================================
+
+So a file of commands is what ``read_commands`` reads, and one of
+frames what ``read_recording`` does; one of both is read by either.
+Where the commands' stamps are not those of the frames, ``timestamps`` are the commands' and
+``landmark_timestamps`` the frames'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.io.arrays import StoredArrays, open_arrays
+from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.io.readers import LANDMARK_STAMPS, read_recording
+from smooth_operator.io.results import config_path, read_commands, written_result
+from smooth_operator.types import Side, Status
+
+_COMMANDS: Final = ("joint_positions", "joint_names", "latency_ms", "status")
+_HANDS: Final = ("landmarks", "joints")
+
+
+def read_npz_episode(
+    path: Path, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
+) -> Episode:
+    """Reads a recording, a file of commands, or one of both.
+
+    The configuration is the one in the file, or else the one beside it (``OUT.json``).
+
+    Raises:
+        RecordingError: as ``read_recording`` and
+            ``read_commands``.
+    """
+    arrays = open_arrays(path)
+    has_commands = all(name in arrays for name in _COMMANDS)
+    commands = read_commands(path) if has_commands else None
+    recording = None
+    if not has_commands or any(name in arrays for name in _HANDS):
+        recording = read_recording(path, rate=rate, side=side, layout=layout)
+    stored = _json(arrays, "episode") or {}
+    config = _json(arrays, "configuration")
+    if config is None and commands is not None:
+        config = _beside(path)
+    name = str(stored.get("name") or path.stem)
+    if recording is not None:
+        meta = stored.get("meta")
+        meta = {**(meta if isinstance(meta, dict) else {}), **recording.meta}
+        recording = replace(recording, name=name, meta=meta)
+    return Episode(
+        recording,
+        commands,
+        config,
+        _stages(arrays, 0 if commands is None else len(commands)),
+        None if stored.get("task") is None else str(stored["task"]),
+        name,
+    )
+
+
+def write_npz_episode(path: Path, episode: Episode) -> None:
+    """Writes an episode; with commands and a configuration, ``OUT.json`` beside it as well.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    recording, commands = episode.recording, episode.commands
+    if recording is not None:
+        assert recording.valid is not None  # filled in by HandRecording
+        arrays["landmarks"] = recording.landmarks
+        arrays["timestamps"] = recording.stamps
+        arrays["valid"] = recording.valid
+        arrays["side"] = np.array(recording.side)
+        for name in ("metacarpals", "orientations"):
+            if getattr(recording, name) is not None:
+                arrays[name] = getattr(recording, name)
+    if commands is not None:
+        if recording is not None and not np.array_equal(recording.stamps, commands.stamps):
+            arrays[LANDMARK_STAMPS] = recording.stamps
+        arrays["timestamps"] = np.asarray(commands.stamps, np.float64)
+        arrays["joint_positions"] = np.asarray(commands.joint_positions, np.float64)
+        arrays["joint_names"] = np.asarray(commands.joint_names, np.str_)
+        arrays["latency_ms"] = np.asarray(commands.latency_ms, np.float64)
+        arrays["status"] = np.asarray(commands.status, np.int8)
+        names = {int(status): status.name for status in Status}
+        arrays["status_names"] = np.array([names.get(i, "") for i in range(max(names) + 1)])
+    if episode.stages_ms:
+        arrays["stage_names"] = np.asarray(list(episode.stages_ms), np.str_)
+        arrays["stages_ms"] = np.stack(list(episode.stages_ms.values()), axis=1)
+    if episode.config is not None:
+        arrays["configuration"] = np.array(to_json(episode.config))
+    origin = {"name": episode.name, "task": episode.task, "meta": episode.meta}
+    arrays["episode"] = np.array(to_json(origin))
+
+    config = None if commands is None else episode.config
+    with written_result(path, config) as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def is_own_npz(path: Path) -> bool:
+    """Whether this program wrote the file, as an episode or as the result of a retargeting."""
+    try:
+        arrays = open_arrays(path)
+        if all(name in arrays for name in _COMMANDS):
+            return True
+        return _json(arrays, "episode") is not None
+    except RecordingError:
+        return False
+
+
+def _json(arrays: StoredArrays, name: str) -> dict[str, Any] | None:
+    """A JSON object among the arrays; None if there is none, or it is something else."""
+    item = arrays.get(name)
+    if item is None or item.dtype.kind != "U" or item.shape != ():
+        return None
+    try:
+        value = parse_json(item.text())
+    except DocumentError:
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def _beside(path: Path) -> dict[str, Any] | None:
+    try:
+        value = read_json(config_path(path))
+    except (OSError, ValueError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def _stages(arrays: StoredArrays, count: int) -> dict[str, np.ndarray]:
+    if "stages_ms" not in arrays or "stage_names" not in arrays:
+        return {}
+    names, times = arrays["stage_names"].texts(), arrays["stages_ms"].numbers()
+    if times.shape != (count, len(names)):
+        raise RecordingError(
+            f"{arrays.path}: stages_ms must have shape {(count, len(names))} to fit the commands "
+            f"and stage_names, not {times.shape}"
+        )
+    return {name: times[:, i].copy() for i, name in enumerate(names)}

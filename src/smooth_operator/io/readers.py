@@ -1,0 +1,301 @@
+"""Reading recordings of hands: MANUS gloves, plain landmark arrays, and the project's own log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import landmarks as schema
+from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.io.anatomy import doubt, layout_order
+from smooth_operator.io.arrays import StoredArray, StoredArrays, open_arrays
+from smooth_operator.io.checks import (
+    check_rate,
+    check_recording,
+    check_side,
+    stamps_from_rate,
+    without_outliers,
+)
+from smooth_operator.io.manus import manus_nodes
+from smooth_operator.io.sniff import PICKLE_REMEDY, READABLE, file_kind
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.types import HandRecording, Side, as_side
+
+_Read = TypeVar("_Read")
+
+# Nodes per frame -> indices of the 21 landmarks and of the four metacarpal bases among them.
+_LAYOUTS: dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]] = {
+    21: (tuple(range(21)), None),
+    25: (schema.FROM_MANUS_25, schema.METACARPALS_MANUS_25),  # WebXR's are the same
+    26: (schema.FROM_OPENXR_26, schema.METACARPALS_OPENXR_26),
+}
+LANDMARK_STAMPS = "landmark_timestamps"
+"""Stamps of the frames in a file whose ``timestamps`` are those of commands."""
+
+FORMATS: Final = Registry(
+    "reader",
+    {
+        "log": Entry("smooth_operator.teleop.recording.log_reader:read_log_recording"),
+        "hdf5": Entry("smooth_operator.teleop.recording.hdf5:read_hdf5_recording"),
+    },
+)
+"""Kind of file -> ``read(path, rate, side)``, for formats that are more than an array."""
+
+COUNTERS: Final = {
+    "log": Entry("smooth_operator.teleop.recording.log_reader:count_log_frames"),
+}
+"""Kind of file -> ``count(path)``, the number of frames without reading them, or None."""
+
+_STAMP_KEYS = (LANDMARK_STAMPS, "timestamps", "stamps")
+_SIDE_KEYS = ("chirality", "side")
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    rate: float | None = None,
+    side: Side | None = None,
+    layout: str | None = None,
+) -> HandRecording:
+    """Read a recording of one hand.
+
+    What the file is, its first bytes say. Read are:
+
+    - a MANUS ``.npz``: ``data`` (T, 25, 7) px py pz [m] and a quaternion, ``timestamps`` (T,) [s],
+      ``keypoint_ids`` (25,), ``chirality``, ``quaternion_order``;
+    - a ``.npy`` of shape (T, 21, 3) [m], or an ``.npz`` that holds one, named ``joints`` or
+      ``landmarks`` or being its only 3-D array, with ``timestamps`` or ``stamps`` (T,) [s] and
+      ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR) and 26 (OpenXR) are
+      mapped onto the 21; a single frame (21, 3) is a recording of one. With 21, ``valid``
+      (T, 21), ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz are read too;
+    - the log that ``LogWriter`` writes, also when it was
+      cut off;
+    - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``).
+
+    Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
+    "no hand") without flags of the file's own, are flagged in ``valid``. Where neither file nor
+    caller says which hand it is, it is taken for a right one and ``meta["side_assumed"]`` is True.
+    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``. Frames and landmarks of
+    a size that no hand has among others that have it are flagged invalid, their number being
+    ``meta["implausible_frames"]``. A hand that is of the other side by its shape, or whose
+    landmarks are in another order, is refused (``check_hand``).
+
+    Args:
+        path: the file.
+        rate: frames a second [Hz], needed where the file has no stamps.
+        side: which hand; needed where the file does not say and it is a left one.
+        layout: the order of the landmarks in an array of 21, by its name in
+            ``LAYOUTS``; None for the project's own, which is checked.
+            The order of other files is known.
+
+    Returns:
+        The recording, its units, stamps, side and order checked.
+
+    Raises:
+        RecordingError: missing, empty, damaged, pickled or foreign file; wrong shape, units or
+            stamps; no valid landmark; sides that are mixed or contradict ``side``; another hand or
+            order by its shape. The message says what was expected, what came and what to do.
+        ConfigError: ``rate`` or ``side`` is not a possible one.
+        UnknownNameError: there is no such ``layout``.
+        MissingExtraError: the file needs an extra that is not installed.
+    """
+    path = Path(path)
+    side = None if side is None else as_side(side)
+    layout_order(layout)  # an unknown one is refused, whatever the file
+    kind = file_kind(path)
+    if kind in FORMATS:
+        recording = FORMATS[kind].load()(path, rate, side)
+    else:
+        recording = _from_arrays(open_arrays(path), rate, side, layout)
+    layout = recording.meta.get("layout")
+    as_it_came = np.argsort(layout_order(layout))
+    assert recording.valid is not None  # filled in by HandRecording
+    found = doubt(
+        recording.landmarks[:, as_it_came],
+        recording.side,
+        recording.valid[:, as_it_came],
+        layout=layout,
+    )
+    if found is not None:
+        labelled = found.side is not None and side is None and not recording.meta["side_assumed"]
+        remedy = (
+            f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
+            if labelled
+            else found.remedy
+        )
+        raise RecordingError(f"{path}: {found.what}; {remedy}")
+    check_recording(recording, str(path))
+    check_rate(recording.stamps, rate, str(path))
+    return without_outliers(recording)
+
+
+def rated_if_unstamped(
+    read: Callable[[float | None], _Read], rate: float | None
+) -> tuple[_Read, float | None]:
+    """One of many files, of which those without stamps need a rate and the others have their own.
+
+    Args:
+        read: reads it, with a rate or without.
+        rate: for a file without stamps; None if there is none.
+
+    Returns:
+        what was read, and the rate if it was needed.
+
+    Raises:
+        RecordingError: as ``read``.
+    """
+    try:
+        return read(None), None
+    except RecordingError:
+        if rate is None:
+            raise
+        return read(rate), rate
+
+
+def _from_arrays(
+    arrays: StoredArrays, rate: float | None, side: Side | None, layout: str | None
+) -> HandRecording:
+    path = arrays.path
+    where = str(path)
+    data = arrays.get("data")
+    meta: dict[str, Any]
+    orientations = None
+    if data is not None and len(data.shape) == 3 and data.shape[-1] == 7:
+        nodes, quaternions, meta = manus_nodes(arrays)
+    else:
+        nodes = _frames(_find_landmarks(arrays))
+        quaternions, meta = None, {"format": "array"}
+    picked, metacarpals = _LAYOUTS[nodes.shape[1]]
+    if layout is not None and nodes.shape[1] == 21 and meta["format"] == "array":
+        picked, meta["layout"] = layout_order(layout), layout
+    positions = nodes[:, picked]
+    if quaternions is not None:
+        orientations = quaternions[:, picked]
+
+    # "No hand in view" is all zeros in some trackers; as positions they would close the hand.
+    lost = (positions == 0.0).all(axis=(1, 2))
+    valid = np.isfinite(positions).all(axis=-1) & ~lost[:, None]
+    own: dict[str, np.ndarray] = {}
+    if nodes.shape[1] == 21 and meta["format"] == "array":
+        own = _beside_landmarks(arrays, len(positions), meta)
+        for name in own.keys() & {"valid", "orientations"}:
+            own[name] = own[name][:, picked]
+    if "valid" in own:  # the file knows better than a guess from zeros
+        valid = own["valid"]
+    elif lost.any():
+        meta["zero_frames"] = int(lost.sum())
+
+    labels = [text for key in _SIDE_KEYS if key in arrays for text in arrays[key].texts()]
+    found, meta["side_assumed"] = check_side(labels, side, where)
+    return HandRecording(
+        positions,
+        _stamps(arrays, len(positions), rate),
+        found,
+        valid=valid,
+        metacarpals=own.get("metacarpals") if metacarpals is None else nodes[:, metacarpals],
+        orientations=own.get("orientations", orientations),
+        name=path.stem,
+        meta=meta,
+    )
+
+
+def _beside_landmarks(
+    arrays: StoredArrays, count: int, meta: dict[str, Any]
+) -> dict[str, np.ndarray]:
+    """Flags, metacarpals and orientations; what has their name and another form is left alone."""
+    found: dict[str, np.ndarray] = {}
+    for name, shape, kinds in (
+        ("valid", (count, 21), "b"),
+        ("metacarpals", (count, 4, 3), "f"),
+        ("orientations", (count, 21, 4), "f"),
+    ):
+        if name in arrays:
+            if arrays[name].shape == shape and arrays[name].dtype.kind in kinds:
+                found[name] = arrays[name].load()
+            else:
+                meta.setdefault("ignored", []).append(name)
+    return found
+
+
+def _find_landmarks(arrays: StoredArrays) -> StoredArray:
+    """The one array of landmarks in a file, or an error that says what is there instead."""
+    path = arrays.path
+    for item in arrays.values():
+        if item.dtype.hasobject and (len(arrays) == 1 or item.name in ("joints", "landmarks")):
+            label = f"array {brief(item.name)}" if item.name else "the array"
+            raise RecordingError(f"{path}: {label} holds pickled objects; {PICKLE_REMEDY}")
+    named = [arrays[name] for name in ("landmarks", "joints") if name in arrays]
+    if "" in arrays:
+        return arrays[""]
+    if len(named) == 1:
+        return named[0]
+    if len(named) > 1:
+        raise RecordingError(
+            f"{path}: it holds both 'landmarks' and 'joints'; keep the one that is meant"
+        )
+    cubes = [item for item in arrays.values() if len(item.shape) == 3]
+    if len(cubes) == 1:
+        return cubes[0]
+    poses = [item for item in arrays.values() if item.shape in ((21, 3), (25, 3), (26, 3))]
+    if cubes or len(poses) > 1:
+        names = [item.name for item in cubes or poses]
+        what, first = "recordings" if cubes else "single poses", names[0][:40]
+        raise RecordingError(
+            f"{path}: it holds {len(names)} {what}, not one recording: {listed(names)}; save "
+            f"one by itself: numpy.save('{first}.npy', numpy.load('{path.name}')['{first}'])"
+        )
+    if poses:
+        return poses[0]
+    raise RecordingError(
+        f"{path}: no array of landmarks in it, but {arrays.describe()}. What is read: {READABLE}"
+    )
+
+
+def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
+    """Load (T, n, 3) with n = 21, 25 or 26; a single (n, 3) becomes one frame."""
+    shape = item.shape
+    if len(shape) == 2 and shape[0] in _LAYOUTS and shape[1] == 3:
+        return item.numbers()[None]
+    if len(shape) == 3 and shape[0] == 0:
+        raise RecordingError(f"{item.path}: the recording holds no frames, its shape is {shape}")
+    if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] == 3:
+        return item.numbers()
+    raise RecordingError(
+        f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR) or 26 (OpenXR) "
+        f"nodes in place of 21, not {shape}{_shape_hint(shape)}"
+    )
+
+
+def _shape_hint(shape: tuple[int, ...]) -> str:
+    if len(shape) == 2 and shape[1] % 3 == 0 and shape[1] // 3 in _LAYOUTS:
+        return f"; if the rows are x, y, z in turn: array.reshape(-1, {shape[1] // 3}, 3)"
+    if len(shape) == 3 and shape[1] == 3 and shape[2] in _LAYOUTS:
+        return "; swap the last two axes: array.transpose(0, 2, 1)"
+    if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] > 3:
+        return "; if x, y, z come first: array[..., :3]"
+    if len(shape) == 3 and shape[1:] == (16, 3):
+        return "; MANO's 16 joints have no tips: add those of its mesh, then say --layout mano"
+    if len(shape) == 4:
+        return "; if there are several hands in it, save one: array[:, 0]"
+    return ""
+
+
+def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> Float[np.ndarray, " T"]:
+    where = str(arrays.path)
+    keys = [key for key in _STAMP_KEYS if key in arrays]
+    if not keys:
+        return stamps_from_rate(count, rate, where)
+    stamps = arrays[keys[0]].numbers()
+    if count == 1 and stamps.ndim == 0:
+        stamps = stamps[None]
+    if stamps.shape != (count,):
+        raise RecordingError(
+            f"{where}: {keys[0]!r} must have one stamp for each of the {count} frames, "
+            f"not shape {stamps.shape}"
+        )
+    return stamps

@@ -1,0 +1,204 @@
+"""The result of retargeting a recording: ``OUT.npz`` and its configuration, ``OUT.json``."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from smooth_operator.errors import UPGRADE, OutputError, RecordingError, brief
+from smooth_operator.io.arrays import StoredArrays, open_arrays
+from smooth_operator.io.atomic import atomic_write, output_error
+from smooth_operator.io.episode import check_commands
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.io.sniff import file_kind
+from smooth_operator.types import CommandTrajectory, Status
+
+_KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")
+
+
+def config_path(path: str | os.PathLike[str]) -> Path:
+    """Where the configuration of a result stands: beside ``OUT.npz``, as ``OUT.json``."""
+    return Path(path).with_suffix(".json")
+
+
+def write_commands(
+    path: str | os.PathLike[str], commands: CommandTrajectory, config: Mapping[str, Any]
+) -> None:
+    """Write a trajectory of commands and the resolved configuration that made it.
+
+    ``OUT.npz`` holds ``joint_positions`` (T, n) float64 [rad], ``joint_names`` (n,) text,
+    ``timestamps`` (T,) float64 [s], ``latency_ms`` (T,) float64, ``status`` (T,) int8 codes of
+    ``Status``, and ``status_names``, the name of code i at index i.
+    Each file is whole or not there; the configuration is written first, so a result never lacks it.
+
+    Args:
+        path: ``OUT.npz``; its folder must exist, a file that stands there is replaced.
+        commands: what to write.
+        config: what to write beside it; see ``to_json``.
+
+    Raises:
+        OutputError: the name does not end in ``.npz``, or the files can't be written.
+        RecordingError: the arrays of the trajectory do not fit each other.
+        ConfigError: the configuration holds what JSON can't.
+    """
+    write_encoded_commands(path, encode_commands(commands), config)
+
+
+def encode_commands(commands: CommandTrajectory) -> bytes:
+    """The bytes of ``OUT.npz``: equal ones for equal commands, whenever and wherever they are made.
+
+    Raises:
+        RecordingError: the arrays of the trajectory do not fit each other.
+    """
+    arrays = {
+        "joint_positions": np.asarray(commands.joint_positions, np.float64),
+        "joint_names": np.asarray(commands.joint_names, np.str_),
+        "timestamps": np.asarray(commands.stamps, np.float64),
+        "latency_ms": np.asarray(commands.latency_ms, np.float64),
+        "status": np.asarray(commands.status),
+    }
+    _check_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
+    arrays["status"] = translate_status(arrays["status"], None, "the commands")
+    # Codes index the names, so that the file explains itself.
+    names = {int(status): status.name for status in Status}
+    arrays["status_names"] = np.array([names.get(code, "") for code in range(max(names) + 1)])
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, **arrays)  # its members bear no date
+    return stream.getvalue()
+
+
+def write_encoded_commands(
+    path: str | os.PathLike[str], encoded: bytes, config: Mapping[str, Any]
+) -> None:
+    """Write what ``encode_commands`` gave, as ``write_commands`` does.
+
+    For those who put a digest of the one file into the other.
+
+    Raises:
+        OutputError: the name does not end in ``.npz``, or the files can't be written.
+        ConfigError: the configuration holds what JSON can't.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise OutputError(
+            f"can't write {str(path)!r}: the name must end in .npz, as {path.name}.npz"
+        )
+    with written_result(path, config) as file:
+        file.write(encoded)
+
+
+@contextlib.contextmanager
+def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[bytes]]:
+    """Writes ``OUT.npz`` and its configuration, where there is one: both or neither.
+
+    The result is on the disk before the configuration takes its place, and takes its own after it.
+    So a full disk leaves what stood there before, and a result never lacks its configuration.
+
+    Yields:
+        What the result is to be written to.
+
+    Raises:
+        OutputError: the files can't be written.
+        ConfigError: the configuration holds what JSON can't.
+    """
+    text = None if config is None else to_json(dict(config), indent=2)
+    with atomic_write(path) as file:
+        yield file
+        if text is not None:
+            try:
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError as error:
+                raise output_error(path, error) from error
+            with atomic_write(config_path(path)) as beside:
+                beside.write(text.encode() + b"\n")
+
+
+def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
+    """Read what ``write_commands`` wrote.
+
+    Args:
+        path: ``OUT.npz``.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        RecordingError: no such file, damaged or pickled; arrays that are missing or do not fit each
+            other; stamps that are not finite; a joint name that comes twice; a status that this
+            version does not know.
+    """
+    path = Path(path)
+    if file_kind(path) != "npz":
+        raise RecordingError(
+            f"{path}: not a file of commands; expected the OUT.npz of a retargeting"
+        )
+    arrays = open_arrays(path)
+    missing = [key for key in _KEYS if key not in arrays]
+    if missing:
+        raise RecordingError(
+            f"{path}: not a file of commands: it lacks {', '.join(missing)} (it holds "
+            f"{arrays.describe()}); expected the OUT.npz of a retargeting"
+        )
+    _check_shapes({key: arrays[key].shape for key in _KEYS}, str(path))
+    commands = CommandTrajectory(
+        joint_positions=arrays["joint_positions"].numbers(),
+        joint_names=tuple(arrays["joint_names"].texts()),
+        stamps=arrays["timestamps"].numbers(),
+        latency_ms=arrays["latency_ms"].numbers(),
+        status=translate_status(arrays["status"].load(), _status_names(arrays), str(path)),
+    )
+    check_commands(commands, str(path))
+    return commands
+
+
+def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
+    positions = shapes["joint_positions"]
+    if len(positions) != 2:
+        raise RecordingError(
+            f"{where}: joint_positions must have shape (frames, joints), not {positions}"
+        )
+    frames, joints = positions
+    expected = {
+        "joint_names": (joints,),
+        "timestamps": (frames,),
+        "latency_ms": (frames,),
+        "status": (frames,),
+    }
+    for name, shape in expected.items():
+        if shapes[name] != shape:
+            raise RecordingError(
+                f"{where}: {name} must have shape {shape} to fit joint_positions {positions}, "
+                f"not {shapes[name]}"
+            )
+
+
+def _status_names(arrays: StoredArrays) -> list[str] | None:
+    return arrays["status_names"].texts() if "status_names" in arrays else None
+
+
+def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
+    """Codes as those of this version's Status, found by name where the file has the names.
+
+    Raises:
+        RecordingError: the codes are no whole numbers, or one is not known here.
+    """
+    if codes.dtype.kind not in "iu":
+        raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")
+    own = {status.name: int(status) for status in Status}
+    known = {code: code for code in own.values()}
+    if names is not None:
+        known = {code: own[name] for code, name in enumerate(names) if name in own}
+    unknown = sorted(set(codes.tolist()) - known.keys())
+    if unknown:
+        raise RecordingError(
+            f"{where}: status {brief(unknown)} is not one of {own}; if a newer version wrote it, "
+            f"upgrade: {UPGRADE}"
+        )
+    return np.array([known[code] for code in codes.tolist()], np.int8)

@@ -1,0 +1,33 @@
+"""The folder for what can be made or fetched again."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Final
+
+SWITCH: Final = "SMOOTH_OPERATOR_CACHE"
+"""Environment variable: another folder; or ``off``, where something need not be kept at all."""
+
+OFF: Final = ("off", "0", "no", "false", "none")
+"""Values of ``SWITCH`` that name no folder."""
+
+
+def user_cache() -> Path:
+    """This program's folder among the user's caches; it need not exist.
+
+    ``SWITCH``, or ``~/.cache/smooth-operator`` (or under ``XDG_CACHE_HOME``) on Linux,
+    ``~/Library/Caches/smooth-operator`` on macOS, ``%LOCALAPPDATA%\\smooth-operator`` on Windows.
+    """
+    wanted = os.environ.get(SWITCH, "").strip()
+    if wanted and wanted.lower() not in OFF:
+        return Path(wanted).expanduser()
+    home = Path.home()
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    return base / "smooth-operator"

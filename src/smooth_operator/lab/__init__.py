@@ -1,0 +1,1 @@
+"""Experiments: benchmarks, the paper, tuning, training, data sets and hand validation."""

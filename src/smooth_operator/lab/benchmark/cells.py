@@ -1,0 +1,155 @@
+"""Cells of a benchmark: one recording, one hand, one method with one preset; and their identity."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import smooth_operator
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.io import to_json
+from smooth_operator.io.environment import package_version
+from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label
+from smooth_operator.lab.benchmark.sources import Source
+from smooth_operator.lab.offline.finished import digest
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.operated import operated_by
+from smooth_operator.types import Side
+
+# What a command or a metric depends on; pages, plots and the command line are not in it.
+_CODE: Final = (
+    "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
+    "retargeters", "metrics", "offline",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One thing to measure.
+
+    Attributes:
+        source: the recording.
+        hand: name of the robot hand.
+        method: name of the method.
+        preset: name of its preset.
+        config: the method's configuration, the operator in it.
+        fingers: robot finger -> human finger that drives it; None for all.
+    """
+
+    source: Source
+    hand: str
+    method: str
+    preset: str
+    config: MethodConfig
+    fingers: Mapping[str, str] | None = None
+
+    @property
+    def side(self) -> Side:
+        """Side of both hands."""
+        return self.source.side
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        """Recording, hand, side, method, preset: what names a row of the results."""
+        return (self.source.name, self.hand, self.side, self.method, self.preset)
+
+    @property
+    def label(self) -> str:
+        """For a person."""
+        method = method_label(self.method, self.preset)
+        return f"{self.source.name} on {self.hand} {self.side}, {method}"
+
+    @property
+    def slug(self) -> str:
+        """Name of its files: readable, harmless anywhere, and unique."""
+        path = self.source.request.path
+        place = "" if path is None else str(path.absolute())
+        return file_name("-".join(self.key), (place, *self.key))
+
+
+def file_name(readable: str, words: Iterable[str]) -> str:
+    """A name of a file that is readable, harmless anywhere, and differs where the words do."""
+    unique = hashlib.sha256("\n".join(words).encode()).hexdigest()[:8]
+    harmless = re.sub(r"[^A-Za-z0-9.]+", "-", readable).strip("-.")
+    return f"{harmless[:100]}-{unique}"
+
+
+def cells_of(
+    sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
+) -> list[Cell]:
+    """Every recording with every hand and every method, in this order."""
+    operator = settings.operator
+    configs = [c.config if operator is None else operated_by(c.config, operator) for c in methods]
+    return [
+        Cell(source, hand, choice.method, choice.preset, config, settings.fingers)
+        for source in sources
+        for hand in settings.hands
+        for choice, config in zip(methods, configs, strict=True)
+    ]
+
+
+def fingerprint(cell: Cell, settings: Settings) -> str:
+    """What the result of a cell depends on, as one word: frames, hand, configuration, code.
+
+    Of two cells with one fingerprint, one need not be done again.
+    """
+    content: dict[str, Any] = {
+        "frames": cell.source.digest,
+        "hand": hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
+        "method": cell.method,
+        "preset": cell.preset,
+        "config": cell.config,
+        "seed": settings.seed,
+        "definition": settings.definition,
+        "version": package_version(),
+        "code": code_digest(),
+        "files": [digest(path) for path in _files_of(cell.config)],
+    }
+    return hashlib.sha256(to_json(content).encode()).hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """SHA-256 of the parts of this package that a result depends on, the models in it included.
+
+    Whoever changes a method between two runs of a benchmark gets its cells measured anew.
+    """
+    home = Path(smooth_operator.__file__).parent
+    files = [
+        file
+        for name in _CODE
+        for file in ([home / name] if name.endswith(".py") else sorted((home / name).rglob("*")))
+    ]
+    total = hashlib.sha256()
+    for file in files:
+        if file.is_file() and file.suffix != ".pyc":
+            total.update(file.relative_to(home).as_posix().encode() + b"\0" + file.read_bytes())
+    return total.hexdigest()
+
+
+@cache
+def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
+    """The hand's description and the content of its model file, not the folder it is in."""
+    try:
+        spec = load_hand(name, side, fingers=dict(fingers) or None).spec
+    except SmoothOperatorError as error:
+        return f"{name} {side}: {error}"
+    fields = {f.name: getattr(spec, f.name) for f in dataclasses.fields(spec) if f.name != "model"}
+    text = to_json(fields).encode() + Path(spec.model).read_bytes()
+    return hashlib.sha256(text).hexdigest()
+
+
+def _files_of(config: Any) -> Iterator[Path]:
+    """The files that a configuration names, as trained models."""
+    if isinstance(config, Path) and config.is_file():
+        yield config
+    elif dataclasses.is_dataclass(config):
+        for field in dataclasses.fields(config):
+            yield from _files_of(getattr(config, field.name))

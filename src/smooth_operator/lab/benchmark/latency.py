@@ -1,0 +1,144 @@
+"""Latency, measured alone: one process, no other worker, methods taking turns.
+
+Beside other workers a latency says how busy the machine is, not how fast a method. So it has
+a phase of its own. Methods take turns in short blocks, each with its own state, so that whatever
+else the machine does hits all alike; who begins changes from round to round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.lab.benchmark.built import built_for
+from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.machine import Watch
+from smooth_operator.methods.request import Plan
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.metrics import service
+
+BLOCK: Final = 20
+"""Frames that a method answers before the next takes its turn."""
+WARM_UP: Final = 50
+"""Frames that are answered, but not counted, before those that are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Latency:
+    """Latency of one cell.
+
+    Attributes:
+        samples_ms: (N,) time of each counted frame, landmarks to command [ms].
+        first_ms: time of the first frame of a fresh, compiled retargeter [ms]; not counted.
+        warm_up: frames between the first and the counted ones.
+        load: load average of the machine over the minute before the end; it remembers what ran
+            before. None where the system does not tell.
+        others: share of the machine's cores that other processes took meanwhile; None where the
+            system does not tell.
+        reason: why there are no samples; None where there are.
+    """
+
+    samples_ms: Float[np.ndarray, " N"]
+    first_ms: float | None = None
+    warm_up: int = 0
+    load: float | None = None
+    others: float | None = None
+    reason: str | None = None
+
+    @property
+    def summary(self) -> dict[str, float | None]:
+        """Mean, p50, p95, p99 and first [ms]."""
+        return {**service.latency(self.samples_ms), "first": self.first_ms}
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The summary, and how it was measured."""
+        return {
+            **self.summary,
+            "frames": len(self.samples_ms),
+            "warm_up": self.warm_up,
+            "load_average": self.load,
+            "other_processes": self.others,
+            "measured": "alone, methods taking turns",
+            "reason": self.reason,
+        }
+
+
+def measure_latency(
+    cells: Sequence[Cell], frames: int, seed: int, advance: Callable[[Cell], None]
+) -> list[Latency]:
+    """Latency of methods on one recording and one hand, in this process.
+
+    Args:
+        cells: of one recording and one hand.
+        frames: how many to count, fewer where the recording has not as many.
+        seed: of the methods' random numbers.
+        advance: called as each cell is done.
+
+    Returns:
+        One for each cell, in their order; with a reason where a method fails.
+    """
+    runs = [_Run(cell, frames, seed) for cell in cells]
+    watch = Watch()  # building is over
+    total = max((run.total for run in runs), default=0)
+    for turn, start in enumerate(range(0, total, BLOCK)):
+        first = turn % len(runs)
+        for run in runs[first:] + runs[:first]:
+            run.go_on(start, start + BLOCK)
+    load, others = watch.load(), watch.others()
+    for run in runs:
+        advance(run.cell)
+    return [run.result(load, others) for run in runs]
+
+
+class _Run:
+    """A method on its way through a recording."""
+
+    def __init__(self, cell: Cell, frames: int, seed: int) -> None:
+        assert cell.source.recording is not None  # a cell without frames has no latency
+        self.cell = cell
+        self._recording = cell.source.recording
+        self._warm_up = min(WARM_UP, len(self._recording) // 4)
+        self.total = min(len(self._recording), 1 + self._warm_up + frames)
+        self._times: list[float] = []
+        self._reason: str | None = None
+        try:
+            self._retargeter = _built(cell, seed)
+            self._state = self._retargeter.init()
+        except Exception as error:  # whatever a method does, the others go on
+            self._fail(error)
+
+    def go_on(self, start: int, stop: int) -> None:
+        if self._reason is not None:
+            return
+        try:
+            for i in range(start, min(stop, self.total)):
+                self._state, result = self._retargeter.step(self._state, self._recording[i])
+                self._times.append(result.latency_ms)
+        except Exception as error:
+            self._fail(error)
+
+    def result(self, load: float | None, others: float | None) -> Latency:
+        if self._reason is not None:
+            return Latency(np.empty(0), load=load, others=others, reason=self._reason)
+        counted = np.array(self._times[1 + self._warm_up :] or self._times)
+        return Latency(counted, self._times[0], self._warm_up, load, others)
+
+    def _fail(self, error: Exception) -> None:
+        self._reason = f"{type(error).__name__}: {error}"
+
+
+def _built(cell: Cell, seed: int) -> Retargeter:
+    assert cell.source.recording is not None  # looked at by the caller
+    hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
+    todo = Plan(cell.source.recording, hand, cell.method, cell.preset, cell.config, seed)
+    built, _ = built_for(todo)
+    if not isinstance(built, Retargeter):
+        raise ConfigError("it is solved for the whole recording, so no frame has a latency")
+    return built

@@ -1,0 +1,332 @@
+"""``report.html`` and the plots beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from smooth_operator.io import atomic_write, output_error
+from smooth_operator.lab.benchmark import figures, uses
+from smooth_operator.lab.benchmark.cells import file_name
+from smooth_operator.lab.benchmark.clips import make_clip
+from smooth_operator.lab.benchmark.comparison import Comparison
+from smooth_operator.lab.benchmark.page import tables
+from smooth_operator.lab.benchmark.page.player import player
+from smooth_operator.lab.benchmark.panels import Panel, make_panels
+from smooth_operator.lab.benchmark.ranking import Line, by_hand, by_panel, lines_of, overall
+from smooth_operator.lab.benchmark.results import Row, row_method
+from smooth_operator.lab.benchmark.settings import Settings
+from smooth_operator.lab.benchmark.store import PLOTS, REPORT
+from smooth_operator.lab.benchmark.suite import Finished
+from smooth_operator.reporting.drawing import colors_of, styled, write_figure
+from smooth_operator.reporting.html import Html, details, element, escape, figure, join, paragraph
+
+BUSY = 0.25
+"""Share of the cores in others' hands from which a latency is warned of."""
+
+_PAPER_HAND = "mimic_p050"
+
+
+def write_report(
+    finished: Sequence[Finished],
+    rows: Sequence[Row],
+    settings: Settings,
+    comparison: Comparison | None = None,
+) -> Path:
+    """Writes the page and its plots into the folder of the benchmark.
+
+    Args:
+        finished: what ``run_suite`` gave.
+        rows: what ``make_rows`` made of it.
+        settings: what was asked for.
+        comparison: with another benchmark.
+
+    Returns:
+        The page. It needs nothing beside it, and nothing from the network.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    plots = settings.output / PLOTS
+    try:
+        plots.mkdir(exist_ok=True)
+    except OSError as error:
+        raise output_error(plots, error) from error
+    page = _Page(finished, rows, plots)
+    text = page.html(settings, comparison)
+    path = settings.output / REPORT
+    with atomic_write(path) as file:
+        file.write(text.encode())
+    return path
+
+
+class _Page:
+    def __init__(self, finished: Sequence[Finished], rows: Sequence[Row], plots: Path) -> None:
+        self._finished, self._rows, self._plots = finished, rows, plots
+        self._colors = colors_of(row_method(row) for row in rows)
+        self._hands = by_hand(rows)
+        self._panels = {panel.key: panel for panel in make_panels(finished)}
+
+    def html(self, settings: Settings, comparison: Comparison | None) -> str:
+        failed = [row for row in self._rows if row["status"] != "ok"]
+        sections = [
+            ("Summary", "summary", self._summary()),
+            ("Latency", "latency", self._latency()),
+        ]
+        if comparison is not None:
+            sections.append(("Comparison", "comparison", tables.comparison_tables(comparison)))
+        sections.append(("Recordings", "recordings", self._recordings()))
+        if failed:
+            sections.append(("Failures", "failures", self._failures()))
+        sections += [
+            ("Metrics", "metrics", self._metrics(settings)),
+            ("Environment", "environment", self._environment(settings)),
+        ]
+        body = join(
+            [
+                self._header(settings, len(failed)),
+                element("nav", element("div", join(
+                    element("a", escape(name), href=f"#{anchor}") for name, anchor, _ in sections
+                )), aria_label="sections"),
+                element("main", join(
+                    element("section", Html(f"<h2>{escape(name)}</h2>{content}"), id=anchor)
+                    for name, anchor, content in sections
+                )),
+                element("footer", "Made by smooth-operator bench. Figures: results.json; plots as "
+                        "files: plots/; commands of each cell: cells/."),
+            ]
+        )  # fmt: skip
+        here = files("smooth_operator.lab.benchmark.page")
+        style = (here / "report.css").read_text(encoding="utf-8")
+        scripts = ("player.js", "interact.js")
+        script = "".join((here / name).read_text(encoding="utf-8") for name in scripts)
+        return (
+            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>Retargeting benchmark</title>\n<style>\n{style}</style>\n"
+            "<noscript><style>.stills { display: block; } .player { display: none; }</style>"
+            f"</noscript>\n</head>\n<body>\n{body}\n<script>\n{script}</script>\n</body>\n</html>\n"
+        )
+
+    def _header(self, settings: Settings, failed: int) -> Html:
+        recordings = len({row["recording"] for row in self._rows})
+        hands = len(self._hands)
+        methods = len(self._colors)
+        dates = sorted(str(row["date"]) for row in self._rows if row["date"])
+        said = (
+            f"{_count(recordings, 'recording')}, {_count(hands, 'hand')}, "
+            f"{_count(methods, 'method')}: {_count(len(self._rows), 'cell')}"
+            + (f", {failed} of them failed" if failed else "")
+            + (f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else "")
+        )
+        return element(
+            "header",
+            element("div", join([element("h1", "Retargeting benchmark"), paragraph(said, "soft")])),
+        )
+
+    def _summary(self) -> Html:
+        parts: list[Html] = []
+        for hand, rows in self._hands.items():
+            count = len({row["recording"] for row in rows if row["status"] == "ok"})
+            lines = overall(rows)
+            title = f"{hand}: mean over {count} recordings" if count > 1 else hand
+            parts.append(element("h3", escape(title)))
+            parts.append(self._verdict(lines, count))
+            parts.append(tables.headline_table(lines, self._colors, paper=hand == _PAPER_HAND))
+            if count > 1:
+                parts.append(
+                    paragraph(
+                        "Flatness and workspace utilisation depend on a recording's rate and "
+                        "length; their means weigh the recordings unevenly. Methods that failed on "
+                        "a recording do not compete here.",
+                        "soft",
+                    )
+                )
+            with styled():
+                drawn = figures.tradeoff_figure(rows, self._colors)
+            if drawn is not None:
+                parts.append(
+                    self._drawn(
+                        drawn,
+                        f"accuracy-smoothness-{hand}",
+                        "Accuracy against smoothness: the lower left corner is best. "
+                        + ("Small: a recording each; large: their mean. " if count > 1 else "")
+                        + "Both axes are logarithmic.",
+                    )
+                )
+        return join(parts)
+
+    def _verdict(self, lines: Sequence[Line], count: int) -> Html:
+        """Which method for what, in one sentence; how that is decided is folded away."""
+        said = uses.verdict(lines)
+        if not said:
+            return Html("")
+        mind = (
+            f" {_count(count, 'recording')}: on others the order may be another."
+            if count < uses.FEW
+            else ""
+        )
+        inside = [paragraph(said), details("How this is decided", paragraph(uses.RULES + mind))]
+        return element("div", join(inside), class_="verdict")
+
+    def _latency(self) -> Html:
+        timed = [one for one in self._finished if one.latency is not None]
+        if not timed:
+            return paragraph("Latency was not measured.")
+        parts = [
+            paragraph(
+                "Measured alone: one process, no other worker, the methods taking turns in short "
+                "blocks, each in its own state, after a warm-up. Landmarks to command, without "
+                "tracker, robot or network."
+            )
+        ]
+        known = [one.latency for one in timed if one.latency]
+        shares = [latency.others for latency in known if latency.others is not None]
+        loads = [latency.load for latency in known if latency.load is not None]
+        if shares or loads:
+            said = (
+                [f"other processes took up to {100 * max(shares):.0f} % of the cores"]
+                if shares
+                else []
+            )
+            said += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
+            busy = bool(shares) and max(shares) > BUSY
+            warned = ": the machine was busy, so take these for upper bounds" if busy else ""
+            parts.append(
+                paragraph(f"Meanwhile {', '.join(said)}{warned}.", "warning" if busy else "soft")
+            )
+        for hand in self._hands:
+            samples: dict[str, list[Float[np.ndarray, " N"]]] = {}
+            for one, row in zip(self._finished, self._rows, strict=True):
+                if one.latency is not None and row["hand"] == hand:
+                    samples.setdefault(row_method(row), []).append(one.latency.samples_ms)
+            with styled():
+                drawn = figures.latency_figure(samples, self._colors)
+            if drawn is not None:
+                parts.append(
+                    self._drawn(
+                        drawn,
+                        f"latency-{hand}",
+                        f"Each dot is a frame on {hand}, all recordings together; the lines are "
+                        "means of the recordings' percentiles, as in the table; the number is the "
+                        "median.",
+                    )
+                )
+        return join(parts)
+
+    def _recordings(self) -> Html:
+        groups = {
+            key: rows
+            for key, rows in by_panel(self._rows).items()
+            if any(row["status"] == "ok" for row in rows)  # the others are told under failures
+        }
+        parts = []
+        for i, (key, rows) in enumerate(groups.items()):
+            recording, hand, side = key
+            inside = [tables.headline_table(lines_of(rows), self._colors), _facts(rows[0])]
+            panel = self._panels.get(key)
+            if panel is not None:
+                inside += self._panel(panel, rows)
+            title = f"{recording} on {hand} {side}"
+            content = join(inside)
+            if len(groups) == 1:
+                parts.append(Html(f"<h3>{escape(title)}</h3>{content}"))
+            else:
+                parts.append(details(title, content, opened=i == 0, class_="recording"))
+        return join(parts)
+
+    def _panel(self, panel: Panel, rows: Sequence[Row]) -> list[Html]:
+        name = file_name("-".join(panel.key), panel.key)
+        hands = sum(len(p.runs) + 1 for p in self._panels.values())
+        parts = [player(make_clip(panel, self._colors, hands))]
+        with styled():
+            stills, tips = (
+                figures.still_figure(panel, self._colors),
+                figures.fingertip_figure(panel, self._colors),
+            )
+            joints = figures.joint_figure(panel, self._colors)
+        drawn = self._drawn(stills, f"stills-{name}", "Human (grey) and robot, palm in sight.")
+        parts.append(element("div", drawn, class_="stills"))
+        parts.append(
+            self._drawn(
+                tips,
+                f"fingertips-{name}",
+                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
+                "the human's travel furthest; the human (grey) as the first method saw it.",
+            )
+        )
+        drawn = self._drawn(
+            joints, f"joints-{name}", "Joint positions in the same stretch; dashed: their limits."
+        )
+        good = [row for row in rows if row["status"] == "ok"]
+        parts.append(details("Joint trajectories", drawn))
+        parts.append(details("Finger by finger", tables.finger_tables(good, self._colors)))
+        parts.append(details("All metrics", tables.full_table(good, self._colors)))
+        return parts
+
+    def _failures(self) -> Html:
+        words = "These have no figures; everything else went on without them. They are tried again "
+        words += "when the same command is run again."
+        return join([paragraph(words), tables.failure_table(self._rows)])
+
+    def _metrics(self, settings: Settings) -> Html:
+        words = {
+            "sound": "The human is aligned as the method saw it, figures are means over frames, "
+            "and motion is compared where both hands move.",
+            "paper": "As published: the human is fitted to the robot's own pose in every frame, "
+            "cosine similarity and scale ratio are medians, and still frames count in motion "
+            "preservation.",
+        }
+        said = f"Definition “{settings.definition}”. {words[settings.definition]}"
+        return join([paragraph(said), tables.metric_table()])
+
+    def _environment(self, settings: Settings) -> Html:
+        seen: dict[str, dict[str, object]] = {}
+        for row in self._rows:
+            if row["status"] == "ok":
+                facts = {**(row["hardware"] or {}), **(row["versions"] or {})}
+                seen.setdefault(repr(sorted(facts.items())), facts)
+        parts = []
+        if len(seen) > 1:
+            parts.append(
+                paragraph(
+                    "The cells were not all made on the same machine with the same versions.",
+                    "warning",
+                )
+            )
+        parts += [tables.facts_table(facts) for facts in seen.values()]
+        asked = {
+            "recordings": settings.recordings,
+            "hands": settings.hands,
+            "methods": settings.methods,
+            "frames": settings.frames or "all, but where a recording says otherwise",
+            "seed": settings.seed,
+            "definition": settings.definition,
+            "latency frames": settings.latency_frames,
+        }
+        parts += [element("h3", "Asked for"), tables.facts_table(asked)]
+        return join(parts)
+
+    def _drawn(self, drawn: Figure, stem: str, caption: str) -> Html:
+        return figure(write_figure(drawn, self._plots / stem), caption, caption)
+
+
+def _facts(row: Row) -> Html:
+    source = row["source"]
+    said = []
+    if source["frames"]:
+        said.append(f"frames {source['frames'][0]} to {source['frames'][1] - 1}")
+    if source["rate_hz"]:
+        said.append(f"{source['rate_hz']:.4g} Hz, {source['duration_s']:.3g} s")
+    if source["side_assumed"]:
+        said.append("taken for a right hand, since it does not say")
+    return paragraph("; ".join(said) + "." if said else "", "soft")
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

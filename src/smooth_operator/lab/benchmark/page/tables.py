@@ -1,0 +1,297 @@
+"""Tables of the report: headlines, all metrics, fingers, comparison, failures, environment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from smooth_operator.lab.benchmark.comparison import Change, Compared, Comparison
+from smooth_operator.lab.benchmark.per_finger import PER_FINGER
+from smooth_operator.lab.benchmark.published import PAPER_NOTE, PAPER_TABLE
+from smooth_operator.lab.benchmark.ranking import (
+    COLUMNS,
+    NUMBERS,
+    SHORT,
+    Line,
+    best,
+    failures,
+    lines_of,
+    shown_value,
+)
+from smooth_operator.lab.benchmark.results import Row, row_method
+from smooth_operator.lab.benchmark.settings import method_label
+from smooth_operator.metrics import METRICS, Metric
+from smooth_operator.reporting.html import (
+    Html,
+    details,
+    element,
+    escape,
+    join,
+    name_cell,
+    paragraph,
+    table,
+)
+
+GOALS = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
+"""Which way is better, as a sign."""
+
+
+def header(metric: Metric) -> Html:
+    """The heading of a column: name, unit and direction of a metric; it sorts the table."""
+    name = SHORT.get(metric.name, metric.name.replace("_", " "))
+    below = " ".join(filter(None, (metric.unit, GOALS[metric.goal])))
+    title = element("span", escape(name), title=metric.meaning)
+    inside = Html(f"{title} <small>{escape(below)}</small>")
+    return element("th", inside, scope="col", data_goal=metric.goal or "up")
+
+
+def headline_table(
+    lines: Sequence[Line], colors: Mapping[str, str], *, paper: bool = False
+) -> Html:
+    """The paper's columns, pinch gap and self-collision; the best marked.
+
+    Args:
+        lines: one a method.
+        colors: method -> colour.
+        paper: lay the paper's own figures below.
+    """
+    foot = Html("")
+    if paper:
+        foot = join(
+            element(
+                "tr",
+                join(
+                    [
+                        name_cell(f"{name}, paper"),
+                        *(
+                            element("td", escape(shown_value(metric, values.get(metric.name))))
+                            for metric in COLUMNS
+                        ),
+                    ]
+                ),
+            )
+            for name, values in PAPER_TABLE.items()
+        )
+    body = _table(lines, COLUMNS, colors, foot)
+    return join([body, paragraph(PAPER_NOTE, "soft")]) if paper else body
+
+
+def full_table(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
+    """Every metric in a row, every method in a column."""
+    lines = lines_of(rows)
+    headers = [
+        escape("metric"),
+        *(
+            element(
+                "th",
+                Html(f"{_dot(colors[line.method])}{escape(line.method)}"),
+                scope="col",
+                data_series=line.method,
+            )
+            for line in lines
+        ),
+    ]
+    body = []
+    for metric in NUMBERS:
+        top = best(lines, metric)
+        told = element("span", escape(metric.name), title=metric.meaning)
+        unit = element("small", escape(" ".join(filter(None, (metric.unit, GOALS[metric.goal])))))
+        named = element("th", Html(f"{told} {unit}"), scope="row")
+        body.append(
+            [
+                named,
+                *(
+                    _value(metric, line.values[metric.name], i in top)
+                    for i, line in enumerate(lines)
+                ),
+            ]
+        )
+    body.append([name_cell("status", note="frames"), *(_statuses(row) for row in rows)])
+    return table(headers, body)
+
+
+def finger_tables(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
+    """One table for each metric of fingers, methods down, fingers across."""
+    good = [row for row in rows if isinstance(row.get("fingers"), Mapping)]
+    parts = []
+    for metric in PER_FINGER:
+        fingers = list(dict.fromkeys(f for row in good for f in row["fingers"]))
+        lines = [
+            Line(row_method(row), {f: row["fingers"].get(f, {}).get(metric.name) for f in fingers})
+            for row in good
+        ]
+        if all(value is None for line in lines for value in line.values.values()):
+            continue
+        columns = [Metric(finger, metric.unit, metric.goal, metric.meaning) for finger in fingers]
+        tops = [best(_renamed(lines, column, metric), metric) for column in columns]
+        body = [
+            [
+                name_cell(line.method, colors[line.method]),
+                *(
+                    _value(metric, line.values[finger], i in top)
+                    for finger, top in zip(fingers, tops, strict=True)
+                ),
+            ]
+            for i, line in enumerate(lines)
+        ]
+        unit = " ".join(filter(None, (metric.unit, GOALS[metric.goal])))
+        title = escape(f"{metric.name.removesuffix('_mm').replace('_', ' ')} {unit}")
+        parts.append(table([title, *(escape(f) for f in fingers)], body))
+        parts.append(paragraph(f"{metric.meaning[0].upper()}{metric.meaning[1:]}.", "soft"))
+    return join(parts)
+
+
+def failure_table(rows: Iterable[Row]) -> Html:
+    """Cells that failed, with the reason."""
+    body = [
+        [
+            name_cell(where),
+            Html(escape(methods)),
+            element("td", escape(reason), class_="failed"),
+        ]
+        for where, methods, reason in failures(rows)
+    ]
+    return table([escape(h) for h in ("recording and hand", "methods", "reason")], body, "words")
+
+
+def comparison_tables(comparison: Comparison) -> Html:
+    """Cell by cell: headlines in sight, the rest folded away."""
+    parts = [
+        paragraph(
+            f"Against {comparison.name}: {comparison.count('better')} figures better, "
+            f"{comparison.count('worse')} worse, {comparison.count('same')} the same (within "
+            "0.5 % of the value, or of its distance from 1 where that is best; latencies within "
+            "10 %). Differences are this benchmark minus the other."
+        )
+    ]
+    body = [
+        [
+            _cell_name(cell),
+            *(_change(_find(cell, metric)) for metric in COLUMNS),
+        ]
+        for cell in comparison.cells
+    ]
+    if body:
+        parts.append(table([escape("cell"), *(header(m) for m in COLUMNS)], body))
+    for cell in comparison.cells:
+        changed = [change for change in cell.changes if change.now != change.before]
+        if changed:
+            rows = [
+                [
+                    name_cell(change.metric.name, note=change.metric.unit),
+                    Html(escape(shown_value(change.metric, change.before))),
+                    Html(escape(shown_value(change.metric, change.now))),
+                    _change(change),
+                ]
+                for change in changed
+            ]
+            inside = table([escape(h) for h in ("metric", "before", "now", "difference")], rows)
+            parts.append(details(f"All differences: {_said(cell.key)}", inside))
+    for title, keys in (
+        ("Only in this benchmark", comparison.only_here),
+        ("Only in the other", comparison.only_there),
+    ):
+        if keys:
+            listed = join(element("li", escape(_said(key))) for key in keys)
+            many = f"{title}: {len(keys)} cell{'s' if len(keys) > 1 else ''}"
+            parts.append(details(many, element("ul", listed)))
+    return join(parts)
+
+
+def metric_table() -> Html:
+    """What each metric is."""
+    words = {"->1": "towards 1", "down": "lower is better", "up": "higher is better", "": "a fact"}
+    body = [
+        [
+            Html(f'<th scope="row"><code>{escape(m.name)}</code></th>'),
+            Html(escape(m.unit or "–")),
+            Html(escape(words[m.goal])),
+            Html(escape(m.meaning)),
+        ]
+        for m in (*METRICS, *(m for m in PER_FINGER if m.name not in {n.name for n in METRICS}))
+    ]
+    return table([escape(h) for h in ("metric", "unit", "best", "what it is")], body, "words")
+
+
+def facts_table(facts: Mapping[str, Any]) -> Html:
+    """Names and values."""
+    body = [[name_cell(name), Html(escape(_words(value)))] for name, value in facts.items()]
+    return table([escape("what"), escape("value")], body, "words")
+
+
+def _table(
+    lines: Sequence[Line], metrics: Sequence[Metric], colors: Mapping[str, str], foot: Html
+) -> Html:
+    tops = [best(lines, metric) for metric in metrics]
+    body: list[list[Html]] = []
+    for i, line in enumerate(lines):
+        part = "" if line.count == line.of else f"{line.count} of {line.of} recordings"
+        cells = [name_cell(line.method, colors[line.method], part if line.count else "")]
+        if line.failed is not None:
+            cells.append(
+                Html(f'<td class="failed" colspan="{len(metrics)}">{escape(line.failed)}</td>')
+            )
+        else:
+            cells += [
+                _value(metric, line.values[metric.name], i in top)
+                for metric, top in zip(metrics, tops, strict=True)
+            ]
+        body.append(cells)
+    headers = [escape("method"), *(header(m) for m in metrics)]
+    return table(headers, body, "sortable", foot)
+
+
+def _value(metric: Metric, value: float | None, top: bool) -> Html:
+    text = escape(shown_value(metric, value))
+    exact = {} if value is None else {"data_value": repr(value)}
+    return element("td", text, **({"class_": "best"} if top else {}), **exact)
+
+
+def _change(change: Change | None) -> Html:
+    if change is None:
+        return element("td", "–")
+    if change.difference == 0:
+        return element("td", "=")
+    sign = "+" if change.difference > 0 else "−"
+    text = escape(f"{sign}{abs(change.difference):.3g}")
+    css = {"better": "best", "worse": "worse", "same": ""}[change.verdict]
+    told = {"better": " ▲", "worse": " ▼", "same": ""}[change.verdict]  # not by colour alone
+    return element("td", Html(f"{text}{told}"), **({"class_": css} if css else {}))
+
+
+def _said(key: Sequence[str]) -> str:
+    recording, hand, side, method, preset = key
+    return f"{recording} on {hand} {side}, {method_label(method, preset)}"
+
+
+def _cell_name(cell: Compared) -> Html:
+    recording, hand, side, method, preset = cell.key
+    below = "; ".join((f"{recording} on {hand} {side}", *cell.notes))
+    inside = f"{escape(method_label(method, preset))}<br><small>{escape(below)}</small>"
+    return element("th", Html(inside), scope="row", class_="wide")
+
+
+def _find(cell: Compared, metric: Metric) -> Change | None:
+    return next((c for c in cell.changes if c.metric.name == metric.name), None)
+
+
+def _renamed(lines: Sequence[Line], column: Metric, metric: Metric) -> list[Line]:
+    """Lines whose one value stands under the metric's own name, for the judge of the best."""
+    return [Line(line.method, {metric.name: line.values[column.name]}) for line in lines]
+
+
+def _statuses(row: Row) -> Html:
+    counts = (row.get("metrics") or {}).get("status") or {}
+    return escape(", ".join(f"{n} {count}" for n, count in counts.items() if count) or "–")
+
+
+def _dot(color: str) -> str:
+    return f"<i class='dot' style='background:{escape(color)}'></i>"
+
+
+def _words(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_words(inner) for inner in value)
+    return "–" if value is None else str(value)

@@ -1,0 +1,80 @@
+"""The work of a cell: what a worker process is sent, what it does, what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.lab.benchmark.built import built_for
+from smooth_operator.lab.benchmark.per_finger import finger_metrics
+from smooth_operator.lab.offline import execute, measure
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.request import Plan, configuration
+from smooth_operator.metrics import Definition
+from smooth_operator.types import CommandTrajectory, HandRecording
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A cell as a worker needs it; whole, so that a worker need not see the recording's file.
+
+    Attributes:
+        recording: the human hand.
+        hand: name of the robot hand.
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration.
+        seed: of its random numbers.
+        definition: of the metrics.
+        fingers: robot finger -> human finger that drives it; None for all.
+    """
+
+    recording: HandRecording
+    hand: str
+    method: str
+    preset: str
+    config: MethodConfig
+    seed: int
+    definition: Definition
+    fingers: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a worker returns.
+
+    Attributes:
+        commands: the joint commands. Their latency is NaN: taken beside other workers it would
+            not be to believe, and without it the same cell has the same bytes.
+        metrics: of ``evaluate``.
+        fingers: of ``finger_metrics``.
+        configuration: what it depended on, versions and machine included.
+    """
+
+    commands: CommandTrajectory
+    metrics: dict[str, Any]
+    fingers: dict[str, dict[str, float | None]]
+    configuration: dict[str, Any]
+
+
+def measure_cell(task: Task) -> Measured:
+    """Retargets a recording and measures it.
+
+    Raises:
+        SmoothOperatorError: the method can't serve the hand, or the recording can't be used.
+    """
+    hand = load_hand(task.hand, task.recording.side, fingers=task.fingers)
+    todo = Plan(
+        task.recording, hand, task.method, task.preset, task.config, task.seed, task.fingers
+    )
+    outcome = execute(todo, built_for(todo))
+    untimed = np.full(len(outcome.commands), np.nan)
+    outcome = replace(outcome, commands=replace(outcome.commands, latency_ms=untimed))
+    trace, metrics = measure(todo, outcome, task.definition)
+    return Measured(
+        outcome.commands, metrics, finger_metrics(trace, metrics), configuration("bench", todo)
+    )

@@ -1,0 +1,180 @@
+"""Tables of methods: values, means over recordings, and which is the best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from smooth_operator.lab.benchmark.results import Row, row_method, value_of
+from smooth_operator.metrics import METRICS, Metric
+
+_BY_NAME: Final = {metric.name: metric for metric in METRICS}
+
+HEADLINES: Final[tuple[Metric, ...]] = tuple(
+    _BY_NAME[name]
+    for name in (
+        "cosine_similarity", "scale_ratio", "motion_preservation", "flatness",
+        "workspace_utilisation", "latency_ms.p50",
+    )
+)  # fmt: skip
+"""The six columns of the paper's table."""
+
+COLUMNS: Final[tuple[Metric, ...]] = (
+    *HEADLINES[:4],
+    _BY_NAME["pinch_error_mm"],
+    _BY_NAME["self_collision.share"],
+    *HEADLINES[4:],
+)
+"""The columns of a benchmark's tables: the paper's, and the two that decide grasping."""
+
+SHORT: Final = {
+    "cosine_similarity": "cosine",
+    "cosine_similarity_all": "cosine, all",
+    "scale_ratio": "scale",
+    "motion_preservation": "motion",
+    "flatness": "flatness",
+    "pinch_error_mm": "pinch gap",
+    "self_collision.share": "collision",
+    "workspace_utilisation": "workspace",
+    "latency_ms.p50": "p50",
+}
+"""Names of columns, where there is little room."""
+
+NUMBERS: Final[tuple[Metric, ...]] = tuple(
+    metric
+    for metric in METRICS
+    if metric.name
+    not in (
+        "status", "definition", "human_fit", "workspace_utilisation_per_finger",
+        "pinch_error_per_finger_mm",
+    )
+)  # fmt: skip
+"""All metrics that are one number."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One method in a table.
+
+    Attributes:
+        method: what it is called.
+        values: metric name -> value, None where there is none.
+        failed: why it has no values at all; None where it has.
+        count: over how many recordings the values are means.
+        of: over how many they ought to be; where it is more, the line does not compete.
+    """
+
+    method: str
+    values: Mapping[str, float | None]
+    failed: str | None = None
+    count: int = 1
+    of: int = 1
+
+
+def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] = NUMBERS) -> list[Line]:
+    """One line for each row of one recording and one hand."""
+    return [
+        Line(
+            row_method(row),
+            {metric.name: value_of(row, metric) for metric in metrics},
+            None if row["status"] == "ok" else str(row["reason"]),
+            int(row["status"] == "ok"),
+        )
+        for row in rows
+    ]
+
+
+def overall(rows: Iterable[Row], metrics: Sequence[Metric] = NUMBERS) -> list[Line]:
+    """Means over the recordings, one line for each method, of the rows of one hand.
+
+    A metric that some recordings do not have (no pinch) is the mean of those that do, which are the
+    same for all methods. Recordings on which every method failed do not count.
+    """
+    rows = list(rows)
+    usable = {row["recording"] for row in rows if row["status"] == "ok"}
+    by_method: dict[str, list[Row]] = {}
+    for row in rows:
+        by_method.setdefault(row_method(row), []).append(row)
+    lines = []
+    for method, own in by_method.items():
+        good = [row for row in own if row["status"] == "ok"]
+        values: dict[str, float | None] = {}
+        for metric in metrics:
+            known = [v for row in good if (v := value_of(row, metric)) is not None]
+            values[metric.name] = sum(known) / len(known) if known else None
+        failed = None if good else str(own[0]["reason"])
+        of = sum(row["recording"] in usable for row in own)
+        lines.append(Line(method, values, failed, len(good), of))
+    return lines
+
+
+def by_panel(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
+    """Rows of one recording, hand and side; in their order."""
+    return _grouped(rows, ("recording", "hand", "side"))  # type: ignore[return-value]
+
+
+def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows of one hand, left and right together; in their order."""
+    return {hand: group for (hand,), group in _grouped(rows, ("hand",)).items()}
+
+
+def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
+    """What failed: recording and hand, methods, reason; methods that share a reason together."""
+    told: list[tuple[str, str, str]] = []
+    for (recording, hand, side), own in by_panel(rows).items():
+        reasons: dict[str, list[str]] = {}
+        for row in own:
+            if row["status"] != "ok":
+                reasons.setdefault(str(row["reason"]), []).append(row_method(row))
+        for reason, methods in reasons.items():
+            every = len(methods) == len(own) > 1
+            named = f"all {len(own)} methods" if every else ", ".join(methods)
+            told.append((f"{recording} on {hand} {side}", named, reason))
+    return told
+
+
+def best(lines: Sequence[Line], metric: Metric) -> set[int]:
+    """Which lines are the best at a metric; none where it is no merit, or all are alike.
+
+    Lines that look the same are equally good: what can't be read can't be better.
+    """
+    if not metric.goal:
+        return set()
+    merits = {
+        i: merit(metric, value)
+        for i, line in enumerate(lines)
+        if (value := line.values.get(metric.name)) is not None and line.count == line.of
+    }
+    shown = {i: shown_value(metric, lines[i].values[metric.name]) for i in merits}
+    if len(merits) < 2 or len(set(shown.values())) < 2:
+        return set()
+    top = max(merits, key=lambda i: merits[i])
+    return {i for i in merits if shown[i] == shown[top] or merits[i] == merits[top]}
+
+
+def merit(metric: Metric, value: float) -> float:
+    """How good a value is: the more the better, 0 at the most for a metric that goes to one."""
+    if metric.goal == "->1":
+        return -abs(value - 1.0)
+    return -value if metric.goal == "down" else value
+
+
+def shown_value(metric: Metric, value: float | None) -> str:
+    """A value as tables print it."""
+    if value is None:
+        return "–"
+    if metric.name in ("frames",):
+        return f"{value:.0f}"
+    if metric.name.startswith("workspace_utilisation") or metric.name.endswith("share"):
+        return f"{100 * value:.1f} %"
+    if metric.name == "flatness" or (value and abs(value) < 1e-3):
+        return f"{value:.2e}"
+    return f"{value:.4f}" if metric.goal == "->1" else f"{value:.4g}"
+
+
+def _grouped(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[str, ...], list[Any]]:
+    groups: dict[tuple[str, ...], list[Any]] = {}
+    for row in rows:
+        groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    return groups

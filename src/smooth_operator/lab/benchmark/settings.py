@@ -1,0 +1,154 @@
+"""What a benchmark is asked to do, and which methods that names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
+from smooth_operator.hands.catalogue import hand_names, load_hand
+from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.presets import PRESETS, method_config
+from smooth_operator.metrics import Definition
+from smooth_operator.types import Side
+
+ALL: Final = "all"
+LATENCY_FRAMES: Final = 500
+"""Frames of each recording that latency is measured over, after the warm-up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What to measure, and where to write it.
+
+    Attributes:
+        output: folder of the results.
+        recordings: files, folders, or ``synthetic``; see ``smooth_operator.lab.benchmark.sources``.
+        hands: names of robot hands.
+        methods: names as ``select_methods`` takes them.
+        frames: ``A:B``, of each recording that brings no range of its own.
+        rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
+        side: side of recordings that do not say theirs.
+        seed: of the methods' random numbers.
+        definition: of the metrics.
+        latency_frames: frames to measure latency over; 0 measures none.
+        workers: processes for the quality of cells; None for one per core, 0 for none.
+        cluster: address of a Ray cluster instead of processes on this machine.
+        fingers: robot finger -> human finger that drives it; None for all fingers of each hand.
+        operator: the calibrated operator of the recordings; None for none.
+
+    Raises:
+        ConfigError: a number is negative.
+        UnknownNameError: there is no such hand, method or preset.
+    """
+
+    output: Path
+    recordings: tuple[str, ...] = ("synthetic",)
+    hands: tuple[str, ...] = ("mimic_p050",)
+    methods: tuple[str, ...] = (ALL,)
+    frames: str | None = None
+    rate: float | None = None
+    layout: str | None = None
+    side: Side | None = None
+    seed: int = 0
+    definition: Definition = "sound"
+    latency_frames: int = LATENCY_FRAMES
+    workers: int | None = None
+    cluster: str | None = None
+    fingers: Mapping[str, str] | None = None
+    operator: OperatorProfile | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("latency_frames", "workers"):
+            value = getattr(self, name)
+            if value is not None and value < 0:
+                raise ConfigError(f"{name} must be 0 or more, not {value}")
+        object.__setattr__(self, "hands", select_hands(self.hands))
+        select_methods(self.methods)
+
+
+def select_hands(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of hands, ``all`` spelt out and repeats left out.
+
+    Raises:
+        UnknownNameError: there is no such hand.
+        ConfigError: there is no name at all.
+    """
+    chosen: dict[str, None] = {}
+    for name in names:
+        if name == ALL:
+            chosen |= dict.fromkeys(hand_names())
+            continue
+        try:
+            load_hand(name)
+        except UnknownNameError:
+            raise
+        except SmoothOperatorError:
+            pass  # known, but of the other side only, or damaged: its cells say so
+        chosen[name] = None
+    if not chosen:
+        raise ConfigError(f"name at least one hand: {', '.join(hand_names())}, or all")
+    return tuple(chosen)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method to measure.
+
+    Attributes:
+        method: its name.
+        preset: name of its preset, or of a file with its model.
+        config: its configuration.
+    """
+
+    method: str
+    preset: str
+    config: MethodConfig
+
+
+def select_methods(names: tuple[str, ...]) -> list[Choice]:
+    """Methods and presets by name.
+
+    Args:
+        names: ``all`` for each method with its default preset, ``METHOD`` for one with its default,
+            ``METHOD:PRESET`` for a preset, ``METHOD:all`` for all presets of a method, and
+            ``METHOD:FILE`` for a trained model, where the method has one.
+
+    Returns:
+        The methods in the order asked for, repeats left out.
+
+    Raises:
+        UnknownNameError: there is no such method or preset.
+        ConfigError: there is no name at all.
+    """
+    chosen: dict[tuple[str, str], MethodConfig] = {}
+    for name in names:
+        method, colon, preset = name.partition(":")
+        if name == ALL:
+            for each, presets in PRESETS.items():
+                default = next(iter(presets))
+                chosen[each, default] = presets[default]
+            continue
+        if method not in PRESETS:
+            raise UnknownNameError("method", method, (*PRESETS, ALL))
+        presets = PRESETS[method]
+        default = next(iter(presets))
+        if preset == ALL:
+            chosen |= {(method, each): config for each, config in presets.items()}
+        elif not colon:
+            chosen[method, default] = presets[default]
+        else:
+            chosen[method, preset] = method_config(method, preset)
+    if not chosen:
+        raise ConfigError(f"name at least one method: {', '.join(PRESETS)}, or all")
+    return [Choice(method, preset, config) for (method, preset), config in chosen.items()]
+
+
+def method_label(method: str, preset: str) -> str:
+    """How a method is called in tables: the name alone for its default preset."""
+    default = next(iter(PRESETS.get(method, {})), None)
+    return method if preset == default else f"{method}:{preset}"

@@ -1,0 +1,179 @@
+"""Doing a benchmark: quality of all cells at once, then their latency alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TypeAlias
+
+from smooth_operator.lab.benchmark.cells import Cell, cells_of
+from smooth_operator.lab.benchmark.latency import Latency, measure_latency
+from smooth_operator.lab.benchmark.quality import Task, measure_cell
+from smooth_operator.lab.benchmark.settings import Settings, select_methods
+from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.benchmark.store import Kept, Store, check_folder
+from smooth_operator.parallel import run_tasks
+
+Advance: TypeAlias = Callable[[str, str | None], None]
+"""Called with the label of a cell that is done, and why it failed or None."""
+
+Track: TypeAlias = Callable[[str, int, int], AbstractContextManager[Advance]]
+"""Opens the display of a phase: its name, how many cells it has, how many were done before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """What became of a cell.
+
+    Attributes:
+        cell: the cell.
+        kept: what was measured; None where it failed.
+        reason: why it failed; None where it did not.
+        latency: measured alone; None where it was not asked for, or the cell failed.
+        fresh: done by this run, not found done.
+    """
+
+    cell: Cell
+    kept: Kept | None
+    reason: str | None
+    latency: Latency | None
+    fresh: bool
+
+
+@contextmanager
+def silent(name: str, total: int, done: int) -> Iterator[Advance]:
+    """A display that shows nothing."""
+    yield lambda label, reason: None
+
+
+def plan_cells(settings: Settings) -> list[Cell]:
+    """All that is to be measured; reads the recordings, writes nothing.
+
+    Raises:
+        SmoothOperatorError: what was asked for can't be: an unknown name, no recording that can be
+            read, a folder that holds something else.
+    """
+    check_folder(settings.output)
+    requests = [
+        parse_request(
+            text,
+            frames=settings.frames,
+            rate=settings.rate,
+            side=settings.side,
+            layout=settings.layout,
+        )
+        for text in settings.recordings
+    ]
+    return cells_of(load_sources(requests), settings, select_methods(settings.methods))
+
+
+def run_suite(settings: Settings, cells: Sequence[Cell], track: Track = silent) -> list[Finished]:
+    """Measures all cells; those that an earlier run in the folder has finished are taken from it.
+
+    Each finished cell is written at once, so that a run that is stopped loses those only that it
+    was at. A cell that fails has a reason in place of figures, and the rest goes on.
+
+    Args:
+        settings: what was asked for.
+        cells: of ``plan_cells``.
+        track: shows the progress.
+
+    Returns:
+        What became of each cell, in their order.
+
+    Raises:
+        OutputError: a result can't be written.
+        ConfigError: the workers can't be.
+    """
+    store = Store(settings)
+    kept = {cell.key: found for cell in cells if (found := _load(store, cell)) is not None}
+    before = set(kept)
+    reasons = {c.key: c.source.error for c in cells if c.source.error is not None}
+    _measure_quality(store, cells, kept, reasons, track)
+    latencies: dict[tuple[str, ...], Latency] = {}
+    if settings.latency_frames:
+        alive = [cell for cell in cells if cell.key in kept]
+        _measure_latency(store, alive, latencies, track)
+    return [
+        Finished(
+            cell,
+            kept.get(cell.key),
+            reasons.get(cell.key),
+            latencies.get(cell.key),
+            cell.key not in before,
+        )
+        for cell in cells
+    ]
+
+
+def _load(store: Store, cell: Cell) -> Kept | None:
+    return None if cell.source.recording is None else store.load(cell)
+
+
+def _measure_quality(
+    store: Store,
+    cells: Sequence[Cell],
+    kept: dict[tuple[str, str, str, str, str], Kept],
+    reasons: dict[tuple[str, str, str, str, str], str],
+    track: Track,
+) -> None:
+    settings = store.settings
+    todo = [cell for cell in cells if cell.key not in kept and cell.key not in reasons]
+    # The long ones first, or the last worker would be at one while the others wait.
+    todo.sort(key=lambda cell: -len(cell.source.recording or ()))
+    tasks = [_task(cell, settings) for cell in todo]
+    with track("quality", len(kept) + len(todo), len(kept)) as advance:
+        if not tasks:
+            return
+        results = run_tasks(measure_cell, tasks, workers=settings.workers, cluster=settings.cluster)
+        try:
+            for result in results:
+                cell = todo[result.index]
+                if result.value is None:
+                    reasons[cell.key] = result.error or "it returned nothing"
+                else:
+                    kept[cell.key] = store.save(cell, result.value, result.seconds)
+                advance(cell.label, reasons.get(cell.key))
+        finally:
+            if isinstance(results, Generator):
+                results.close()  # stops the workers at once, and not when it is collected
+
+
+def _task(cell: Cell, settings: Settings) -> Task:
+    assert cell.source.recording is not None  # those without are not begun
+    return Task(
+        cell.source.recording, cell.hand, cell.method, cell.preset, cell.config, settings.seed,
+        settings.definition, cell.fingers,
+    )  # fmt: skip
+
+
+def _measure_latency(
+    store: Store,
+    cells: Sequence[Cell],
+    latencies: dict[tuple[str, ...], Latency],
+    track: Track,
+) -> None:
+    settings = store.settings
+    # By hand first: its retargeters then serve one recording after the other.
+    ordered = sorted(cells, key=lambda c: (c.hand, c.side, c.source.name))
+    groups = [list(g) for _, g in groupby(ordered, lambda c: (c.hand, c.side, c.source.name))]
+    todo = []
+    for group in groups:
+        found = [store.load_latency(cell) for cell in group]
+        # All of a group or none: figures that shall be compared are taken side by side.
+        if all(latency is not None for latency in found):
+            latencies |= {c.key: ms for c, ms in zip(group, found, strict=True) if ms is not None}
+        else:
+            todo.append(group)
+    left = sum(len(group) for group in todo)
+    with track("latency, alone", len(cells), len(cells) - left) as advance:
+        for group in todo:
+            measured = measure_latency(
+                group, settings.latency_frames, settings.seed, lambda c: advance(c.label, None)
+            )
+            for cell, latency in zip(group, measured, strict=True):
+                latencies[cell.key] = latency
+                if latency.reason is None:
+                    store.save_latency(cell, latency)

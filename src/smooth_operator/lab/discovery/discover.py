@@ -1,0 +1,323 @@
+"""The whole analysis: file in, description and findings out."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.lab.discovery.bases import bases_finding, fix_bases
+from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, holds
+from smooth_operator.lab.discovery.checklist import checklist
+from smooth_operator.lab.discovery.couplings import coupling_notes, find_couplings
+from smooth_operator.lab.discovery.findings import Discovery, FoundFinger
+from smooth_operator.lab.discovery.landmarks import find_wrist, finger_points
+from smooth_operator.lab.discovery.layout import Layout, find_layout
+from smooth_operator.lab.discovery.motion import Bending, find_bending, sample_reach
+from smooth_operator.lab.discovery.neutral import find_neutral
+from smooth_operator.lab.discovery.overrules import Overrules
+from smooth_operator.lab.discovery.reading import read_skeleton
+from smooth_operator.lab.discovery.skeleton import Skeleton
+from smooth_operator.lab.discovery.thumb import Thumb, find_thumb
+from smooth_operator.lab.discovery.tips import Tip, find_tip
+from smooth_operator.lab.discovery.words import fingers_said, side_said
+from smooth_operator.landmarks import FINGERS
+from smooth_operator.types import Side, as_side
+
+_TURNS: Final = 4 * np.pi  # [rad]: no joint of a finger has such a range
+_GENERIC: Final = {
+    *("right", "left", "rh", "lh", "r", "l", "hand", "robot", "model", "scene", "description"),
+    *("urdf", "mjcf", "kinematics", "only"),
+}
+
+
+class _Analysis:
+    """One palm and what can be said of it."""
+
+    def __init__(
+        self, skeleton: Skeleton, tree: HandTree, side: Side | None, overrules: Overrules
+    ) -> None:
+        self.skeleton, self.tree = skeleton, tree
+        at = skeleton.place(skeleton.reference)
+        chains = tree.chains
+        for chain in chains:
+            _check_joints(skeleton, chain)
+        said = fingers_said([_names(skeleton, chain) for chain in chains])
+        self.chosen = _chosen(skeleton, chains, overrules)
+        self.tips = tuple(find_tip(skeleton, chain, at) for chain in chains)
+        self.bends: tuple[Bending, ...] = find_bending(skeleton, chains, self.tips)
+        self.reach = reach = sample_reach(skeleton, chains, self.tips, self.bends)
+        thumb = find_thumb(chains, self.bends, reach, said)
+        given = next((i for i, name in self.chosen.items() if name == "thumb"), None)
+        if given is not None:
+            thumb = Thumb(given, 1.0, ("given",))
+        self.thumb = thumb
+        own = [n for chain in chains for n in _names(skeleton, chain)]
+        palm = [skeleton.body_name(b) for b in skeleton.rigid(tree.palm)] if tree.palm else []
+        self.layout: Layout = find_layout(
+            chains, self.bends, reach, thumb.index, said, side_said([*own, *palm]), side
+        )
+
+
+def discover(
+    path: str | Path,
+    *,
+    side: Side | None = None,
+    name: str | None = None,
+    overrules: Overrules | None = None,
+) -> Discovery:
+    """Reads a model and works out how it is a hand.
+
+    Nothing is keyed to a product: the palm is where chains branch, the thumb is what closes
+    against the others, the side follows from where the fingers point, close and have their thumb.
+    Names count as weak evidence, and are said to.
+
+    Args:
+        path: URDF or MJCF file, with or without its meshes.
+        side: which hand; chooses between two in one file.
+        name: of the description; from the file's name if left out.
+        overrules: what a person knows better.
+
+    Returns:
+        the description and every finding with confidence and evidence.
+
+    Raises:
+        HandModelError: the file can't be used, or holds no hand, or two and no side is given.
+        UnknownNameError: what overrules name is not in the model.
+    """
+    path = Path(path)
+    side = None if side is None else as_side(side)
+    overrules = overrules or Overrules()
+    skeleton, notes = read_skeleton(path)
+    branches = Branches(skeleton)
+    if overrules.palm is not None:
+        wanted = tuple(where for _, where in overrules.fingers)
+        trees: tuple[HandTree, ...] = (branches.at(overrules.palm, wanted),)
+    else:
+        trees = branches.find()
+    analysis = _choose(skeleton, trees, side, overrules, path)
+    return _described(analysis, path, name, overrules, notes, len(trees))
+
+
+def _choose(
+    skeleton: Skeleton,
+    trees: tuple[HandTree, ...],
+    side: Side | None,
+    overrules: Overrules,
+    path: Path,
+) -> _Analysis:
+    if len(trees) == 1:
+        return _Analysis(skeleton, trees[0], side, overrules)
+    blank = Overrules()
+    seen = [(tree, _Analysis(skeleton, tree, None, blank).layout) for tree in trees]
+    found = "; ".join(
+        f"palm {skeleton.body_name(tree.palm)!r}, {layout.side} ({layout.side_confidence:.2f})"
+        for tree, layout in seen
+    )
+    fits = [tree for tree, layout in seen if layout.side == side]
+    if len(fits) != 1:
+        hint = "give --side right or --side left" if side is None else "name one with --palm"
+        raise HandModelError(f"{path} holds {len(trees)} hands ({found}); {hint}")
+    return _Analysis(skeleton, fits[0], side, overrules)
+
+
+def _described(
+    analysis: _Analysis,
+    path: Path,
+    name: str | None,
+    overrules: Overrules,
+    notes: tuple[str, ...],
+    hands: int,
+) -> Discovery:
+    skeleton, tree, layout = analysis.skeleton, analysis.tree, analysis.layout
+    chains = tree.chains
+    at = skeleton.place(skeleton.reference)
+    order, names = _ordered(analysis)
+    tips = dict(zip(order, (analysis.tips[i] for i in order), strict=True))
+    for finger, point in overrules.tips:
+        if finger not in names:
+            raise HandModelError(
+                f"--tip names the finger {finger!r}; this hand has {', '.join(names)}"
+            )
+        i = order[names.index(finger)]
+        tips[i] = _given_tip(skeleton, chains[i], finger, point)
+    _check_tips_differ([(n, tips[i]) for i, n in zip(order, names, strict=True)])
+    fingers = tuple(
+        FingerSpec(
+            finger,
+            finger_points(
+                skeleton, chains[i], analysis.bends[i], tips[i].point, finger == "thumb", at
+            ),
+        )
+        for i, finger in zip(order, names, strict=True)
+    )
+    neutral, neutral_said = find_neutral(skeleton, chains, analysis.bends, analysis.reach, order)
+    fingers, moved_bases = fix_bases(
+        skeleton, tree.palm, fingers, analysis.reach, skeleton.place(skeleton.posed(neutral))
+    )
+    wrist, wrist_sure, wrist_why = find_wrist(skeleton, tree.palm, chains, layout, at)
+    if overrules.wrist is not None:
+        _body(skeleton, overrules.wrist.body)
+        wrist, wrist_sure, wrist_why = overrules.wrist, 1.0, ("given",)
+    spec = HandSpec(
+        name=name or _name(path),
+        side=layout.side,
+        model=path.absolute(),
+        palm=skeleton.body_name(tree.palm),
+        wrist=wrist,
+        fingers=fingers,
+        align=_align(names),
+        source=f"worked out from {path.name}",
+        neutral=neutral,
+    )
+    moved = frozenset(j for chain in chains for j in chain.joints)
+    coupled, coupled_finding = find_couplings(skeleton, moved)
+    assign = min(layout.order_confidence, layout.names_confidence)
+    found = tuple(
+        FoundFinger(
+            name=finger,
+            tip_body=tips[i].point.body,
+            tip_offset=tips[i].point.offset,
+            joints=tuple(skeleton.joint_names[j] for j in chains[i].joints),
+            confidence=min(
+                tips[i].confidence,
+                analysis.thumb.confidence if finger == "thumb" else assign,
+            ),
+        )
+        for i, finger in zip(order, names, strict=True)
+    )
+    findings = checklist(
+        skeleton=skeleton,
+        tree=tree,
+        layout=layout,
+        thumb=analysis.thumb,
+        order=order,
+        names=names,
+        given=frozenset(analysis.chosen.values()),
+        tips=tips,
+        coupled=coupled_finding,
+        wrist=(wrist, wrist_sure, wrist_why),
+        bases=bases_finding(moved_bases),
+        neutral=neutral_said,
+        spec=spec,
+        palm_given=overrules.palm is not None,
+        hands=hands,
+    )
+    notes = (*notes, *coupling_notes(coupled), *tree.left_out)
+    return Discovery(spec, findings, found, coupled, notes)
+
+
+def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Chains thumb first, and their human fingers, with what a person named in its place."""
+    layout, chosen = analysis.layout, analysis.chosen
+    order, names = list(layout.order), list(layout.names)
+    free = [n for n in names if n not in chosen.values()]
+    named = {i: chosen.get(i, "") for i in order}
+    for i, found in zip(order, names, strict=True):
+        if not named[i]:
+            named[i] = found if found in free else free[0]
+            free.remove(named[i])
+    ranked = sorted(order, key=lambda i: FINGERS.index(named[i])) if chosen else order
+    return tuple(ranked), tuple(named[i] for i in ranked)
+
+
+def _chosen(skeleton: Skeleton, chains: tuple[Chain, ...], overrules: Overrules) -> dict[int, str]:
+    """Chain -> human finger, where a person said so."""
+    pairs = list(overrules.fingers)
+    if overrules.thumb is not None:
+        pairs = [("thumb", overrules.thumb), *(p for p in pairs if p[0] != "thumb")]
+    out: dict[int, str] = {}
+    for finger, where in pairs:
+        holding = [i for i, chain in enumerate(chains) if holds(skeleton, chain, where)]
+        if not holding:
+            parts = {n for chain in chains for n in _names(skeleton, chain)}
+            raise UnknownNameError("body or joint of a finger", where, parts)
+        i = holding[0]
+        if i in out:
+            raise HandModelError(
+                f"{where!r} is given as {finger}, but it is of the same finger as {out[i]}"
+            )
+        out[i] = finger
+    return out
+
+
+def _names(skeleton: Skeleton, chain: Chain) -> list[str]:
+    bodies = [*chain.bodies, *(b for b in skeleton.rigid(chain.last) if b not in chain.bodies)]
+    joints = [skeleton.joint_names[j] for j in chain.own]
+    return [*(skeleton.body_name(b) for b in bodies), *joints]
+
+
+def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
+    for j in chain.joints:
+        name = skeleton.joint_names[j]
+        if not skeleton.moves[j]:
+            raise HandModelError(
+                f"joint {name!r} of a finger is a ball or free joint; a hand's joints must be "
+                "hinges or slides: write it as hinges in the file"
+            )
+        if not skeleton.bounded[j] and j not in skeleton.leaders:
+            raise HandModelError(
+                f"joint {name!r} of a finger has no limits; give it some in the file (URDF: "
+                '<limit lower="…" upper="…"/>, MJCF: range="… …")'
+            )
+        low, high = skeleton.limits[j]
+        if skeleton.turns[j] and skeleton.bounded[j] and high - low > _TURNS:
+            raise HandModelError(
+                f"joint {name!r} of a finger has the limits {low:g} to {high:g} rad, more than two "
+                "turns: are they degrees? A URDF's are radians, and so are an MJCF's under "
+                '<compiler angle="radian"/>; mend them in the file'
+            )
+
+
+def _given_tip(skeleton: Skeleton, chain: Chain, finger: str, point: Point) -> Tip:
+    body = _body(skeleton, point.body)
+    rigid = skeleton.rigid(chain.last)
+    if body not in rigid:
+        options = ", ".join(repr(skeleton.body_name(b)) for b in rigid)
+        raise HandModelError(
+            f"--tip puts the tip of {finger} on {point.body!r}; it must be fixed to that finger's "
+            f"last link: {options}"
+        )
+    at = skeleton.place(skeleton.reference)
+    x, y, z = (float(c) for c in at.world(body, np.array(point.offset)))
+    return Tip(point, 1.0, ("given",), (x, y, z))
+
+
+def _check_tips_differ(tips: list[tuple[str, Tip]]) -> None:
+    seen: dict[Point, str] = {}
+    for finger, tip in tips:
+        if tip.point in seen:
+            raise HandModelError(
+                f"{seen[tip.point]} and {finger} have the same tip, {tip.point.body!r}; give each "
+                f"its own: --tip {finger}=BODY:x,y,z"
+            )
+        seen[tip.point] = finger
+
+
+def _body(skeleton: Skeleton, name: str) -> int:
+    names = [skeleton.body_name(b) for b in range(skeleton.model.nbody)]
+    if name not in names:
+        raise UnknownNameError("body", name, names)
+    return names.index(name)
+
+
+def _align(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Landmarks that fix the palm: as the paper's authors, the outer fingers' bases."""
+    if len(names) == 2:
+        return (*names, "wrist")
+    return (names[0], names[1], names[-1])
+
+
+def _name(path: Path) -> str:
+    """A name from the file's, or its folder's where the file's says nothing."""
+    for text in (path.stem, path.absolute().parent.name):
+        parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
+        kept = [w for w in parts if w not in _GENERIC]
+        if kept:
+            words = [w for w in parts if w not in _GENERIC or w == "hand"]
+            return "_".join(words)
+    return "hand"

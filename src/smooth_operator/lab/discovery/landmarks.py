@@ -1,0 +1,148 @@
+"""Joint landmarks of a finger, and the wrist."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.hands.spec import Point
+from smooth_operator.lab.discovery.branches import Chain
+from smooth_operator.lab.discovery.layout import Layout
+from smooth_operator.lab.discovery.motion import Bending
+from smooth_operator.lab.discovery.skeleton import Placement, Skeleton
+from smooth_operator.lab.discovery.words import says_wrist
+
+_BESIDE: Final = 0.09  # of a finger's length: a joint this close to the knuckle is part of it
+_APART: Final = 0.06  # of a finger's length, between two landmarks of a finger
+_CLEAR: Final = 0.2  # of a finger's length: a frame this close to a finger's base is that base
+_WRIST: Final = 0.95  # wrist to knuckles, in finger lengths, of a human hand
+
+
+def finger_points(
+    skeleton: Skeleton, chain: Chain, bend: Bending, tip: Point, is_thumb: bool, at: Placement
+) -> tuple[Point, Point | None, Point | None, Point]:
+    """The robot's counterparts of a finger's four human landmarks.
+
+    A joint's origin may lie anywhere on its axis; where it is beside the finger, the landmark is
+    put on the axis level with the tip.
+
+    Args:
+        skeleton: the model.
+        chain: the finger.
+        bend: how it bends.
+        tip: its tip.
+        is_thumb: a thumb's first landmark is its first joint of all, a finger's is its knuckle.
+        at: the reference pose.
+    """
+    body = int(skeleton.model.body(tip.body).id)
+    end = at.world(body, np.array(tip.offset))
+    if not bend.joints:  # slides only: level with the tip, where the finger starts
+        first = chain.own[0]
+        start = at.anchors[first]
+        offset = end - start
+        start = start + offset - (offset @ bend.along) * bend.along
+        return _point(skeleton, at, first, start), None, None, tip
+    joints = list(bend.joints)
+    knuckle = joints[0]
+    base = next(
+        j
+        for j in chain.own
+        if is_thumb
+        or j == knuckle
+        or np.linalg.norm(at.anchors[j] - at.anchors[knuckle]) < _BESIDE * chain.length
+    )
+    apart = _APART * chain.length
+    where = at.anchors[base]
+    if base == knuckle and not is_thumb:
+        where = _level(at, base, end, chain.length)
+    kept: list[tuple[int, np.ndarray]] = []
+    for j in joints:
+        place = _level(at, j, end, chain.length)
+        before = kept[-1][1] if kept else where
+        if np.linalg.norm(place - before) > apart and np.linalg.norm(place - end) > apart:
+            kept.append((j, place))
+    middle = [_point(skeleton, at, j, place) for j, place in kept[-2:]]
+    if len(middle) == 1:  # a last link that is rigid stands for two human ones
+        half = (kept[-1][1] + end) / 2
+        middle.append(_fixed(skeleton, at, int(skeleton.model.jnt_bodyid[kept[-1][0]]), half))
+    first_point = _point(skeleton, at, base, where)
+    mcp, pip = (middle[0], middle[1]) if middle else (None, None)
+    return first_point, mcp, pip, tip
+
+
+def _level(at: Placement, joint: int, end: np.ndarray, length: float) -> np.ndarray:
+    """A joint's origin; if that is beside the finger, the point of its axis level with the tip."""
+    anchor: np.ndarray = at.anchors[joint]
+    axis = at.axes[joint]
+    shift = float((end - anchor) @ axis)
+    # only for a hinge across the finger: one along it, such as a twist, runs towards the tip
+    across = abs(shift) < 0.3 * float(np.linalg.norm(end - anchor))
+    if across and 0.03 * length < abs(shift):
+        anchor = anchor + shift * axis
+    return anchor
+
+
+def _point(skeleton: Skeleton, at: Placement, joint: int, place: np.ndarray) -> Point:
+    body = int(skeleton.model.jnt_bodyid[joint])
+    return _fixed(skeleton, at, body, place)
+
+
+def _fixed(skeleton: Skeleton, at: Placement, body: int, place: np.ndarray) -> Point:
+    x, y, z = (round(float(c), 6) + 0.0 for c in at.local(body, place))
+    return Point(skeleton.body_name(body), (x, y, z))
+
+
+def find_wrist(
+    skeleton: Skeleton, palm: int, chains: tuple[Chain, ...], layout: Layout, at: Placement
+) -> tuple[Point, float, tuple[str, ...]]:
+    """The wrist, fixed to the palm: a joint or frame behind the knuckles, else the palm's heel.
+
+    Returns:
+        the point, its confidence, the reasons.
+    """
+    others = [chains[i] for i in layout.order[1:]]
+    knuckles = np.mean([c.base for c in others], axis=0)
+    length = float(np.median([c.length for c in others]))
+
+    def behind(place: np.ndarray) -> float:
+        return float((knuckles - place) @ layout.forward)
+
+    rigid = skeleton.rigid(palm) if palm else (0,)
+    for body in rigid:
+        for j in skeleton.joints_of(body):
+            if skeleton.turns[j] and 0.2 * length < behind(at.anchors[j]) < 2 * length:
+                why = f"joint {skeleton.joint_names[j]!r} moves the whole palm"
+                return _fixed(skeleton, at, palm, at.anchors[j]), 0.9, (why,)
+    frames = [(skeleton.body_name(b), at.bodies[b]) for b in rigid]
+    frames += [
+        (str(skeleton.model.site(int(s)).name), at.sites[s])
+        for s in np.flatnonzero(np.isin(skeleton.model.site_bodyid, rigid))
+    ]
+    for name, place in frames:
+        if says_wrist(name) and 0.2 * length < behind(place) < 2.5 * length:
+            why = f"{name!r} is fixed to the palm, behind the knuckles, and its name says so"
+            return _fixed(skeleton, at, palm, place), 0.85, (why,)
+    expected = knuckles - _WRIST * length * layout.forward
+    clouds = [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
+    if clouds:
+        points = np.concatenate(clouds)
+        back = (knuckles - points) @ layout.forward
+        heel = float(np.quantile(back, 0.995))
+        if 0.4 * length < heel < 2.2 * length:
+            near = points[back > heel - 0.15 * length]
+            place = (near.min(axis=0) + near.max(axis=0)) / 2
+            why = "the heel of the palm's shape, opposite the fingers"
+            return _fixed(skeleton, at, palm, place), 0.65, (why,)
+    starts = np.array([at.anchors[c.own[0]] for c in chains])
+    for body in (b for b in reversed(skeleton.path(palm) or (palm,)) if b in rigid):
+        origin = at.bodies[body]
+        clear = float(np.linalg.norm(starts - origin, axis=1).min())
+        if clear > _CLEAR * length and 0.5 * length < behind(origin) < 2.2 * length:
+            what = "the palm"
+            if body != palm:
+                what = f"{skeleton.body_name(body)!r}, which the palm is mounted on"
+            why = f"origin of {what}, about as far behind the knuckles as a human wrist"
+            return _fixed(skeleton, at, palm, origin), 0.6, (why,)
+    why = "nothing marks it: as far behind the knuckles as a human wrist"
+    return _fixed(skeleton, at, palm, expected), 0.35, (why,)

@@ -1,0 +1,157 @@
+"""Fingertips: a site or tip link where there is one, else the far end of the last link's shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.hands.spec import Point
+from smooth_operator.lab.discovery.branches import Chain
+from smooth_operator.lab.discovery.ends import far_end
+from smooth_operator.lab.discovery.skeleton import Placement, Skeleton
+from smooth_operator.lab.discovery.words import says_tip
+
+_NAMED: Final = 0.3  # how far along the last link a frame called tip must be, of its length
+_UNNAMED: Final = 0.65  # and a frame that is not called so
+_WEIGHS: Final = 1e-5  # [kg]: less is what loading gives to links without inertia
+_AGREE: Final = 0.012  # [m] between a frame and the end of the shape, for both to mean the tip
+
+
+@dataclass(frozen=True)
+class Tip:
+    """A fingertip: where, how sure, why."""
+
+    point: Point
+    confidence: float
+    evidence: tuple[str, ...]
+    position: tuple[float, float, float]  # world, reference pose [m]
+
+
+def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
+    """The fingertip of a chain.
+
+    Frames fixed to the last link (sites and links without joints) are taken if they lie well along
+    it; a frame at its joint, as the last link's own origin is, never is one.
+
+    Args:
+        skeleton: the model.
+        chain: the finger.
+        at: the reference pose.
+    """
+    rigid = skeleton.rigid(chain.last)
+    joint = chain.joints[-1]
+    anchor, axis = at.anchors[joint], at.axes[joint]
+    reach = np.linalg.norm(np.diff([at.anchors[j] for j in chain.own], axis=0), axis=1)
+    clouds = [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
+    end = far_end(clouds, anchor, axis, float(max(reach.sum(), 0.02)))
+
+    frames: list[tuple[str, str, np.ndarray, int, np.ndarray]] = []
+    for s in np.flatnonzero(np.isin(skeleton.model.site_bodyid, rigid)):
+        body = int(skeleton.model.site_bodyid[s])
+        local = np.asarray(skeleton.model.site_pos[s], float)
+        frames.append(("site", str(skeleton.model.site(int(s)).name), local, body, at.sites[s]))
+    leaves = set(rigid) - {int(skeleton.model.body_parentid[b]) for b in rigid} - {chain.last}
+    frames += [
+        ("link", skeleton.body_name(b), np.zeros(3), b, at.bodies[b]) for b in sorted(leaves)
+    ]
+
+    def along(point: np.ndarray) -> float:
+        if end is None:
+            return float(np.linalg.norm(point - anchor))
+        far = end.far - anchor
+        return float((point - anchor) @ far / np.linalg.norm(far))
+
+    length = along(end.far) if end is not None else max((along(f[4]) for f in frames), default=0.0)
+    fit = [
+        (kind, name, local, body, world)
+        for kind, name, local, body, world in frames
+        if length > 1e-4 and along(world) > (_NAMED if says_tip(name) else _UNNAMED) * length
+        if np.linalg.norm(world - anchor) < 1.2 * chain.length + 0.01
+        if np.linalg.norm(world - anchor) > 1e-3
+    ]
+    if fit:
+        # called a tip, then the farther one, then the site: it says more exactly what is meant
+        kind, name, local, body, world = max(
+            fit, key=lambda f: (says_tip(f[1]), round(along(f[4]), 4), f[0] == "site")
+        )
+        evidence = [f"{kind} {name!r} fixed to the last link"]
+        confidence = 0.8
+        if says_tip(name):
+            confidence += 0.1
+            evidence.append("its name says so")
+        if end is not None:
+            apart = float(np.linalg.norm(world - end.far))
+            evidence.append(f"{apart * 1e3:.1f} mm from the far end of the shape")
+            confidence += 0.08 if apart < _AGREE else -0.05
+        else:
+            evidence.append("the last link has no shape to compare with")
+        return _tip(local, skeleton.body_name(body), confidence, evidence, world)
+    if end is not None:
+        body = _outermost(skeleton, rigid, at, end.far)
+        evidence = ["far end of the last link's shape, on its middle line"]
+        confidence = 0.75
+        if end.nail:
+            evidence.append(
+                "a little behind it: the back juts out like a nail, and the pad is meant"
+            )
+            confidence = 0.6
+        if frames:
+            evidence.append(f"{frames[0][1]!r} is not there: it lies at the joint or half-way")
+        return _tip(
+            at.local(body, end.tip), skeleton.body_name(body), confidence, evidence, end.tip
+        )
+    guess, confidence, why = _extrapolated(skeleton, chain, at)
+    return _tip(
+        at.local(chain.last, guess),
+        skeleton.body_name(chain.last),
+        confidence,
+        ["no site, no tip link and no shape at the end of the finger", why],
+        guess,
+    )
+
+
+def _tip(
+    local: np.ndarray, body: str, confidence: float, evidence: list[str], world: np.ndarray
+) -> Tip:
+    x, y, z = (round(float(c), 6) + 0.0 for c in local)
+    u, v, w = (float(c) for c in world)
+    return Tip(Point(body, (x, y, z)), round(confidence, 2), tuple(evidence), (u, v, w))
+
+
+def _outermost(skeleton: Skeleton, rigid: tuple[int, ...], at: Placement, far: np.ndarray) -> int:
+    """Of the bodies of the last link, the one whose shape reaches the far end."""
+    best, nearest = rigid[0], np.inf
+    for body in rigid:
+        for cloud in skeleton.clouds.get(body, ()):
+            distance = float(np.linalg.norm(at.world(body, cloud) - far, axis=1).min())
+            if distance < nearest - 1e-6:
+                best, nearest = body, distance
+    return best
+
+
+def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.ndarray, float, str]:
+    """A guess where nothing shows the end: its place, how sure, and from what."""
+    joint = chain.joints[-1]
+    anchor, axis = at.anchors[joint], at.axes[joint]
+    step = np.zeros(3)
+    for earlier in reversed(chain.own[:-1]):
+        step = anchor - at.anchors[earlier]
+        step = step - (step @ axis) * axis
+        if np.linalg.norm(step) > 5e-3:
+            break
+    before = float(np.linalg.norm(step))
+    # The centre of mass of a rod is half-way. A link without inertia of its own has none.
+    mass = at.world(chain.last, np.asarray(skeleton.model.body_ipos[chain.last], float)) - anchor
+    mass = mass - (mass @ axis) * axis
+    reach = 2 * float(np.linalg.norm(mass))
+    weighs = float(skeleton.model.body_mass[chain.last]) > _WEIGHS
+    if weighs and reach > 5e-3 and 0.25 * before < reach < 2.5 * max(before, 0.02):
+        return anchor + 2 * mass, 0.35, "guessed as twice as far as the last link's centre of mass"
+    if before > 5e-3:
+        return anchor + 0.8 * step, 0.2, "guessed as 0.8 of the link before, straight on"
+    out = anchor - at.bodies[chain.palm]
+    if np.linalg.norm(out) < 5e-3:
+        return anchor, 0.1, "there is no link before to guess from: the last joint itself"
+    return anchor + 0.5 * out, 0.1, "guessed as half the way from palm to joint, straight on"

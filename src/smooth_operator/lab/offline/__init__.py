@@ -1,0 +1,8 @@
+"""Offline retargeting: whole recordings, planned, executed and measured; nothing here prints."""
+
+from smooth_operator.lab.offline.execution import Outcome as Outcome
+from smooth_operator.lab.offline.execution import Runner as Runner
+from smooth_operator.lab.offline.execution import build as build
+from smooth_operator.lab.offline.execution import execute as execute
+from smooth_operator.lab.offline.execution import measure as measure
+from smooth_operator.lab.offline.whole import WholeRetargeter as WholeRetargeter

@@ -1,0 +1,136 @@
+"""A folder of recordings into a folder of commands, by many workers, to be stopped and resumed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import OutputError
+from smooth_operator.io import config_path, to_json
+from smooth_operator.lab.offline.discovery import Found, clashes, find_recordings
+from smooth_operator.lab.offline.finished import finished, foreign, remove_leftovers
+from smooth_operator.lab.offline.jobs import Entry, Job, retarget_one
+from smooth_operator.methods.request import Request
+from smooth_operator.parallel import run_tasks
+
+SUMMARY: Final = "summary.json"
+"""Name of the account of the last run, in the folder of results."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a folder holds, and what is left to do.
+
+    Attributes:
+        jobs: the recordings to retarget, the longest first.
+        settled: those that are done already, or can't be done.
+        commands: files passed over, since they hold commands and no hand.
+        remade: jobs whose place holds a result of another configuration, version or recording.
+        leftovers: unfinished files of a killed run, now deleted.
+    """
+
+    jobs: list[Job]
+    settled: list[Entry]
+    commands: int
+    remade: int
+    leftovers: int
+
+
+def check_folders(folder: Path, output: Path) -> None:
+    """Looks whether results would stand among the recordings.
+
+    Raises:
+        OutputError: they would.
+    """
+    if folder.resolve().is_relative_to(output.resolve()):
+        raise OutputError(
+            f"can't write into {str(output)!r}: the recordings are there; give a folder of its own "
+            "to the results"
+        )
+
+
+def survey(folder: Path, output: Path, asked: Request, *, overwrite: bool = False) -> Survey:
+    """Looks what there is and what is left to do; deletes what a killed run left unfinished.
+
+    Args:
+        folder: of the recordings.
+        output: of the results; see ``claimed``.
+        asked: what is to be done.
+        overwrite: do again what is done.
+
+    Raises:
+        RecordingError: the folder can't be read.
+        OutputError: results would stand among the recordings.
+    """
+    check_folders(folder, output)
+    found, commands = find_recordings(folder, leave_out=output)
+    refused = clashes(found)
+    leftovers = remove_leftovers({output} | {(output / item.output).parent for item in found})
+    as_json = json.loads(to_json(asked))
+
+    def earlier(item: Found) -> dict[str, Any] | None:
+        return None if overwrite else finished(output / item.output, item.path, as_json)
+
+    jobs, settled, remade = [], [], 0
+    with ThreadPoolExecutor() as threads:  # digests are computed outside Python's lock
+        for item, config in zip(found, threads.map(earlier, found), strict=True):
+            path = output / item.output
+            reason = refused.get(item.name) or _refusal(path, output)
+            if reason is not None:
+                failed = Entry(item.name, item.output, "failed", item.frames, reason=reason)
+                settled.append(failed)
+            elif config is not None:
+                settled.append(_kept(item, config))
+            else:
+                jobs.append(Job(item, path, asked))
+                remade += path.exists()
+    return Survey(jobs, settled, commands, remade, leftovers)
+
+
+def retarget_all(
+    jobs: list[Job], *, workers: int | None = None, cluster: str | None = None
+) -> Generator[Entry, None, None]:
+    """Retargets recordings at once; nothing that goes wrong with one touches another.
+
+    Each result is written whole or not at all. It depends on its recording and the request alone,
+    to the last bit: not on the number of workers, nor on what else was done before. To that end
+    latencies, which are no property of commands computed side by side, are NaN, and the
+    configurations bear no date.
+
+    Args:
+        jobs: of ``survey``.
+        workers: as in ``run_tasks``.
+        cluster: as there.
+
+    Yields:
+        what became of each, as they finish.
+    """
+    for result in run_tasks(retarget_one, jobs, workers=workers, cluster=cluster):
+        found, entry = jobs[result.index].found, result.value
+        if entry is None:
+            entry = Entry(found.name, found.output, "failed", found.frames, reason=result.error)
+        yield replace(entry, seconds=result.seconds, attempts=result.attempts)
+
+
+def _refusal(path: Path, output: Path) -> str | None:
+    if config_path(path) == output / SUMMARY:
+        return f"its configuration would be {SUMMARY}, the account of the run; rename it"
+    return foreign(path)
+
+
+def _kept(item: Found, config: dict[str, Any]) -> Entry:
+    commands = config["commands"]
+    return Entry(
+        item.name,
+        item.output,
+        "kept",
+        config["recording"]["frames"],
+        commands["held"],
+        commands["tracking_loss"],
+        config["side"],
+        commands["side_assumed"],
+    )

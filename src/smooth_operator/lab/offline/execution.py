@@ -1,0 +1,92 @@
+"""Doing what was planned for one recording, and measuring it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.lab.offline.whole import WholeRetargeter
+from smooth_operator.methods.building import build_retargeter as build_retargeter
+from smooth_operator.methods.compile_cache import enable_cache, healing
+from smooth_operator.methods.dispatch import dispatch_here
+from smooth_operator.methods.request import Plan
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.whole import WholeConfig
+from smooth_operator.metrics import Definition, Trace, evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.types import CommandTrajectory
+
+Runner: TypeAlias = Retargeter | WholeRetargeter
+"""What answers a recording: frame by frame, or as a whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a plan.
+
+    Attributes:
+        commands: the joint commands.
+        tracking_loss: (T,) of each frame, NaN where a command was held.
+        first_command_s: from the start of the plan's execution until the first command could be
+            given [s]: building and compiling.
+    """
+
+    commands: CommandTrajectory
+    tracking_loss: Float[np.ndarray, " T"]
+    first_command_s: float
+
+
+def build(todo: Plan) -> tuple[Runner, float]:
+    """A retargeter for the plan, compiled; for presets that need it one of whole recordings.
+
+    Two settings of the process change: JAX's compilation cache is switched on (see
+    ``enable_cache``), and programs run on the calling thread (see
+    ``dispatch_here``).
+
+    Returns:
+        the retargeter, and how long it took until it could give its first command [s].
+    """
+    if not isinstance(todo.config, WholeConfig):
+        return build_retargeter(todo.hand, todo.config, todo.seed)
+    started = time.perf_counter()
+    dispatch_here()
+    with healing(enable_cache()):
+        whole = WholeRetargeter(todo.hand, todo.config, todo.seed)
+        whole.warm_up()
+    return whole, time.perf_counter() - started
+
+
+def execute(
+    todo: Plan,
+    built: tuple[Runner, float] | None = None,
+    track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+) -> Outcome:
+    """Retargets the recording from a fresh state.
+
+    Args:
+        todo: the plan.
+        built: what ``build`` gave for it, or for another plan of the same hand,
+            configuration and seed; None to build now.
+        track: wraps the iteration over frames, for a progress bar.
+    """
+    retargeter, first_command_s = build(todo) if built is None else built
+    commands, loss = retargeter.run(todo.recording, track=track)
+    return Outcome(commands, loss, first_command_s)
+
+
+def measure(
+    todo: Plan, outcome: Outcome, definition: Definition = "sound"
+) -> tuple[Trace, dict[str, Any]]:
+    """The trace and its metrics, with those that only the run itself knows."""
+    trace = assemble_trace(todo.recording, outcome.commands, todo.hand, todo.config.alignment)
+    loss = outcome.tracking_loss[np.isfinite(outcome.tracking_loss)]
+    extra = {
+        "tracking_loss": float(loss.mean()) if len(loss) else None,
+        "first_command_s": outcome.first_command_s,
+    }
+    return trace, dict(evaluate(trace, definition, extra))

@@ -1,0 +1,175 @@
+"""Which results of an earlier run are whole, and of this recording and configuration."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import DocumentError, OutputError, RecordingError
+from smooth_operator.io import config_path, output_error, read_commands
+from smooth_operator.io.documents import check_plain_file, read_json
+from smooth_operator.io.environment import package_version
+from smooth_operator.methods.request import PROGRAM
+
+_MOST_BYTES: Final = 64_000_000  # that of a folder of thousands of recordings lists them
+
+_LEFT_OVER: Final = re.compile(r"\..{1,32}\.[0-9a-f]{8}\.tmp", re.DOTALL)
+"""Names that ``atomic_write`` gives to what it works on."""
+
+
+def read_configuration(path: Path) -> dict[str, Any] | None:
+    """A configuration that this program wrote; None if there is none, or the file is another's."""
+    try:
+        content = read_json(path, most_bytes=_MOST_BYTES)
+    except (OSError, ValueError):
+        return None
+    ours = isinstance(content, dict) and content.get("program") == PROGRAM
+    return content if ours else None
+
+
+def identity(path: Path) -> dict[str, Any]:
+    """What tells whether a file is still the same: its size, date and digest.
+
+    Raises:
+        RecordingError: it can't be read.
+    """
+    try:
+        check_plain_file(path)  # or a pipe would be waited for
+        stat = path.stat()
+        return {"bytes": stat.st_size, "modified_ns": stat.st_mtime_ns, "sha256": digest(path)}
+    except DocumentError as error:
+        raise RecordingError(f"{path}: {error}; give the file of a recording") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
+
+
+def digest(content: bytes | Path) -> str:
+    """SHA-256 of some bytes or of a file, in hexadecimal."""
+    if isinstance(content, bytes):
+        return hashlib.sha256(content).hexdigest()
+    with content.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The configuration beside a result that need not be made again.
+
+    It is one if the result is whole to the last byte, and was made by this version, as it is asked
+    for now, from a recording that has not changed since. A recording with another date but the same
+    content is the same.
+
+    Args:
+        output: ``OUT.npz``.
+        source: the recording.
+        request: what was asked for, as JSON has it.
+
+    Returns:
+        the configuration, or None if the result is missing or another's.
+    """
+    config = read_configuration(config_path(output))
+    try:
+        if config is None or _but_rate(config["request"]) != _but_rate(request):
+            return None
+        if config["rate"] not in (None, request["rate"]):  # None: it has stamps of its own
+            return None
+        if config["versions"][PROGRAM] != package_version():
+            return None
+        known, stat = config["source"], source.stat()
+        check_plain_file(source)
+        if known["bytes"] != stat.st_size:
+            return None
+        if known["modified_ns"] != stat.st_mtime_ns and known["sha256"] != digest(source):
+            return None
+        return config if config["commands"]["sha256"] == digest(output) else None
+    except (
+        KeyError,
+        TypeError,
+        AttributeError,
+        OSError,
+        DocumentError,
+    ):  # another command's, or a file is missing
+        return None
+
+
+def _but_rate(request: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in request.items() if name != "rate"}
+
+
+def foreign(output: Path) -> str | None:
+    """Why a result can't be written, if something stands in its place that no run has left there.
+
+    Args:
+        output: ``OUT.npz``.
+    """
+    beside = config_path(output)
+    for taken in (output, beside):
+        if taken.exists() and not taken.is_file():
+            return f"can't write {str(taken)!r}: it is not a plain file; remove it first"
+    if read_configuration(beside) is not None:
+        return None  # and what is beside it is its result, whole or cut off
+    if beside.exists():
+        return f"can't write {str(beside)!r}: it holds something else; remove it first"
+    if output.exists():
+        try:
+            read_commands(output)
+        except RecordingError:
+            return (
+                f"can't write {str(output)!r}: it holds something other than commands; remove it "
+                "first"
+            )
+    return None
+
+
+def remove_leftovers(folders: Iterable[Path]) -> int:
+    """Deletes the unfinished files that a killed run has left in some folders.
+
+    Returns:
+        how many there were.
+    """
+    count = 0
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            for path in list(folder.iterdir()):
+                if _LEFT_OVER.fullmatch(path.name) and path.is_file():
+                    path.unlink()
+                    count += 1
+    return count
+
+
+@contextlib.contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Keeps a second run out of a folder; the system gives it free when this process ends.
+
+    Where folders can't be locked (Windows, some network disks) a second run is not noticed; it
+    would write the same bytes.
+
+    Raises:
+        OutputError: another run is at work there, or the folder can't be opened.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(
+                f"can't write into {str(folder)!r}: another run is writing there; wait until it is "
+                "done, or give another folder"
+            ) from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,192 @@
+"""One recording of many: what is asked for, and the worker that does it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.io import frame_slice, read_recording, to_json
+from smooth_operator.io.checks import stamps_from_rate
+from smooth_operator.io.readers import rated_if_unstamped
+from smooth_operator.io.results import encode_commands, write_encoded_commands
+from smooth_operator.lab.offline.discovery import Found
+from smooth_operator.lab.offline.execution import Runner, build
+from smooth_operator.lab.offline.finished import digest, identity
+from smooth_operator.lab.offline.whole import WholeRetargeter, check_method
+from smooth_operator.methods.dispatch import dispatch_here
+from smooth_operator.methods.request import Plan, Request, configuration, plan
+from smooth_operator.methods.scan import Scan, find_scan
+from smooth_operator.types import HandRecording, Side, Status
+
+State: TypeAlias = Literal["done", "kept", "failed"]
+"""Made now, found whole from an earlier run, or not there."""
+
+
+def checked(asked: Request) -> Request:
+    """A request whose every part is possible, so that it does not fail once per recording.
+
+    As ``build``, it lets JAX run on the calling thread.
+
+    Raises:
+        UnknownNameError: there is no such hand or finger.
+        SmoothOperatorError: the method can't serve the hand.
+        ConfigError: scale, rate, frames or operator can't be.
+    """
+    dispatch_here()
+    operator = asked.operator
+    side = asked.side or ("right" if operator is None else operator.side)
+    hand = load_hand(asked.hand, side, fingers=asked.fingers)
+    if operator is not None:
+        operator.check(hand)
+    config = asked.config
+    check_method(config, hand)
+    if isinstance(asked.scale, float | int):
+        replace(config.alignment, scale=float(asked.scale))  # refuses what is none
+    stamps_from_rate(0, asked.rate, "--rate")  # refuses one that can't be
+    if asked.frames is not None:
+        try:
+            frame_slice(asked.frames, 10**9)
+        except ConfigError as error:
+            raise ConfigError(
+                f"frames must be a range A:B with something in it, such as ':500', '2600:3100' or "
+                f"'-500:', not {asked.frames!r}"
+            ) from error
+    return asked
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording for one worker.
+
+    Attributes:
+        found: the recording.
+        output: where its commands shall stand.
+        request: what is to be done to it.
+    """
+
+    found: Found
+    output: Path
+    request: Request
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What became of one recording.
+
+    Attributes:
+        name: its path in the folder.
+        output: path of its commands in the folder of results.
+        state: see ``State``.
+        frames: how many were retargeted; of a failed one, how many it seems to hold.
+        held: how many of them repeat the last good command.
+        tracking_loss: mean over the others; None without any.
+        side: which hand it was taken for.
+        side_assumed: neither the recording nor the request said so.
+        reason: why it failed.
+        seconds: how long it took a worker [s].
+        attempts: how often it was begun in this run.
+    """
+
+    name: str
+    output: str
+    state: State
+    frames: int
+    held: int = 0
+    tracking_loss: float | None = None
+    side: Side | None = None
+    side_assumed: bool = False
+    reason: str | None = None
+    seconds: float = 0.0
+    attempts: int = 0
+
+
+def retarget_one(job: Job) -> Entry:
+    """Reads, retargets and writes one recording, in a worker.
+
+    Raises:
+        SmoothOperatorError: with the reason; nothing is then written.
+    """
+    asked = job.request
+    source = identity(job.found.path)
+    recording, rate = _read(job.found.path, asked)
+    total = len(recording)
+    frames = slice(0, total) if asked.frames is None else frame_slice(asked.frames, total)
+    todo = plan(recording[frames], asked)
+    tools = _tools(todo, reuse=asked.scale != "calibrate")
+    if tools.scan is None:
+        commands, loss = tools.retargeter.run(todo.recording)
+        commands = replace(commands, latency_ms=np.full(len(commands), np.nan))
+    else:
+        commands, loss = tools.scan.run(todo.recording)
+    good = loss[np.isfinite(loss)]
+    entry = Entry(
+        name=job.found.name,
+        output=job.found.output,
+        state="done",
+        frames=len(commands),
+        held=int((commands.status != Status.OK).sum()),
+        tracking_loss=float(good.mean()) if len(good) else None,
+        side=recording.side,
+        side_assumed=bool(recording.meta.get("side_assumed")),
+    )
+    encoded = encode_commands(commands)
+    config = configuration(
+        "retarget",
+        todo,
+        source={"path": job.found.path, "frames": [frames.start, frames.stop], **source},
+        rate=rate,
+        request=asked,
+        commands={
+            "sha256": digest(encoded),
+            "held": entry.held,
+            "tracking_loss": entry.tracking_loss,
+            "side_assumed": entry.side_assumed,
+        },
+    )
+    del config["created"]  # or a resumed run would not end in the same bytes
+    job.output.parent.mkdir(parents=True, exist_ok=True)
+    write_encoded_commands(job.output, encoded, config)
+    return entry
+
+
+def _read(path: Path, asked: Request) -> tuple[HandRecording, float | None]:
+    """The recording, and the rate if it needed one: others of the folder may have their own."""
+
+    def read(rate: float | None) -> HandRecording:
+        return read_recording(path, rate=rate, side=asked.side, layout=asked.layout)
+
+    return rated_if_unstamped(read, asked.rate)
+
+
+@dataclass(frozen=True)
+class _Tools:
+    retargeter: Runner
+    scan: Scan | None
+
+
+_SHELF: Final[OrderedDict[tuple[str, str, int], _Tools]] = OrderedDict()
+"""The tools of this process: compiled once, used for every recording that they fit."""
+
+_SHELF_SIZE: Final = 4
+
+
+def _tools(todo: Plan, *, reuse: bool) -> _Tools:
+    if not reuse:  # a scale of its own is a program of its own, not worth a second, longer one
+        return _Tools(build(todo)[0], None)
+    key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
+    if key not in _SHELF:
+        retargeter, _ = build(todo)
+        if isinstance(retargeter, WholeRetargeter):  # which does without
+            _SHELF[key] = _Tools(retargeter, None)
+        else:
+            _SHELF[key] = _Tools(retargeter, find_scan(retargeter))
+        while len(_SHELF) > _SHELF_SIZE:
+            _SHELF.popitem(last=False)
+    _SHELF.move_to_end(key)
+    return _SHELF[key]

@@ -1,0 +1,314 @@
+"""A recording retargeted as a whole: smooth in both directions of time, and without lag.
+
+The method's own answers, frame by frame, choose the basin. From there all frames are solved at once
+(``smooth_operator.solvers.trajectory``): what each asks, and the price of motion between them.
+Frames without a usable hand ask nothing, and go where motion is cheapest, as long as the gap is
+short; over a longer one the last pose is held. Either way their status says what they were.
+
+A long stretch is solved in windows. Each begins at the end of what the one before has settled, and
+looks further ahead than motion's price reaches back, so that memory does not grow with the
+recording but for its frames, and time does in proportion.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.offline.frame_goals import Goal, fingertips, frame_goals, stacked
+from smooth_operator.lab.offline.segments import (
+    even_stamps,
+    segments,
+    tracker_noise,
+    windows,
+    without_leaps,
+)
+from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.program import compiled, see
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.scan import Scan
+from smooth_operator.methods.whole import WholeConfig
+from smooth_operator.solvers.trajectory import ORDERS, Led, smooth_trajectory
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
+
+WINDOW: Final = 2048
+"""Frames that are settled at once."""
+AHEAD_S: Final = 2.0
+"""How far beyond them is looked [s]."""
+CHUNK: Final = 256
+"""Frames in a call of the compiled programs."""
+TRANSITION: Final = 0.02
+"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
+
+
+class WholeRetargeter:
+    """Retargets whole recordings onto one robot hand.
+
+    Args:
+        hand: the robot hand.
+        config: its configuration.
+        seed: of the method's random numbers.
+
+    Raises:
+        ConfigError: the method can't be solved for a whole recording.
+    """
+
+    def __init__(self, hand: Hand, config: WholeConfig, seed: int = 0) -> None:
+        self.hand, self.config, self.seed = hand, config, seed
+        self.causal = Retargeter(hand, config=config.causal, seed=seed)
+        method = self.causal.shared.method  # that of the mirror image for hands described as one
+        goals = frame_goals(method)
+        objective, alignment = goals.objective, config.alignment
+        tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
+        self._begin = goals.begin
+        self._scan = Scan(self.causal)
+
+        def aligned(landmarks: Array, valid: Array) -> Array:
+            return jax.vmap(lambda *frame: see(method, alignment, *frame).aligned)(landmarks, valid)
+
+        def follow(memory: Any, points: Array, usable: Array) -> tuple[Any, Goal]:
+            def one(memory: Any, frame: tuple[Array, Array]) -> tuple[Any, Goal]:
+                points, usable = frame
+                after, goal = goals.follow(memory, points)
+                after = jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, memory)
+                return after, (goal, points[tips] - points[WRIST])
+
+            return jax.lax.scan(one, memory, (points, usable))
+
+        def costs(q: Array, goal: Goal, seen: Array) -> tuple[Array, Array, Array, Array]:
+            cost, gradient, hessian = jax.vmap(objective.derivatives)(q, goal)
+            tracking = cost - jax.vmap(objective.regularisation)(q, goal)
+            return (
+                jnp.where(seen, cost, 0.0),
+                jnp.where(seen[:, None], gradient, 0.0),
+                jnp.where(seen[:, None, None], hessian, 0.0),
+                tracking,
+            )
+
+        def points(q: Array) -> tuple[Array, Array]:
+            at, levers = jax.vmap(lambda one: fingertips(method.hand, one))(q)
+            count = at.shape[1] * 3
+            return at.reshape(len(q), count), levers.reshape(len(q), count, -1)
+
+        self._aligned, self._follow = compiled(aligned), compiled(follow)
+        self._costs, self._points = compiled(costs), compiled(points)
+
+    def warm_up(self) -> float:
+        """Compiles the method's own program.
+
+        Returns:
+            seconds it took.
+        """
+        return self.causal.warm_up()
+
+    def priced(self, config: WholeConfig) -> WholeRetargeter:
+        """The same with other prices of motion, without compiling anything.
+
+        Args:
+            config: of the same frame-by-frame method.
+        """
+        assert config.causal == self.config.causal  # or another program would have to be compiled
+        other = copy.copy(self)
+        other.config = config
+        return other
+
+    def run(
+        self,
+        recording: HandRecording,
+        *,
+        seed: int | None = None,
+        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+        """A whole recording.
+
+        Args:
+            recording: the human hand.
+            seed: of the random numbers; None for the retargeter's own.
+            track: wraps the iteration over frames, for a progress bar.
+
+        Returns:
+            the commands, and the (T,) tracking loss of each frame (NaN where there was no usable
+            hand). There are no latencies: NaN.
+        """
+        count, hand = len(recording), self.hand
+        first, _ = self._scan.run(recording, seed=seed)
+        seen = first.status == Status.OK
+        q = np.asarray(first.joint_positions)[:, list(hand.actuated)]
+        stretches = segments(seen, recording.stamps, self.config.bridge)
+        goals, reaches = self._goals(recording, seen, stretches)
+        loss = np.full(count, np.nan)
+        steps = iter(range(count) if track is None else track(range(count)))
+        done = 0
+        for stretch in stretches:
+            for keep, found, tracking in self._solved(
+                recording, stretch, q, (goals, reaches), seen
+            ):
+                q[keep], loss[keep] = found, tracking
+                done = _advance(steps, done, keep.stop)
+        _advance(steps, done, count)
+        _hold(q, stretches, hand.neutral)
+        q = np.clip(q, hand.limits[:, 0], hand.limits[:, 1])
+        commands = CommandTrajectory(
+            hand.expand(q), hand.joint_names, recording.stamps, np.full(count, np.nan), first.status
+        )
+        return commands, np.where(seen, loss, np.nan)
+
+    def _goals(
+        self, recording: HandRecording, seen: Bool[np.ndarray, " T"], stretches: list[slice]
+    ) -> tuple[Goal, Float[np.ndarray, "T F 3"]]:
+        """What each frame asks, and the human's wrist to fingertip vectors [m]."""
+        landmarks, valid = self.causal.seen(recording.landmarks), recording.valid
+        assert valid is not None  # filled in on construction
+        count = len(recording)
+        chunks = [slice(start, start + CHUNK) for start in range(0, count, CHUNK)]
+        aligned = [
+            np.asarray(self._aligned(_filled(landmarks[part]), _filled(valid[part])))
+            for part in chunks
+        ]
+        points = np.concatenate(aligned)[:count]
+        needs = list(self.causal.shared.method.needs)
+        for stretch in stretches:
+            noise = tracker_noise(points[stretch][:, needs], seen[stretch])
+            leap = self.config.leap + self.config.noise * noise
+            points[stretch] = without_leaps(points[stretch], seen[stretch], leap)
+        memory, parts = self._begin(), []
+        for part in chunks:
+            memory, goal = self._follow(memory, _filled(points[part]), _filled(seen[part]))
+            parts.append(goal)
+        goals, reaches = jax.tree.map(lambda values: values[:count], stacked(parts))
+        return goals, reaches
+
+    def _solved(
+        self,
+        recording: HandRecording,
+        stretch: slice,
+        start: Float[np.ndarray, "T m"],
+        asked: tuple[Goal, Float[np.ndarray, "T F 3"]],
+        seen: Bool[np.ndarray, " T"],
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Frames that are settled, with their poses and tracking losses."""
+        stamps = even_stamps(recording.stamps[stretch])
+        period = stamps[1] if len(stamps) > 1 else 1.0
+        ahead = int(np.ceil(AHEAD_S / period)) if period > 0 else 0
+        settled = np.empty((0, start.shape[1]))
+        goals, reaches = asked
+        for begin, keep, end in windows(len(stamps), WINDOW, ahead):
+            known = settled[-ORDERS:]
+            before = begin - len(known)
+            part = slice(stretch.start + before, stretch.start + end)
+            wanted = jax.tree.map(lambda values, part=part: values[part], goals)
+            guess = np.concatenate([known, start[part][len(known) :]])
+            tracking = np.empty(0)
+
+            def costs(
+                q: np.ndarray, wanted: Goal = wanted, part: slice = part
+            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                nonlocal tracking
+                cost, gradient, hessian, tracking = self._all_costs(q, wanted, seen[part])
+                return cost, gradient, hessian
+
+            led = self._led(reaches[part], stamps[before:end], seen[part])
+            found = smooth_trajectory(
+                costs,
+                guess,
+                stamps[before:end],
+                self.hand.limits,
+                self.config.future,
+                len(known),
+                led,
+            ).q
+            costs(found)
+            new = slice(len(known), len(known) + keep - begin)
+            settled = found[: new.stop]
+            at = slice(stretch.start + begin, stretch.start + keep)
+            yield at, found[new], tracking[new]
+
+    def _led(
+        self,
+        reaches: Float[np.ndarray, "T F 3"],
+        stamps: Float[np.ndarray, " T"],
+        seen: Bool[np.ndarray, " T"],
+    ) -> Led | None:
+        """Fingertips moving as the human's, where two frames in turn were seen."""
+        future = self.config.future
+        if not future.motion_weight or len(stamps) < 2:
+            return None
+        steps, period = np.diff(reaches, axis=0), np.diff(stamps)
+        weights = future.motion_weight / (TRANSITION * period**2)
+        weights = np.repeat(weights[:, None], steps.shape[1], axis=1)
+        if future.motion_speed:
+            speed = np.linalg.norm(steps, axis=-1) / period[:, None]
+            weights = weights / (1 + (speed / future.motion_speed) ** 2)
+        weights = np.where((seen[1:] & seen[:-1])[:, None], weights, 0.0)
+
+        def points(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            parts = [
+                self._points(_filled(q[at : at + CHUNK].astype(np.float32)))
+                for at in range(0, len(q), CHUNK)
+            ]
+            at, levers = (
+                np.concatenate([np.asarray(p, np.float64) for p in column])[: len(q)]
+                for column in zip(*parts, strict=True)
+            )
+            return at, levers
+
+        return Led(points, steps.reshape(len(steps), -1), np.repeat(weights, 3, axis=1))
+
+    def _all_costs(
+        self, q: np.ndarray, goals: Goal, seen: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        parts = []
+        for start in range(0, len(q), CHUNK):
+            part = slice(start, start + CHUNK)
+            goal = jax.tree.map(lambda values, part=part: _filled(values[part]), goals)
+            parts.append(
+                self._costs(_filled(q[part].astype(np.float32)), goal, _filled(seen[part]))
+            )
+        cost, gradient, hessian, tracking = (
+            np.concatenate([np.asarray(p, np.float64) for p in column])[: len(q)]
+            for column in zip(*parts, strict=True)
+        )
+        return cost, gradient, hessian, tracking
+
+
+def check_method(config: MethodConfig, hand: Hand) -> None:
+    """Looks whether a configuration can serve a hand, frame by frame or as a whole.
+
+    Raises:
+        SmoothOperatorError: it can't, with the reason.
+    """
+    if isinstance(config, WholeConfig):
+        frame_goals(config.causal.build(hand))
+    else:
+        config.build(hand)
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Up to a whole chunk, with the last frame again: every call has one shape."""
+    lacking = CHUNK - len(values)
+    return np.concatenate([values, np.repeat(values[-1:], lacking, axis=0)]) if lacking else values
+
+
+def _hold(
+    q: Float[np.ndarray, "T m"], stretches: list[slice], neutral: Float[np.ndarray, " m"]
+) -> None:
+    """The last pose between stretches and after them; the neutral one before the first."""
+    last, done = neutral, 0
+    for stretch in [*stretches, slice(len(q), len(q))]:
+        q[done : stretch.start] = last
+        if stretch.stop > stretch.start:
+            last, done = q[stretch.stop - 1], stretch.stop
+
+
+def _advance(steps: Iterator[int], done: int, until: int) -> int:
+    for _ in range(done, until):
+        next(steps, None)
+    return until

@@ -1,0 +1,178 @@
+"""What every experiment is given: the recordings, the size, and the cells that are done already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.paper.contestants import Contestant
+from smooth_operator.lab.paper.problems import Problem, make_problems
+from smooth_operator.lab.paper.runs import Run, run_contestant
+from smooth_operator.lab.paper.sizes import Size
+from smooth_operator.lab.paper.store import Store
+from smooth_operator.methods.presets import DEXPILOT_PUBLISHED
+from smooth_operator.objective.loss import ObjectiveConfig
+
+TUNING_OPERATOR: Final = 1001
+"""Seed of the built-in operator whose frames are tuned on, and never judged."""
+
+Advance: TypeAlias = Callable[[str, float], None]
+"""Called with what is being done and how much of the work was done since the last call."""
+
+Track: TypeAlias = Callable[[str, float], AbstractContextManager[Advance]]
+"""Opens the display of a phase: its name, and how much work it is [ms, about]."""
+
+
+def counted(count: int, noun: str) -> str:
+    """A number with its noun."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def recordings_of(units: Sequence[str]) -> str:
+    """How many recordings there are, and how many of them are independent."""
+    alone = len(set(units))
+    own = counted(len(units), "recording")
+    return own if alone == len(units) else f"{own} ({alone} independent)"
+
+
+@contextmanager
+def silent(name: str, work: float) -> Iterator[Advance]:
+    """A display that shows nothing."""
+    yield lambda label, done: None
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A cell to be computed, unless it is there already.
+
+    Attributes:
+        label: for a person.
+        key: what its content depends on, for the store.
+        work: about how long it takes [ms]; only the proportions matter.
+        compute: makes it; is handed what to tell of the share that was done.
+    """
+
+    label: str
+    key: Mapping[str, Any]
+    work: float
+    compute: Callable[[Callable[[float], None]], dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """The recordings, the size, the store and the display.
+
+    Attributes:
+        sources: the recordings that are judged.
+        hand: name of the robot hand.
+        size: how much is computed.
+        store: the folder.
+        track: shows the progress.
+    """
+
+    sources: Sequence[Source]
+    hand: str
+    size: Size
+    store: Store
+    track: Track = silent
+
+    @property
+    def recordings(self) -> str:
+        """How many recordings are judged, and how many of them are independent."""
+        return recordings_of([source.request.unit for source in self.sources])
+
+    @property
+    def unit_of(self) -> dict[str, str]:
+        """Name of a recording -> the independent unit that it belongs to."""
+        return {source.name: source.request.unit for source in self.sources}
+
+    def finish(self, phase: str, jobs: Sequence[Job]) -> list[dict[str, np.ndarray]]:
+        """Computes the cells that are missing, and keeps each as soon as it is whole.
+
+        Raises:
+            OutputError: a cell can't be written.
+        """
+        kept = [self.store.load(job.key) for job in jobs]
+        missing = [job for job, cell in zip(jobs, kept, strict=True) if cell is None]
+        if missing:
+            with self.track(phase, sum(job.work for job in missing)) as advance:
+                count = 0
+                for i, job in enumerate(jobs):
+                    if kept[i] is None:
+                        count += 1
+                        kept[i] = self._computed(job, f"{count} of {len(missing)}", advance)
+        return [cell for cell in kept if cell is not None]
+
+    def _computed(self, job: Job, place: str, advance: Advance) -> dict[str, np.ndarray]:
+        label = f"{place}: {job.label}"
+        again = self.store.load(job.key)  # the same cell may be asked for twice
+        if again is not None:
+            advance(label, job.work)
+            return again
+        advance(label, 0.0)
+        arrays = job.compute(lambda share: advance(label, share * job.work))
+        self.store.save(job.key, arrays)
+        return arrays
+
+    def problems(self, config: ObjectiveConfig, frames: int) -> list[Problem]:
+        """The recordings as problems.
+
+        Raises:
+            RecordingError: a recording has too few usable frames.
+        """
+        return make_problems(self.sources, self.hand, config, frames)
+
+    @cached_property
+    def judged(self) -> list[Problem]:
+        """DexPilot's loss on the recordings, for the experiments that change the solver."""
+        return self.problems(DEXPILOT_PUBLISHED.objective, self.size.frames)
+
+    @cached_property
+    def tuning(self) -> Problem:
+        """DexPilot's loss on frames that are not judged."""
+        taken = {source.digest for source in self.sources}
+        side = self.sources[0].side
+        for seed in range(TUNING_OPERATOR, TUNING_OPERATOR + 1 + len(taken)):
+            # from the middle of the round: pinches, and open fingers
+            frames = f"600:{600 + self.size.tuning_frames}"
+            (source,) = load_sources([parse_request(f"synthetic:{seed}@{frames}", side=side)])
+            if source.digest not in taken:
+                break
+        (problem,) = make_problems(
+            [source], self.hand, DEXPILOT_PUBLISHED.objective, self.size.tuning_frames
+        )
+        return problem
+
+    def run_job(
+        self, problem: Problem, contestant: Contestant, velocity_weight: float, seed: int = 0
+    ) -> Job:
+        """A solver on a problem, as a cell."""
+        seed = seed if contestant.random else 0
+
+        def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
+            return run_contestant(problem, contestant, velocity_weight, seed, advance).arrays()
+
+        term = f", w_v {velocity_weight:g}" if velocity_weight else ""
+        more = f", seed {seed}" if contestant.random else ""
+        return Job(
+            f"{contestant.label} on {problem.name}{term}{more}",
+            {
+                "kind": f"run-{contestant.family}",
+                "problem": problem.digest,
+                "solver": [type(contestant).__name__, contestant],
+                "velocity_weight": velocity_weight,
+                "seed": seed,
+            },
+            contestant.effort * len(problem) + 2000.0,
+            compute,
+        )
+
+    def run_all(self, phase: str, jobs: Sequence[Job]) -> list[Run]:
+        """Those cells as runs."""
+        return [Run.of(cell) for cell in self.finish(phase, jobs)]

@@ -1,0 +1,237 @@
+"""Training GeoRT: one compiled program per epoch, and a state that is all there is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from smooth_operator.errors import MissingExtraError, SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.training.batches import draw_batches
+from smooth_operator.lab.training.data import TrainingData
+from smooth_operator.lab.training.losses import LOSSES, Batch, GeortLoss
+from smooth_operator.lab.training.settings import GeortTraining
+from smooth_operator.methods.geort_model import (
+    HIDDEN,
+    GeortModel,
+    Weights,
+    finger_joints,
+    recognition,
+)
+from smooth_operator.methods.program import compiled
+
+_START = 0.8  # share of a joint's half range, within which it starts
+_BATCHES, _VALIDATION = 0xBA, 0x5E  # keep the random numbers of the two apart
+
+
+class TrainingState(NamedTuple):
+    """All that a training remembers; a pytree of arrays.
+
+    Random numbers are a function of the seed and ``epoch``, so there is no generator to keep.
+
+    Attributes:
+        weights: of the networks.
+        optimiser: AdamW's moments and count.
+        epoch: epochs done.
+        train: (epochs, 5) mean losses of each epoch done: the weighted sum (with the weight that
+            coverage then had), then ``LOSSES``; NaN ahead.
+        validation: (epochs, 5) the same after each epoch, on what was kept apart and with the full
+            weight of coverage; NaN if nothing was.
+    """
+
+    weights: Weights
+    optimiser: Any
+    epoch: Int[Array, ""]
+    train: Float[Array, "E 5"]
+    validation: Float[Array, "E 5"]
+
+
+@dataclass(frozen=True, eq=False)
+class GeortTrainer:
+    """Trains GeoRT for one hand on one set of data.
+
+    Attributes:
+        hand: the robot hand.
+        data: of ``training_data``.
+        settings: how.
+
+    Raises:
+        MissingExtraError: without optax.
+    """
+
+    hand: Hand
+    data: TrainingData
+    settings: GeortTraining
+
+    def __post_init__(self) -> None:
+        _optax()  # missed now rather than after the data was prepared
+
+    def init(self) -> TrainingState:
+        """The state before the first epoch."""
+        rng = np.random.default_rng([self.settings.seed, 0x3C])
+        fingers = len(self.hand.fingers)
+        outputs = max(len(joints) for joints in finger_joints(self.hand))
+
+        def dense(inputs: int, width: int, gain: float = 1.0) -> tuple[Array, Array]:
+            drawn = rng.normal(0.0, gain / np.sqrt(inputs), (fingers, inputs, width))
+            return jnp.asarray(drawn, jnp.float32), jnp.zeros((fingers, width), jnp.float32)
+
+        # The hand starts near its neutral pose, but where every joint can still move either way.
+        layers = (*dense(3, HIDDEN, 1.5), *dense(HIDDEN, HIDDEN, 1.5), *dense(HIDDEN, outputs, 0.3))
+        low, high = self.hand.limits.T
+        unit = np.clip((2 * self.hand.neutral - low - high) / (high - low), -_START, _START)
+        start = np.zeros((fingers, outputs))
+        for row, joints in zip(start, finger_joints(self.hand), strict=True):
+            row[: len(joints)] = np.arctanh(unit[list(joints)])
+        weights = Weights(*layers)._replace(b3=jnp.asarray(start, jnp.float32))
+        curves = jnp.full((self.settings.epochs, 1 + len(LOSSES)), jnp.nan, jnp.float32)
+        return TrainingState(
+            weights, self._optimiser.init(weights), jnp.zeros((), jnp.int32), curves, curves
+        )
+
+    @property
+    def steps(self) -> int:
+        """Optimiser steps in an epoch."""
+        return -(-int(self.data.train.counts.max()) // self.settings.batch)
+
+    def epochs(self, state: TrainingState) -> Iterator[TrainingState]:
+        """The states after each epoch that is still to do.
+
+        Raises:
+            SmoothOperatorError: if the losses are no longer finite.
+        """
+        for epoch in range(int(state.epoch), self.settings.epochs):
+            data = self.data
+            batches = draw_batches(
+                data.train, data.reach, self.settings, self.steps, _BATCHES, epoch
+            )
+            weights, optimiser, train, validation = self._program(
+                state.weights, state.optimiser, jnp.int32(epoch), batches, self._judging
+            )
+            train.block_until_ready()
+            if not np.isfinite(np.asarray(train)).all():
+                raise SmoothOperatorError(
+                    f"training diverged in epoch {epoch + 1}: the losses are {train.tolist()}; "
+                    f"try a learning rate below {self.settings.learning_rate:g}, or look for "
+                    "far-off landmarks in the recording"
+                )
+            state = TrainingState(
+                weights,
+                optimiser,
+                jnp.int32(epoch + 1),
+                state.train.at[epoch].set(train),
+                state.validation.at[epoch].set(validation),
+            )
+            yield state
+
+    def model(self, state: TrainingState, **about: Any) -> GeortModel:
+        """The networks as they are now, to be used or written.
+
+        Args:
+            state: after some epoch.
+            about: what else to put on record.
+        """
+        hand, epoch = self.hand, int(state.epoch)
+        own = finger_joints(hand)
+        poses, tips = recognition(hand)
+        curves = {}
+        for name, curve in (("train", state.train), ("validation", state.validation)):
+            last = np.asarray(curve)[epoch - 1] if epoch else np.full(1 + len(LOSSES), np.nan)
+            curves[name] = dict(zip(("loss", *LOSSES), map(float, last), strict=True))
+        training = {
+            "settings": self.settings,
+            "epochs_done": epoch,
+            "steps": epoch * self.steps,
+            "recordings": self.data.sources,
+            "frames": self.data.frames,
+            "points": self.data.train.counts,
+            "pinch_frames": self.data.train.pinched.shape[-1],
+            "data": self.data.digest,
+            "losses": curves,
+            **about,
+        }
+        return GeortModel(
+            state.weights,
+            self._loss.centre,
+            self._loss.scale,
+            hand.name,
+            hand.spec.side,
+            hand.fingers,
+            tuple(tuple(hand.actuated_names[j] for j in joints) for joints in own),
+            tuple(hand.limits[list(joints)] for joints in own),
+            poses,
+            tips,
+            training,
+        )
+
+    @cached_property
+    def _loss(self) -> GeortLoss:
+        train = self.data.train
+        own = [row[:, :count] for row, count in zip(train.points, train.counts, strict=True)]
+        low = np.stack([points.min(axis=1) for points in own]).astype(float)
+        high = np.stack([points.max(axis=1) for points in own]).astype(float)
+        # one scale for all three axes: a metre is a metre in every direction
+        return GeortLoss(
+            self.hand, self.settings, (low + high) / 2, (high - low).max(axis=1).clip(1e-3) / 2
+        )
+
+    @cached_property
+    def _optimiser(self) -> Any:
+        optax, settings = _optax(), self.settings
+        total = self.steps * settings.epochs
+        rate = optax.warmup_cosine_decay_schedule(
+            0.0, settings.learning_rate, min(50, total // 4), max(total, 1)
+        )
+        return optax.adamw(rate, weight_decay=settings.weight_decay)
+
+    @cached_property
+    def _judging(self) -> Batch | None:
+        """The same draw after every epoch, so that the curve shows the networks and no dice."""
+        data = self.data
+        if data.validation is None:
+            return None
+        drawn = draw_batches(data.validation, data.reach, self.settings, 1, _VALIDATION, 0)
+        return Batch(*(part[0] for part in drawn))
+
+    @cached_property
+    def _program(self) -> Any:
+        return compiled(self._epoch)
+
+    def _epoch(
+        self, weights: Weights, optimiser: Any, epoch: Array, batches: Batch, judging: Batch | None
+    ) -> tuple[Weights, Any, Array, Array]:
+        rising = self.settings.ramp * self.settings.epochs
+        ramp = jnp.clip(epoch / max(rising, 1), 0, 1) ** 2 if rising else 1.0
+
+        def step(carry: tuple[Weights, Any], batch: Batch) -> tuple[tuple[Weights, Any], Array]:
+            weights, optimiser = carry
+            (total, losses), slope = jax.value_and_grad(self._loss, has_aux=True)(
+                weights, batch, ramp
+            )
+            change, optimiser = self._optimiser.update(slope, optimiser, weights)
+            weights = jax.tree.map(jnp.add, weights, change)
+            return (weights, optimiser), jnp.concatenate([total[None], losses])
+
+        (weights, optimiser), losses = lax.scan(step, (weights, optimiser), batches)
+        if judging is None:
+            judged = jnp.full_like(losses[0], jnp.nan)
+        else:
+            total, each = self._loss(weights, judging)
+            judged = jnp.concatenate([total[None], each])
+        return weights, optimiser, losses.mean(axis=0), judged
+
+
+def _optax() -> Any:
+    try:
+        import optax
+    except ImportError as error:
+        raise MissingExtraError("training GeoRT", "train") from error
+    return optax

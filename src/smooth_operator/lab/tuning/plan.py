@@ -1,0 +1,152 @@
+"""What is to be tuned, on what, every name looked up; and what must not be looked at."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.io import to_json
+from smooth_operator.lab.benchmark.cells import code_digest, hand_identity
+from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.store import check_folder
+from smooth_operator.lab.offline.whole import check_method
+from smooth_operator.lab.tuning.held_out import check_held_out
+from smooth_operator.lab.tuning.score import Bound, Scoring
+from smooth_operator.lab.tuning.variables import Variable, parse_variable
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
+from smooth_operator.methods.presets import default_preset, method_config
+from smooth_operator.methods.setting_paths import find_setting, with_settings
+
+COMMAND: Final = "tune"
+TRIALS: Final = 120
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuningSettings:
+    """What is asked for.
+
+    Attributes:
+        output: folder of the results.
+        method: name of the method.
+        preset: name of the preset, or preset file, that the search begins at; None for the default.
+        recordings: to tune on, named as in ``smooth_operator.lab.benchmark.sources``.
+        held_out: not to be tuned on, named alike.
+        vary: ``NAME=LOW:HIGH[:log]`` each.
+        fix: setting -> another value for it, constant.
+        hand: name of the robot hand.
+        rate: frames a second of recordings without stamps [Hz].
+        trials: how many sets of values may be tried.
+        seed: of the search, and of the method's random numbers.
+        weights: term of the score -> weight.
+        bounds: what figures must not leave.
+        workers: processes; None for one per core, 0 for none.
+    """
+
+    output: Path
+    method: str
+    preset: str | None = None
+    recordings: tuple[str, ...]
+    held_out: tuple[str, ...] = ()
+    vary: tuple[str, ...]
+    fix: Mapping[str, float] = field(default_factory=dict)
+    hand: str = "mimic_p050"
+    rate: float | None = None
+    trials: int = TRIALS
+    seed: int = 0
+    weights: Mapping[str, float] = field(default_factory=dict)
+    bounds: tuple[Bound, ...] = ()
+    workers: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A search, ready to begin.
+
+    Attributes:
+        settings: what was asked for.
+        base: name of the preset that the result changes.
+        changed: path -> value that the preset file asked for, or ``fix`` did, and is not varied.
+        config: where the search begins.
+        variables: what is varied.
+        sources: the recordings to tune on.
+        held_out: those that are kept for judging.
+        scoring: how trials are scored.
+    """
+
+    settings: TuningSettings
+    base: str
+    changed: Mapping[str, float | int]
+    config: MethodConfig
+    variables: tuple[Variable, ...]
+    sources: tuple[Source, ...]
+    held_out: tuple[Source, ...]
+    scoring: Scoring
+
+    @property
+    def identity(self) -> str:
+        """What a trial depends on but for its values, as one word."""
+        content = {
+            "method": self.settings.method,
+            "config": self.config,
+            "hand": [
+                hand_identity(self.settings.hand, side, ())
+                for side in sorted({source.side for source in self.sources})
+            ],
+            "frames": [source.digest for source in self.sources],
+            "seed": self.settings.seed,
+            "code": code_digest(),
+        }
+        return hashlib.sha256(to_json(content).encode()).hexdigest()
+
+
+def plan_tuning(settings: TuningSettings) -> Tuning:
+    """Looks everything up; writes nothing.
+
+    Raises:
+        UnknownNameError: there is no such method, preset, setting, hand, term or figure.
+        ConfigError: what is asked for can't be, or is held out.
+        RecordingError: a recording can't be read.
+        OutputError: the folder holds something else.
+    """
+    check_folder(settings.output, COMMAND, "an earlier search")
+    if settings.trials < 2:
+        raise ConfigError(f"a search needs 2 trials or more, not {settings.trials}")
+    base, changed = settings.preset or default_preset(settings.method), {}
+    if base.endswith(SUFFIX):
+        file = read_preset_file(Path(base))
+        method_config(settings.method, base)  # of this method? else it is refused here
+        base, changed = file.base, dict(file.settings)
+    config = with_settings(method_config(settings.method, base), changed)
+    fixed = {find_setting(config, name): value for name, value in settings.fix.items()}
+    config, changed = with_settings(config, fixed), changed | fixed
+    if not settings.vary:
+        raise ConfigError("name what to vary, as in --vary pose_weight=0.01:0.1:log")
+    variables = tuple(parse_variable(text, config) for text in settings.vary)
+    paths = [variable.path for variable in variables]
+    for path in paths:
+        if paths.count(path) > 1 or path in fixed:
+            raise ConfigError(f"{path} is named twice")
+    sources = _loaded(settings.recordings, settings.rate, "tune on")
+    held_out = _loaded(settings.held_out, settings.rate, "hold out") if settings.held_out else ()
+    check_held_out(sources, held_out)
+    for side in {source.side for source in sources}:
+        check_method(config, load_hand(settings.hand, side))
+    scoring = Scoring(settings.weights, settings.bounds)
+    rest = {path: value for path, value in changed.items() if path not in paths}
+    return Tuning(settings, base, rest, config, variables, sources, held_out, scoring)
+
+
+def _loaded(texts: tuple[str, ...], rate: float | None, what: str) -> tuple[Source, ...]:
+    if not texts:
+        raise ConfigError(f"name a recording to {what}")
+    sources = load_sources([parse_request(text, rate=rate) for text in texts])
+    for source in sources:
+        if source.error is not None:
+            raise RecordingError(source.error)
+    return tuple(sources)

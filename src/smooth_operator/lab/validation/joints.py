@@ -1,0 +1,201 @@
+"""Limits, what each joint moves, and the neutral pose."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from smooth_operator.hands.collision import neutral_overlaps, solid_shapes
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_links
+from smooth_operator.lab.validation.checks import Check, Verdict, worst
+from smooth_operator.lab.validation.samples import Samples
+
+_TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]
+_WIDE: Final = 3.6  # [rad]; LEAP's widest has 3.2
+_NARROW: Final = 0.1  # [rad]; Shadow's narrowest has 0.42
+_LONG: Final = 0.3  # of a slide [m]
+_STILL: Final = 1e-4  # a joint that moves its landmarks by less moves nothing [m]
+_SLIGHT: Final = 2e-3  # [m]
+_POSES: Final = 12  # in which a joint is swept
+_STEPS: Final = 9
+_ROUNDING: Final = 1e-6  # of spec files [rad]
+_TOUCH: Final = 3e-3  # overlap in the neutral pose that shapes drawn too fat explain [m]
+_DEEP: Final = 0.01  # overlap that no shape explains [m]
+
+
+def check_ranges(hand: Hand) -> Check:
+    """How far each commanded joint can go: degrees and radians taken for each other show here."""
+    ranges = hand.limits[:, 1] - hand.limits[:, 0]
+    slides = np.array([_slides(hand, name) for name in hand.actuated_names])
+    named = dict(zip(hand.actuated_names, ranges, strict=True))
+    figures = {name: round(float(width), 4) for name, width in named.items()}
+    turns = ranges[~slides]
+    said = f"{ranges.min():.2f} to {ranges.max():.2f} {_unit(slides)}"
+
+    def those(mask: np.ndarray) -> str:
+        return _list([name for name, hit in zip(named, mask, strict=True) if hit])
+
+    beyond = np.where(slides, ranges > _LONG, ranges > _TURN)
+    if beyond.any():
+        return Check(
+            "joint ranges",
+            "failed",
+            f"{said}: {those(beyond)} can go further than any finger",
+            "limits are in radians (metres of a slide): are these in degrees (millimetres)?",
+            figures,
+        )
+    if len(turns) and turns.max() < _NARROW:
+        return Check(
+            "joint ranges",
+            "failed",
+            f"{said}: no joint turns by more than {np.degrees(_NARROW):.0f} degrees",
+            "limits in radians were read as degrees: an MJCF file in radians needs "
+            '<compiler angle="radian"/>',
+            figures,
+        )
+    odd = ~slides & ((ranges < _NARROW) | (ranges > _WIDE))
+    if odd.any():
+        return Check(
+            "joint ranges",
+            "warning",
+            f"{said}; unusual: {those(odd)}",
+            "compare the limits of these joints with the data sheet, and those of joints that "
+            "follow them",
+            figures,
+        )
+    return Check("joint ranges", "ok", said, "", figures)
+
+
+def check_motion(samples: Samples) -> Check:
+    """Whether each commanded joint moves some landmark, and by how much over its range."""
+    hand = samples.hand
+    moved: dict[str, float] = {}
+    for k, name in enumerate(hand.actuated_names):
+        poses = np.repeat(samples.poses[:_POSES, None], _STEPS, axis=1)
+        poses[..., k] = np.linspace(hand.limits[k, 0], hand.limits[k, 1], _STEPS)
+        at = hand.landmark_positions(poses)
+        moved[name] = float(np.linalg.norm(at - at[:, :1], axis=-1).max())
+    figures = {name: round(1e3 * distance, 2) for name, distance in moved.items()}
+    least = min(moved, key=lambda name: moved[name])
+    said = f"each moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
+    idle = [name for name, distance in moved.items() if distance < _STILL]
+    on_fingers = _on_fingers(hand)
+    dead = [name for name in idle if name in on_fingers]
+    if dead:
+        return Check(
+            "joints used",
+            "failed",
+            f"{_list(dead)}: no landmark moves with it",
+            "the finger's tip lies on the joint's axis or before it: give the tip on the last "
+            "link, past its last joint",
+            figures,
+        )
+    if idle:
+        return Check(
+            "joints used",
+            "warning",
+            f"{_list(idle)}: no landmark moves with it",
+            "it belongs to no finger of the description, and stays at neutral: name its finger, "
+            "if it has one",
+            figures,
+        )
+    if slight := [name for name, distance in moved.items() if distance < _SLIGHT]:
+        return Check(
+            "joints used",
+            "warning",
+            f"{_list(slight)}: moves its landmarks by {1e3 * moved[least]:.1f} mm only",
+            "compare the joint's limits and axis with the data sheet",
+            figures,
+        )
+    return Check("joints used", "ok", said, "", figures)
+
+
+def check_neutral(hand: Hand) -> Check:
+    """Whether the neutral pose keeps the limits, and parts of the hand out of each other.
+
+    Values outside the limits are clipped when a hand is loaded, so it is the clipped pose whose
+    parts are looked at.
+    """
+    spec = hand.spec
+    given = {k: spec.neutral[k] for k in hand.actuated_names if k in spec.neutral}
+    outside = {
+        name: value
+        for name, low, high in zip(hand.actuated_names, *hand.limits.T, strict=True)
+        if (value := given.get(name, low)) < low - _ROUNDING or value > high + _ROUNDING
+    }
+    overlaps = neutral_overlaps(hand)
+    deepest = max(overlaps.values(), default=0.0)
+    figures = {"outside_limits": outside, "overlap_mm": round(1e3 * deepest, 2)}
+    said, advice, verdicts = [], [], list[Verdict]()
+    if outside:
+        far = max(outside, key=lambda n: abs(outside[n]))
+        said.append(f"outside the limits: {_list(list(outside))} ({far} = {outside[far]:g})")
+        advice.append("give [neutral] values within the limits, in radians")
+        verdicts.append("failed")
+    else:
+        said.append(f"{len(given)} joints given, within the limits")
+    if deepest > _TOUCH:
+        one, other = max(overlaps, key=lambda pair: overlaps[pair])
+        said.append(f"{one} and {other} are {1e3 * deepest:.0f} mm inside each other")
+        advice.append("choose a [neutral] in which nothing touches, or look at these shapes")
+        # a mesh collides as its convex hull, which is larger than the part
+        exact = not hand.model.nmesh
+        verdicts.append("failed" if deepest > _DEEP and exact else "warning")
+    elif not _has_shapes(hand):
+        said.append("no shapes to touch each other")
+    else:
+        said.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
+    return Check("neutral pose", worst(*verdicts), "; ".join(said), "; ".join(advice), figures)
+
+
+def check_shapes(hand: Hand) -> Check:
+    """Whether links have shapes that keep them out of each other, or estimates in their place."""
+    links = stand_in_links(hand)
+    solid = int(solid_shapes(hand).sum())
+    figures = {"shapes": solid, "estimated": list(links)}
+    if not links:
+        return Check("shapes", "ok", f"{solid} shapes that collide", "", figures)
+    return Check(
+        "shapes",
+        "warning",
+        f"{solid} shapes that collide; those of {_list(list(links))} can't be read or are missing: "
+        "'smooth' keeps estimated capsules along the bones apart in their place",
+        "put the mesh files where the model file names them, and add the hand again",
+        figures,
+    )
+
+
+def _slides(hand: Hand, name: str) -> bool:
+    kind = int(hand.model.joint(name).type[0])
+    return kind == int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def _unit(slides: np.ndarray) -> str:
+    return "m" if slides.all() else "rad or m" if slides.any() else "rad"
+
+
+def _on_fingers(hand: Hand) -> set[str]:
+    """Joints on the way from the palm to a fingertip, and those beyond it on the same finger."""
+    model, palm = hand.model, hand.model.body(hand.spec.palm).id
+    fingers: set[int] = set()
+    for finger in hand.spec.fingers:
+        body = int(model.body(finger.tip.body).id)
+        while body not in (palm, 0):
+            fingers.add(body)
+            body = int(model.body_parentid[body])
+    for body in range(1, model.nbody):  # parents come first
+        if model.body_parentid[body] in fingers:
+            fingers.add(body)
+    return {model.joint(j).name for j in range(model.njnt) if model.jnt_bodyid[j] in fingers}
+
+
+def _has_shapes(hand: Hand) -> bool:
+    return bool(hand.bodies[hand.model.geom_bodyid].any())
+
+
+def _list(names: list[str]) -> str:
+    shown = ", ".join(names[:4])
+    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"

@@ -1,0 +1,135 @@
+"""The round trip: a pose's own landmarks are retargeted, and the pose should come back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
+from smooth_operator.methods.descent import DescentConfig
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.metrics.consistency import frozen_share
+from smooth_operator.types import HandFrame, Status
+
+_APPROACH: Final = 20  # frames from the neutral pose to the pose
+_HOLD: Final = 15  # frames in which the human then holds still
+_PERIOD_S: Final = 0.01  # from frame to frame [s]
+_FAINT: Final = 1e-4  # a pull to the neutral pose this weak decides between equals, and no more
+_ROUNDING: Final = 1e-9  # of limits in float64 [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class RoundTrip:
+    """How well poses came back.
+
+    Attributes:
+        tip_error_mm: (poses, F) distance of each fingertip from where the pose has it [mm], thumb
+            first.
+        q_true: (poses, n) positions of all joints in the poses that were asked for [rad].
+        q_found: (poses, n) those that came back [rad].
+        ok: share of frames with the status OK.
+        limit_violations: frames in which some joint was outside its limits.
+        frozen: share of the frames with a moving human in which no joint moved; None if the human
+            never moved.
+    """
+
+    tip_error_mm: Float[np.ndarray, "poses F"]
+    q_true: Float[np.ndarray, "poses n"]
+    q_found: Float[np.ndarray, "poses n"]
+    ok: float
+    limit_violations: int
+    frozen: float | None
+
+    @cached_property
+    def median(self) -> float:
+        """Median error over all fingertips of all poses [mm]."""
+        return float(np.median(self.tip_error_mm))
+
+    @cached_property
+    def p95(self) -> float:
+        """95th percentile of the same [mm]."""
+        return float(np.percentile(self.tip_error_mm, 95))
+
+
+def round_trip(
+    retargeter: Retargeter,
+    *,
+    poses: int,
+    seed: int,
+    track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+) -> RoundTrip:
+    """Asks a retargeter for poses that its hand can reach, and measures how near it comes.
+
+    For each of some random poses (``reachable_poses``) the
+    robot's own landmarks play the human: from a fresh state they go from the neutral pose to the
+    pose in 20 frames, since a live hand never teleports, and stay there for 15, so that what trails
+    behind arrives. The last command counts.
+
+    What is measured is the method as it is configured. Many methods weigh a pull to the neutral
+    pose against the landmarks, and so end millimetres off a pose that they could reach exactly. To
+    judge a hand, or a solver, take that pull away with ``without_pull``.
+
+    Args:
+        retargeter: the method on its hand; its own state is left alone.
+        poses: how many.
+        seed: of the poses; the retargeter has its own.
+        track: wraps the iteration over poses, for a progress bar.
+
+    Returns:
+        errors, and what else went wrong.
+
+    Raises:
+        ConfigError: poses is less than one.
+    """
+    if poses < 1:
+        raise ConfigError(f"a round trip needs one pose or more, not {poses}")
+    hand = retargeter.hand
+    wanted = reachable_poses(hand, poses, seed)
+    share = np.append(np.linspace(0, 1, _APPROACH), np.ones(_HOLD))[:, None]
+    commands, frozen, good, outside = [], [], 0, 0
+    for k in range(poses) if track is None else track(range(poses)):
+        landmarks = human_landmarks(hand, hand.neutral + share * (wanted[k] - hand.neutral))
+        state, positions = retargeter.init(), []
+        for i, points in enumerate(landmarks):
+            frame = HandFrame(points, i * _PERIOD_S, hand.spec.side)
+            state, result = retargeter.step(state, frame)
+            positions.append(result.command.positions)
+            good += result.status == Status.OK
+        run = np.array(positions)
+        low, high = hand.joint_limits.T
+        outside += int(((run < low - _ROUNDING) | (run > high + _ROUNDING)).any(axis=1).sum())
+        reaches = hand.tips(hand.expand(hand.neutral + share * (wanted[k] - hand.neutral)))
+        if (still := frozen_share(reaches - hand.wrist, run)) is not None:
+            frozen.append(still)
+        commands.append(run[-1])
+    true, found = hand.expand(wanted), np.array(commands)
+    return RoundTrip(
+        tip_error_mm=np.linalg.norm(hand.tips(found) - hand.tips(true), axis=-1) * 1e3,
+        q_true=true,
+        q_found=found,
+        ok=good / (poses * len(share)),
+        limit_violations=outside,
+        frozen=float(np.mean(frozen)) if frozen else None,
+    )
+
+
+def without_pull(config: MethodConfig) -> MethodConfig:
+    """The same method with next to no pull to the neutral pose.
+
+    A trace of it stays, to decide between joint positions that serve the landmarks alike.
+    """
+    if not isinstance(config, SbrConfig | DescentConfig):
+        return config
+    objective = config.objective
+    return replace(
+        config,
+        objective=replace(objective, pose_weight=min(objective.pose_weight, _FAINT)),
+    )

@@ -1,0 +1,242 @@
+"""Which way fingers bend, and whether that and their order make the side that is declared.
+
+With fingers pointing along f and closing towards p, a right hand has its thumb, and its index
+finger, on the side of f x p: palm towards you and fingers up, on your right. A left hand is its
+mirror image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.validation.checks import Check
+from smooth_operator.lab.validation.samples import Samples, movers
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+
+_PARALLEL: Final = 0.8  # cosine of two axes that bend a finger in one plane
+_STEPS: Final = 9
+_BENDS: Final = 0.05  # of a finger's length: how much more it folds one way than the other
+_AGREE: Final = 0.0  # cosine of a finger's closing direction to that of the others
+_SKEW: Final = 0.4  # cosine below which they close across each other
+_CLEAR: Final = 0.12  # of a finger's length: thumb or index clearly to one side
+
+
+@dataclass(frozen=True, eq=False)
+class Senses:
+    """How the fingers other than the thumb point and close, palm frame.
+
+    Attributes:
+        names: the fingers that fold clearly one way.
+        forward: (f, 3) unit vectors, base to tip, straight.
+        closing: (f, 3) unit vectors at right angles to them, in which the tips go when they fold.
+        bases: (f, 3) finger bases [m].
+        length: median length of a finger [m].
+    """
+
+    names: tuple[str, ...]
+    forward: Float[np.ndarray, "f 3"]
+    closing: Float[np.ndarray, "f 3"]
+    bases: Float[np.ndarray, "f 3"]
+    length: float
+
+    @property
+    def palmar(self) -> Float[np.ndarray, "3"]:
+        """Direction out of the palm: towards which most fingers close."""
+        near = self.closing @ self.closing.T
+        most = int(np.argmax((near > _AGREE).sum(axis=1) + near.mean(axis=1)))
+        return _unit(self.closing[near[most] > _AGREE].mean(axis=0))
+
+    @property
+    def lateral(self) -> Float[np.ndarray, "3"]:
+        """Across the palm, to the thumb's side of a right hand."""
+        return _unit(np.cross(self.forward.mean(axis=0), self.palmar))
+
+
+def find_senses(samples: Samples, sound: tuple[str, ...]) -> Senses | None:
+    """How each finger closes: that way of turning its flexion joints which folds it.
+
+    Args:
+        samples: the hand.
+        sound: fingers whose tips can be relied upon.
+
+    Returns:
+        the senses of the fingers that fold clearly one way; None if none does.
+    """
+    hand = samples.hand
+    names, forward, closing, bases, lengths = [], [], [], [], []
+    for i, name in enumerate(hand.fingers):
+        if name == "thumb" or name not in sound:
+            continue
+        bend = _Bend(hand, i)
+        straight = bend.straightened()
+        base, tip = bend.ends(straight)
+        length = float(np.linalg.norm(tip - base))
+        plus, minus = bend.folded(straight, 1), bend.folded(straight, -1)
+        if abs(plus - minus) < _BENDS * length:
+            continue
+        axis = bend.axis if plus < minus else -bend.axis
+        along = _unit(tip - base - ((tip - base) @ axis) * axis)
+        names.append(name)
+        forward.append(along)
+        closing.append(np.cross(axis, along))
+        bases.append(base)
+        lengths.append(length)
+    if not names:
+        return None
+    return Senses(
+        tuple(names),
+        np.array(forward),
+        np.array(closing),
+        np.array(bases),
+        float(np.median(lengths)),
+    )
+
+
+class _Bend:
+    """One finger about its flexion axis, the one of its last hinge; all else at neutral.
+
+    Args:
+        hand: the hand.
+        finger: its index.
+    """
+
+    def __init__(self, hand: Hand, finger: int) -> None:
+        self.hand = hand
+        base = LANDMARKS[BASES[FINGERS.index(hand.fingers[finger])]]
+        self._ends = [hand.tree.names.index(n) for n in (base, hand.tip_names[finger])]
+        model, data = hand.model, mujoco.MjData(hand.model)
+        data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+        mujoco.mj_kinematics(model, data)
+        palm = data.xmat[model.body(hand.spec.palm).id].reshape(3, 3)
+        self.axis: np.ndarray = np.zeros(3)
+        self._drives: dict[int, float] = {}  # actuated joint -> sense in which it turns the finger
+        for j in reversed(movers(hand, hand.tip_names[finger])):
+            joint = int(model.joint(hand.joint_names[j]).id)
+            if model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_HINGE):
+                continue
+            axis = palm.T @ data.xaxis[joint]
+            self.axis = self.axis if self.axis.any() else axis
+            if abs(along := float(axis @ self.axis)) > _PARALLEL:
+                weights = hand.expansion[0][j]
+                for k in np.flatnonzero(weights):
+                    self._drives[int(k)] = self._drives.get(int(k), 0.0) + along * weights[k]
+
+    def ends(self, q: np.ndarray) -> Float[np.ndarray, "2 3"]:
+        """Base and tip in a pose, palm frame [m]."""
+        out: np.ndarray = self.hand.landmark_positions(q)[self._ends]
+        return out
+
+    def straightened(self) -> Float[np.ndarray, " m"]:
+        """The pose of the flexion joints in which the tip is farthest from the base."""
+        best = self.hand.neutral.copy()
+        for _ in range(2):
+            for k in self._drives:
+                low, high = self.hand.limits[k].tolist()
+                trials = np.repeat(best[None], _STEPS + 1, axis=0)
+                trials[1:, k] = np.linspace(low, high, _STEPS)
+                # as it is, unless another is better by more than rounding
+                reach = [self._reach(trial) for trial in trials]
+                reach[0] += 1e-6
+                best = trials[int(np.argmax(reach))]
+        return best
+
+    def folded(self, straight: np.ndarray, sense: int) -> float:
+        """Distance of base and tip with all flexion joints turned that way to their limits [m]."""
+        q = straight.copy()
+        for k, turn in self._drives.items():
+            q[k] = self.hand.limits[k, int(turn * sense > 0)]
+        return self._reach(q)
+
+    def _reach(self, q: np.ndarray) -> float:
+        base, tip = self.ends(q)
+        return float(np.linalg.norm(tip - base))
+
+
+def check_flexion(senses: Senses | None) -> Check:
+    """Whether all fingers close towards one side."""
+    if senses is None:
+        return Check("flexion", "skipped", "no finger bends clearly enough to tell a direction")
+    cosines = senses.closing @ senses.palmar
+    figures = {n: round(float(c), 3) for n, c in zip(senses.names, cosines, strict=True)}
+    said = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
+    if against := [n for n, c in figures.items() if c < _AGREE]:
+        return Check(
+            "flexion",
+            "failed",
+            f"{', '.join(against)}: closes away from the side to which the others close",
+            "turn the sign of its flexion axes in the model, or of its limits",
+            figures,
+        )
+    if skew := [n for n, c in figures.items() if c < _SKEW]:
+        return Check(
+            "flexion",
+            "warning",
+            f"{', '.join(skew)}: closes across the others (cosine {cosines.min():.2f})",
+            "look at the axes of that finger, and at its tip",
+            figures,
+        )
+    return Check("flexion", "ok", said, "", figures)
+
+
+def check_side(samples: Samples, senses: Senses | None, sound: tuple[str, ...]) -> Check:
+    """Whether thumb, order of the fingers and the way they close make the declared side."""
+    hand = samples.hand
+    if senses is None or "thumb" not in sound:
+        return Check("side", "skipped", "not checked: fingertips or axes have to be mended first")
+    sign = 1.0 if hand.spec.side == "right" else -1.0
+    across = sign * senses.lateral / senses.length
+    thumb = hand.fingers.index("thumb")
+    middle = [samples.tips[:, hand.fingers.index(name)].mean(axis=0) for name in senses.names]
+    by_base = (samples.bases[:, thumb].mean(axis=0) - senses.bases.mean(axis=0)) @ across
+    by_reach = (samples.tips[:, thumb].mean(axis=0) - np.mean(middle, axis=0)) @ across
+    beside = float(by_base + by_reach) / 2
+    order = float((senses.bases[0] - senses.bases[-1]) @ across) if len(senses.names) > 1 else 0.0
+    figures = {
+        "thumb_mm": round(1e3 * beside * senses.length, 1),
+        "first_finger_mm": round(1e3 * order * senses.length, 1),
+    }
+    first, last = senses.names[0], senses.names[-1]
+    said = f"thumb {figures['thumb_mm']:+.0f} mm" + (
+        f", {first} {figures['first_finger_mm']:+.0f} mm from {last}" if order else ""
+    )
+    said += f" to where they are on a {hand.spec.side} hand"
+    other = "left" if hand.spec.side == "right" else "right"
+    if (order < -_CLEAR and beside < _CLEAR) or (beside < -_CLEAR and order <= _CLEAR):
+        return Check(
+            "side",
+            "failed",
+            said,
+            f'this is a {other} hand: side = "{other}" (or, of a model of the other hand, '
+            "mirror = true)",
+            figures,
+        )
+    if order < -_CLEAR:
+        return Check(
+            "side",
+            "failed",
+            said,
+            f"the fingers are named in the wrong order: {first} should be next to the thumb",
+            figures,
+        )
+    if beside < -_CLEAR:
+        return Check(
+            "side",
+            "warning",
+            said,
+            "the thumb is on the little finger's side: is it the thumb?",
+            figures,
+        )
+    if max(beside, order) < _CLEAR:
+        return Check("side", "ok", f"{said}: it may serve as either", "", figures)
+    return Check("side", "ok", said, "", figures)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    out: np.ndarray = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    return out

@@ -1,0 +1,103 @@
+"""Whether fingertips are where fingers end."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.validation.checks import Check
+from smooth_operator.lab.validation.samples import movers
+from smooth_operator.lab.validation.shapes import part_distances
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+
+_OFF: Final = 0.04  # a tip this far from its link's shapes is none of that link [m]
+_BESIDE: Final = 0.01  # further than a fingertip is thick: some models leave out its pad [m]
+_INSIDE: Final = 2e-3  # a tip this deep in another part is not free [m]
+_LONG: Final = 1.7  # last phalanx over the longest other; built-in hands: 1.3
+
+
+def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
+    """Whether each tip moves, is the tip of one finger, and is near its link and in no other part.
+
+    Returns:
+        the check, and the fingers whose tips can be relied upon.
+    """
+    faults: dict[str, str] = {}
+    beside: dict[str, float] = {}
+    figures: dict[str, dict[str, float]] = {}
+    ends: dict[int, str] = {}
+    for finger, landmark in zip(hand.spec.fingers, hand.tip_names, strict=True):
+        chain = movers(hand, landmark)
+        if not chain:
+            faults[finger.name] = f"is fixed to the palm, on body {finger.tip.body}"
+            continue
+        if chain[-1] in ends:
+            faults[finger.name] = f"is on the last link of the {ends[chain[-1]]}"
+            continue
+        ends[chain[-1]] = finger.name
+        place = _place(hand, finger.name)
+        figures[finger.name] = {name: round(1e3 * value, 1) for name, value in place.items()}
+        away, stretch = place.get("own", 0.0), _stretch(hand, finger.name)
+        if place.get("other", 0.0) < -_INSIDE:
+            faults[finger.name] = f"is {-1e3 * place['other']:.0f} mm inside another part"
+        elif away > _OFF:
+            faults[finger.name] = f"is {1e3 * away:.0f} mm away from the shapes of its link"
+        elif stretch > _LONG:
+            faults[finger.name] = f"makes a last phalanx {stretch:.1f} times as long as the others"
+        elif away > _BESIDE:
+            beside[finger.name] = 1e3 * away
+    sound = tuple(name for name in hand.fingers if name not in faults)
+    advice = "give the tip as a body of the finger's last link, with an offset in metres to its pad"
+    if faults:
+        said = "; ".join(f"{name} tip {text}" for name, text in faults.items())
+        return Check("fingertips", "failed", said, advice, figures), sound
+    if beside:
+        said = (
+            f"{', '.join(beside)}: up to {max(beside.values()):.0f} mm away from the shapes of "
+            "the link"
+        )
+        advice = f"if the model doesn't just lack the fingertips' shapes, {advice}"
+        return Check("fingertips", "warning", said, advice, figures), sound
+    own = [place["own"] for place in figures.values() if "own" in place]
+    said = "each moves with its finger"
+    if own:
+        said += f", {min(own):.1f} to {max(own):.1f} mm from its link's shapes (negative: inside)"
+    else:
+        said += "; the model has no shapes of the last links to compare with"
+    return Check("fingertips", "ok", said, "", figures), sound
+
+
+def _place(hand: Hand, finger: str) -> dict[str, float]:
+    """``own``: distance to the tip's own link; ``other``: to the nearest other part [m].
+
+    Links beyond the tip are not looked at: that joints move them in vain is told elsewhere.
+    """
+    spec = hand.spec.fingers[hand.fingers.index(finger)]
+    body = hand.model.body(spec.tip.body).id
+    point = spec.tip.mirrored if hand.spec.mirror else spec.tip
+    distances = part_distances(hand, body, np.asarray(point.offset))
+    part = int(hand.model.body_weldid[body])
+    own = distances.pop(part, None)
+    distances = {k: d for k, d in distances.items() if part not in _above(hand, k)}
+    out = {} if own is None else {"own": own}
+    return out | ({"other": min(distances.values())} if distances else {})
+
+
+def _above(hand: Hand, part: int) -> set[int]:
+    """The parts that a part hangs from."""
+    above: set[int] = set()
+    while part:
+        part = int(hand.model.body_weldid[hand.model.body_parentid[part]])
+        above.add(part)
+    return above
+
+
+def _stretch(hand: Hand, finger: str) -> float:
+    """Last phalanx over the longest of the others, between the finger's own joints."""
+    names = [LANDMARKS[BASES[FINGERS.index(finger)] + i] for i in range(4)]
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    points = np.array([at[name] for name in names if name in at])
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return float(lengths[-1] / max(lengths[:-1].max(), 1e-9)) if len(lengths) > 1 else 0.0

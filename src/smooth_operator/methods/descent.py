@@ -1,0 +1,230 @@
+"""Methods that descend: targets as an objective, solved by SLSQP from a warm start.
+
+Newton steps within the compiled program come first, since the objective's exact Hessian is at hand
+there, and SLSQP has to learn it anew in every frame; SLSQP goes on from what they found, unless
+that is a minimum already.
+
+DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
+weights and starting point only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.methods.joint_angle import JointAngleMap
+from smooth_operator.methods.method import MethodOutput
+from smooth_operator.methods.program import compiled
+from smooth_operator.methods.published_angles import PublishedAngles
+from smooth_operator.objective.local import LocalObjective
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
+from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
+
+
+@dataclass(frozen=True)
+class DescentConfig:
+    """Settings of a descending method.
+
+    Attributes:
+        alignment: how human landmarks reach the palm frame.
+        objective: targets, loss and weights.
+        solver: which SLSQP, and when it stops: NLopt's (``SlsqpConfig``), or SciPy's
+            (``ScipySlsqpConfig``).
+        start: where to begin: at the ``previous`` command; at the ``joint_angle`` method's answer
+            to the frame; or at the joint angles of the paper's authors (``published_angles``),
+            which are known for the joints of the mimic hand: on another hand that is
+            ``joint_angle``.
+        approach: Newton steps before SLSQP; with no iterations, SLSQP does it all.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    solver: SlsqpConfig | ScipySlsqpConfig = field(
+        default_factory=lambda: SlsqpConfig(optimality=1e-4)
+    )
+    start: Literal["previous", "joint_angle", "published_angles"] = "previous"
+    approach: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=5))
+
+    def __post_init__(self) -> None:
+        if self.start not in ("previous", "joint_angle", "published_angles"):
+            raise ConfigError(
+                f"start must be 'previous', 'joint_angle' or 'published_angles', not {self.start!r}"
+            )
+
+    def build(self, hand: Hand) -> Descent:
+        """The method for one hand.
+
+        Raises:
+            ConfigError: if the hand lacks points that the targets need.
+            SmoothOperatorError: if the start is of joint angles and the hand has no map of them.
+        """
+        method = Descent(hand, self)
+        _ = method.needs  # whatever the hand lacks is said now
+        return method
+
+
+class DescentState(NamedTuple):
+    """All that a descending method remembers between frames.
+
+    Attributes:
+        q: (m,) last command of the actuated joints [rad].
+        latched: (F - 1,) fingers latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+    """
+
+    q: Float[np.ndarray, " m"]
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+
+
+class DescentProblem(NamedTuple):
+    """One frame, ready to be solved.
+
+    Attributes:
+        goal: targets and weights.
+        start: (m,) where SLSQP is to begin [rad].
+        told: (2,) the objective there, and the largest component of its gradient that the limits
+            leave free, where Newton steps came before; NaN else.
+        latched, closure: as the state has them, after this frame.
+    """
+
+    goal: FrameGoal
+    start: Float[Array, " m"]
+    told: Float[Array, "2"]
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """A descending method for one hand."""
+
+    hand: Hand
+    config: DescentConfig
+
+    @cached_property
+    def objective(self) -> Objective:
+        """What is minimised."""
+        return Objective(self.hand, self.config.objective)
+
+    @cached_property
+    def local(self) -> LocalObjective:
+        """The same near one pose, with second derivatives."""
+        return LocalObjective(self.objective)
+
+    @cached_property
+    def joint_angles(self) -> JointAngleMap | PublishedAngles | None:
+        """Where the descent begins, if not at the previous command."""
+        if self.config.start == "previous":
+            return None
+        if self.config.start == "published_angles" and PublishedAngles.fits(self.hand):
+            return PublishedAngles(self.hand)
+        return JointAngleMap(self.hand)
+
+    @cached_property
+    def needs(self) -> tuple[int, ...]:
+        """Landmarks of the vectors, and of the joint angles if it starts there."""
+        angles = () if self.joint_angles is None else self.joint_angles.needs
+        return tuple(sorted({*self.objective.layout.landmarks, *angles}))
+
+    @cached_property
+    def evaluate(self) -> Callable[[np.ndarray, FrameGoal], Float[Array, " 1+m"]]:
+        """(m,) joint positions and a goal to value and gradient, as one array: one transfer.
+
+        Through the unrolled kinematics: it takes 2 s longer to compile than the small program of
+        ``LocalObjective``, and a third of its time to run.
+        """
+
+        def both(q: Array, goal: FrameGoal) -> Array:
+            value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
+            return jnp.concatenate([value[None], gradient])
+
+        evaluate = compiled(both)
+        # Compiled with the first frame, though SLSQP may not be needed before the hundredth.
+        count, neutral = len(self.objective.layout.vectors), np.float32(self.hand.neutral)
+        zeros = jnp.zeros((count, 3), jnp.float32), jnp.zeros(count, jnp.float32)
+        evaluate(neutral, FrameGoal(*zeros, jnp.asarray(neutral), jnp.float32(0)))
+        return evaluate
+
+    def init(self, seed: int) -> DescentState:
+        """Neutral pose, open latches; nothing here is random."""
+        fingers = len(self.hand.fingers) - 1
+        return DescentState(
+            np.asarray(self.hand.neutral, np.float32),
+            jnp.zeros(fingers, bool),
+            jnp.zeros(fingers, jnp.float32),
+        )
+
+    def prepare(self, state: DescentState, aligned: Float[Array, "21 3"]) -> DescentProblem:
+        """Targets of the frame, and where SLSQP is to begin."""
+        config, layout = self.config.objective, self.objective.layout
+        targets = config.targets(layout, layout.human(aligned), state.latched, state.closure)
+        previous = jnp.asarray(state.q)
+        start = previous if self.joint_angles is None else self.joint_angles.positions(aligned)
+        goal = FrameGoal(
+            targets.vectors,
+            targets.weights.astype(jnp.float32),
+            previous,
+            jnp.float32(config.velocity_weight),
+        )
+        told = jnp.full(2, jnp.nan, jnp.float32)
+        if self.config.approach.iterations:
+            low, high = (jnp.asarray(side, jnp.float32) for side in self.hand.limits.T)
+            start, cost, gradient = newton_minimise(
+                lambda q: self.local.expand(q, goal),
+                jnp.clip(start, low, high),
+                self.hand.limits,
+                self.config.approach,
+            )
+            free = jnp.clip(start - gradient, low, high) - start
+            told = jnp.stack([cost, jnp.abs(free).max()])
+        return DescentProblem(
+            goal,
+            start,
+            told,
+            targets.latched,
+            targets.closure,
+        )
+
+    def solve(
+        self, state: DescentState, problem: DescentProblem
+    ) -> tuple[DescentState, MethodOutput]:
+        """SLSQP, unless the start is a minimum already."""
+        evaluate, goal, solver = self.evaluate, problem.goal, self.config.solver
+        value, steepest = np.asarray(problem.told).tolist()
+        if isinstance(solver, SlsqpConfig) and steepest <= solver.optimality:
+            x = np.asarray(problem.start, np.float64)
+        else:
+
+            def objective(q: np.ndarray) -> np.ndarray:
+                return np.asarray(evaluate(q.astype(np.float32), goal))
+
+            start, limits = np.asarray(problem.start), self.hand.limits
+            if isinstance(solver, SlsqpConfig):
+                found = slsqp_minimise(objective, start, limits, solver)
+            else:
+                found = scipy_slsqp_minimise(objective, start, limits, solver)
+            x, value = found.x, found.value
+        q = x.astype(np.float32)
+        regular = float(
+            self.objective.regularisation(
+                x, np.asarray(state.q), self.config.objective.velocity_weight
+            )
+        )
+        after = DescentState(q, problem.latched, problem.closure)
+        if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
+            q = np.full_like(q, np.nan)
+        return after, MethodOutput(q, np.float32(value - regular))

@@ -1,0 +1,131 @@
+"""Preset files: a preset of a method with some of its numbers changed, as a small TOML file.
+
+::
+
+    format = 1
+    method = "sbr"
+    base = "realtime"
+
+    [settings]
+    "objective.pose_weight" = 0.031
+
+    [made]                       # optional: how it was found, for a person
+    by = "smooth-operator tune"
+
+The file stands wherever the name of a preset does: ``--method sbr --preset mine.toml``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import ConfigError, DocumentError, brief, listed
+from smooth_operator.io import atomic_write
+from smooth_operator.io.documents import read_toml
+
+FORMAT: Final = 1
+SUFFIX: Final = ".toml"
+
+_MOST_BYTES = 1_000_000
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+@dataclass(frozen=True)
+class PresetFile:
+    """What a preset file says.
+
+    Attributes:
+        method: name of the method.
+        base: name of the preset that it changes.
+        settings: path of a setting -> its value.
+        made: how it was found; text, numbers, and lists and tables of them.
+    """
+
+    method: str
+    base: str
+    settings: Mapping[str, float | int]
+    made: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_preset_file(path: Path) -> PresetFile:
+    """Reads a preset file.
+
+    Raises:
+        ConfigError: there is none, or it is something else; the message says what is expected.
+    """
+    try:
+        content = read_toml(path, most_bytes=_MOST_BYTES)
+    except FileNotFoundError:
+        raise ConfigError(f"no preset file at {path}") from None
+    except OSError as error:
+        raise ConfigError(f"can't read the preset file {path}: {error.strerror}") from error
+    except DocumentError as error:
+        raise ConfigError(f"{path} is not well-formed TOML: {error}") from error
+    if content.get("format") != FORMAT:
+        raise ConfigError(
+            f"{path}: expected a preset file, with 'format = {FORMAT}', not "
+            f"{brief(content.get('format'))}"
+        )
+    names = {key: content.get(key) for key in ("method", "base")}
+    for key, name in names.items():
+        if not isinstance(name, str) or not name:
+            raise ConfigError(f"{path}: {key!r} must be a name, not {brief(name)}")
+    settings, made = content.get("settings", {}), content.get("made", {})
+    for key, table in (("settings", settings), ("made", made)):
+        if not isinstance(table, dict):
+            raise ConfigError(f"{path}: {key!r} must be a table, not {brief(table)}")
+    for key, value in settings.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not math.isfinite(value):
+            raise ConfigError(f"{path}: setting {brief(key)} must be a number, not {brief(value)}")
+    if unknown := sorted(set(content) - {"format", "method", "base", "settings", "made"}):
+        raise ConfigError(f"{path}: unknown entries {listed(unknown)}")
+    return PresetFile(str(names["method"]), str(names["base"]), settings, made)
+
+
+def write_preset_file(path: Path, preset: PresetFile) -> None:
+    """Writes a preset file, whole or not at all.
+
+    Raises:
+        OutputError: it can't be written.
+        ConfigError: ``made`` holds what TOML can't.
+    """
+    lines = [
+        f"format = {FORMAT}",
+        f"method = {_value(preset.method)}",
+        f"base = {_value(preset.base)}",
+        "",
+        "[settings]",
+        *(f"{_key(name)} = {_value(value)}" for name, value in preset.settings.items()),
+    ]
+    if preset.made:
+        lines += ["", "[made]"]
+        lines += [f"{_key(name)} = {_value(value)}" for name, value in preset.made.items()]
+    with atomic_write(path) as file:
+        file.write("\n".join([*lines, ""]).encode())
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else _value(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)  # a TOML string, escapes and all
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return repr(value)  # with a point or an exponent, and so a float again
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    raise ConfigError(f"a preset file can't hold {value!r}")

@@ -1,0 +1,265 @@
+"""Methods and their presets, as Python objects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.errors import ConfigError, UnknownNameError, brief
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.descent import DescentConfig
+from smooth_operator.methods.geort import GeortConfig
+from smooth_operator.methods.joint_angle import JointAngleConfig
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.setting_paths import with_settings
+from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.methods.whole import WholeConfig
+from smooth_operator.objective.key_objectives import AkoTargets
+from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, TipTargets
+from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
+from smooth_operator.solvers.slsqp import SlsqpConfig
+from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+SBR_PAPER: Final = SbrConfig()
+"""The paper's table of hyper-parameters, fresh normals in every cycle."""
+
+SBR_REALTIME: Final = SbrConfig(
+    objective=ObjectiveConfig(
+        targets=DexPilotTargets(w_thumb=1.4, w_between=0.85, blend=0.4),
+        pose_weight=0.049,
+        velocity_weight=0.107,
+    ),
+    sampling=SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi"),
+    polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
+    settle_rounds=10,
+)
+"""For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
+
+The optimum that the paper's sampler only approaches follows fast motion more closely, jumps of
+the pinch latches included; so a latch moves over 2.5 frames, and weight goes from the
+finger-to-finger keyvectors to the thumb's. The weights were tuned on three recordings (a glove, the
+set that GeoRT trains on, the built-in operator); docs/benchmarks.md says which and shows others.
+"""
+
+KEYVECTOR: Final = DescentConfig(
+    objective=ObjectiveConfig(targets=PlainTargets(), pose_weight=2.5e-3, velocity_weight=0.0)
+)
+"""All keyvectors follow the human's, solved by SLSQP from the last command.
+
+Smooth-L1 in units of its transition and a tolerance of 1e-6 leave no dead band: the hand moves in
+every frame that the human's does.
+"""
+
+KEYVECTOR_VECTOR: Final = replace(
+    KEYVECTOR,
+    objective=ObjectiveConfig(
+        targets=PlainTargets(w_thumb=0.0, w_between=0.0), pose_weight=0.0, velocity_weight=4e-3
+    ),
+)
+"""``vector`` in dex-retargeting's sense: wrist-to-tip vectors only, held by the last command."""
+
+KEYVECTOR_POSITION: Final = replace(
+    KEYVECTOR,
+    objective=ObjectiveConfig(targets=TipTargets(), pose_weight=0.0, velocity_weight=4e-3),
+)
+"""``position`` in dex-retargeting's sense: fingertips at the human's places in the palm frame."""
+
+HYBRID: Final = replace(KEYVECTOR, start="joint_angle", approach=NewtonConfig(iterations=12))
+"""mimic-one's (Nava et al. 2025): the keyvector method, begun at the joint-angle solution.
+
+That lies further from the minimum than the last command does, so it takes more Newton steps.
+"""
+
+DEXPILOT: Final = DescentConfig(
+    objective=ObjectiveConfig(
+        targets=DexPilotTargets(
+            project=0.03, escape=0.05, eta1=5e-3, eta2=0.03, w_set1=200.0, w_set2=400.0
+        ),
+        pose_weight=2.5e-3,
+        velocity_weight=0.0,
+    )
+)
+"""DexPilot (Handa et al. 2019) with its own numbers; no velocity term."""
+
+AKO: Final = DescentConfig(
+    objective=ObjectiveConfig(
+        targets=AkoTargets(),
+        loss="smooth_l1_norm",
+        pose_weight=0.0,
+        velocity_weight=0.1,
+        velocity_loss="smooth_l1",
+    )
+)
+"""Analyzing Key Objectives (Yu et al. 2025), but that pinch vectors do not fade with distance."""
+
+
+def _as_published(
+    config: DescentConfig, objective: ObjectiveConfig, tolerance: float = 1e-6
+) -> DescentConfig:
+    """Solved as the authors do: by SciPy's SLSQP alone, at most 20 iterations a frame."""
+    return replace(
+        config,
+        objective=objective,
+        approach=NewtonConfig(iterations=0),
+        solver=ScipySlsqpConfig(tolerance=tolerance, max_iterations=20),
+    )
+
+
+_FIVE_VECTORS: Final = ObjectiveConfig(
+    targets=PlainTargets(w_thumb=0.0, w_between=0.0),
+    loss="squared",
+    pose_weight=0.0,
+    velocity_weight=0.0,
+)
+
+KEYVECTOR_PUBLISHED: Final = _as_published(KEYVECTOR, _FIVE_VECTORS)
+"""The baseline of the paper's authors: wrist to tips, squared error, nothing else."""
+
+HYBRID_PUBLISHED: Final = replace(KEYVECTOR_PUBLISHED, start="published_angles")
+"""The paper's baseline: the same, begun at the authors' joint angles."""
+
+DEXPILOT_PUBLISHED: Final = _as_published(DEXPILOT, replace(DEXPILOT.objective, pose_centre="zero"))
+"""The paper's baseline: the pose term pulls to zero angles."""
+
+AKO_PUBLISHED: Final = _as_published(
+    AKO, replace(AKO.objective, targets=AkoTargets(switch_pinch=True)), tolerance=1e-5
+)
+"""As the paper's authors run it; pinch vectors fade with the distance from the thumb."""
+
+
+SMOOTH_TELEOP: Final = SmoothConfig()
+"""For a live loop: causal, no frame later than the human's."""
+
+
+def _alone(config: DescentConfig) -> DescentConfig:
+    """NLopt's SLSQP from the start, until its own tolerance."""
+    return replace(config, approach=NewtonConfig(iterations=0), solver=SlsqpConfig())
+
+
+_FUTURE: Final = TrajectoryConfig(
+    acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
+)
+
+SBR_OFFLINE: Final = WholeConfig(
+    replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
+    _FUTURE,
+    leap=0.03,
+)
+"""For recordings: Eq. (1) for all frames at once, with a price on acceleration, and on fingertips
+that move otherwise than the human's.
+
+With the future known, velocity need not cost anything, and the pull to the neutral pose can be
+weaker for the same smoothness. The figures were chosen on the first 500 frames of a glove
+recording, 1,000 of the set that GeoRT trains on and 8 s of the built-in operator (seed 42, 0.5 mm
+of noise).
+"""
+
+SMOOTH_OFFLINE: Final = WholeConfig(
+    SMOOTH_TELEOP,
+    replace(_FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
+    leap=0.02,
+    noise=50.0,
+)
+"""For recordings: the objective of ``smooth`` for all frames at once, without its filters.
+
+That objective is stiffer than Eq. (1), and so is what stands against it.
+"""
+
+
+PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
+    "sbr": {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE},
+    "smooth": {"teleop": SMOOTH_TELEOP, "offline": SMOOTH_OFFLINE},
+    "joint_angle": {"default": JointAngleConfig()},
+    "keyvector": {
+        "default": KEYVECTOR,
+        "vector": KEYVECTOR_VECTOR,
+        "position": KEYVECTOR_POSITION,
+        "slsqp": _alone(KEYVECTOR),
+        "published": KEYVECTOR_PUBLISHED,
+    },
+    "hybrid": {"default": HYBRID, "slsqp": _alone(HYBRID), "published": HYBRID_PUBLISHED},
+    "dexpilot": {"default": DEXPILOT, "slsqp": _alone(DEXPILOT), "published": DEXPILOT_PUBLISHED},
+    "ako": {"default": AKO, "slsqp": _alone(AKO), "published": AKO_PUBLISHED},
+    "geort": {"default": GeortConfig()},
+}
+"""Method name -> preset name -> configuration; the first preset of a method is its default."""
+
+_ALIASES: Final = {"sbr": {"published": "paper"}}
+"""Method -> other names of its presets: ``published`` is what every published method answers to."""
+
+
+def method_names() -> tuple[str, ...]:
+    """Names of the methods."""
+    return tuple(PRESETS)
+
+
+def live_presets() -> dict[str, list[str]]:
+    """Names of the presets that answer frame by frame, by method."""
+    return {
+        method: [name for name, config in presets.items() if not isinstance(config, WholeConfig)]
+        for method, presets in PRESETS.items()
+    }
+
+
+def default_preset(method: str) -> str:
+    """Name of a method's default preset.
+
+    Raises:
+        UnknownNameError: there is no such method.
+    """
+    if method not in PRESETS:
+        raise UnknownNameError("method", method, PRESETS)
+    return next(iter(PRESETS[method]))
+
+
+def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
+    """Configuration of a method by preset name; None gives the method's default preset.
+
+    For a method with a trained model (geort), the file of one may stand for the preset; for any
+    method a preset file (``smooth_operator.methods.preset_file``). ``published`` is a preset
+    of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
+    is its ``paper``.
+
+    Raises:
+        UnknownNameError: if there is no such method or preset.
+        ConfigError: the preset file is none, or for another method.
+    """
+    default = default_preset(method)
+    presets = PRESETS[method]
+    if preset is None:
+        return presets[default]
+    preset = _ALIASES.get(method, {}).get(preset, preset)
+    if preset not in presets and preset.endswith(SUFFIX):
+        return _from_file(method, Path(preset))
+    if preset not in presets:
+        usual = presets[default]
+        if isinstance(usual, GeortConfig) and Path(preset).is_file():
+            return replace(usual, model=Path(preset))
+        raise UnknownNameError(f"preset of method {method!r}:", preset, presets, _elsewhere(preset))
+    return presets[preset]
+
+
+def _elsewhere(preset: str) -> str:
+    """Whose preset it is, if not that of the method: who names none gets the default one."""
+    owners = [method for method, presets in PRESETS.items() if preset in presets]
+    return (
+        f"{preset!r} is a preset of {', '.join(owners)}: choose that method too." if owners else ""
+    )
+
+
+def _from_file(method: str, path: Path) -> MethodConfig:
+    file = read_preset_file(path)
+    if file.method != method:
+        raise ConfigError(
+            f"{path} is a preset of method {brief(file.method)}, not of {method!r}: choose "
+            "that method too"
+        )
+    if file.base.endswith(SUFFIX):
+        raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")
+    return with_settings(method_config(method, file.base), file.settings)

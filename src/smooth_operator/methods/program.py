@@ -1,0 +1,197 @@
+"""One frame, from landmarks to an answer, whatever they are and wherever the solver runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+from numpy.typing import ArrayLike
+
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    palm_alignment,
+    reference_landmarks,
+)
+from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.methods.method import HostMethod, Method, Stateful
+from smooth_operator.types import Status
+
+
+class RetargetState(NamedTuple):
+    """All that a retargeter remembers between frames; a pytree.
+
+    Attributes:
+        method: state of the method.
+        q: (m,) last good command of the actuated joints [rad].
+        stamp: of the last frame [s], where the retargeter counts frames by a rate; else None. It
+            stays on the host.
+    """
+
+    method: Any
+    q: Float[Array, " m"] | Float[np.ndarray, " m"]
+    stamp: float | None = None
+
+
+class Answer(NamedTuple):
+    """What a frame came to.
+
+    Attributes:
+        q: (m,) command of the actuated joints [rad], the last good one unless the status is OK.
+        status: a ``Status``.
+        tracking_loss: of the command.
+        scale: robot size over human size in this frame's alignment.
+    """
+
+    q: Float[Array, " m"] | Float[np.ndarray, " m"]
+    status: Int[Array, ""] | int
+    tracking_loss: Float[Array, ""] | float
+    scale: Float[Array, ""] | float
+
+
+Step: TypeAlias = Callable[..., tuple[RetargetState, Answer]]
+"""State, (21, 3) landmarks [m], (21,) validity and, for a method that is timed, the frame's ticks
+(``ticks_of``) to the next state and the answer; traceable."""
+
+Program: TypeAlias = Callable[..., tuple[RetargetState, Answer]]
+"""The same on the host, compiled."""
+
+
+def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
+    """One frame as a function to be compiled, by itself or in a longer program."""
+
+    def step(
+        state: RetargetState,
+        landmarks: Float[Array, "21 3"],
+        valid: Bool[Array, "21"],
+        *ticks: UInt32[Array, ""],
+    ) -> tuple[RetargetState, Answer]:
+        seen = see(method, alignment, landmarks, valid)
+        after, output = method.step(state.method, seen.aligned, *ticks)
+        solved = jnp.isfinite(output.q).all()
+        status = jnp.where((seen.status == Status.OK) & ~solved, Status.SOLVER_FAILED, seen.status)
+        kept = RetargetState(after, output.q)
+        state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
+        return state, Answer(state.q, status, jnp.asarray(output.tracking_loss), seen.scale)
+
+    return step
+
+
+def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Program:
+    """The program of one frame; it compiles when it is first called."""
+    if isinstance(method, HostMethod):
+        return _host_program(method, alignment)
+    step = frame_step(method, alignment)
+
+    def packed(
+        state: RetargetState, landmarks: Array, valid: Array, *ticks: Array
+    ) -> tuple[RetargetState, Array]:
+        state, answer = step(state, landmarks, valid, *ticks)
+        return state, _pack(answer.q, answer.status, answer.tracking_loss, answer.scale)
+
+    run = compiled(packed)
+
+    def program(
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, *ticks: np.uint32
+    ) -> tuple[RetargetState, Answer]:
+        state, flat = run(state, landmarks, valid, *ticks)
+        numbers = np.asarray(flat)
+        status, loss, scale = numbers[-3:].tolist()
+        return state, Answer(numbers[:-3], int(status), loss, scale)
+
+    return program
+
+
+def _pack(*parts: Array | np.ndarray | float) -> Array:
+    """One array: what the host reads costs by the piece, not by the byte."""
+    return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``jax.jit`` with the options that suit programs of one frame."""
+    return jax.jit(function, compiler_options=_compiler_options())
+
+
+class Seen(NamedTuple):
+    """A frame after alignment; harmless landmarks where it can't be used."""
+
+    aligned: Float[Array, "21 3"]
+    status: Int[Array, ""]
+    scale: Float[Array, ""]
+
+
+def see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array) -> Seen:
+    """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
+    hand, operator = method.hand, alignment.operator
+    corrected = () if operator is None else operator.needs(hand)
+    needs = np.array(sorted({*method.needs, *hand.align_indices, *corrected}))
+    finite = jnp.isfinite(landmarks).all(axis=-1) & valid
+    present = finite[needs].all()
+    safe = jnp.where(present, landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
+    palm = palm_alignment(safe, hand, alignment)
+    well_posed = palm.condition >= MIN_CONDITION  # False for NaN
+    status = jnp.where(
+        ~present,
+        Status.INVALID_LANDMARKS,
+        jnp.where(~well_posed, Status.DEGENERATE_PALM, Status.OK),
+    )
+    aligned = palm.apply(safe)
+    if operator is not None:
+        aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
+    return Seen(aligned, status, palm.scale)
+
+
+def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
+    def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array]:
+        seen = see(method, alignment, landmarks, valid)
+        return method.prepare(state, seen.aligned), _pack(seen.status, seen.scale)
+
+    before = compiled(prepare)
+
+    def program(
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
+    ) -> tuple[RetargetState, Answer]:
+        problem, flat = before(state.method, landmarks, valid)
+        code, scale = np.asarray(flat).tolist()
+        if code != Status.OK:
+            return state, Answer(state.q, int(code), np.nan, scale)
+        after, output = method.solve(state.method, problem)
+        loss = float(output.tracking_loss)
+        if not np.isfinite(output.q).all():
+            return state, Answer(state.q, Status.SOLVER_FAILED, loss, scale)
+        return RetargetState(after, output.q), Answer(output.q, int(code), loss, scale)
+
+    return program
+
+
+def ticks_of(stamp: Float[ArrayLike, "*n"]) -> UInt32[np.ndarray, "*n"]:
+    """Time as the programs take it: microseconds modulo 2^32, whose differences are right for half
+    an hour, where a float32 of the time of day is not good to a minute.
+
+    Args:
+        stamp: [s]; one that is not finite counts as 0.
+    """
+    whole = np.round(np.nan_to_num(np.asarray(stamp, float), posinf=0.0, neginf=0.0) * 1e6)
+    return np.asarray(np.mod(whole, 2.0**32)).astype(np.uint32)
+
+
+@cache
+def _compiler_options() -> dict[str, Any] | None:
+    """Options that make a CPU program start sooner.
+
+    XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
+    faster for it. The option is XLA's own and may go: where it is unknown, there is none.
+    """
+    if jax.default_backend() != "cpu":
+        return None
+    options = {"xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
+    except Exception:  # what XLA raises for an unknown option has changed between versions
+        return None
+    return options

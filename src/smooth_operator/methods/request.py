@@ -1,0 +1,243 @@
+"""What is to be done to one recording, every name looked up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, TypeAlias
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.selection import parse_fingers
+from smooth_operator.human.alignment import calibrate_scale
+from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.human.operator_file import read_operator
+from smooth_operator.io.environment import environment
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.operated import aligned_by, operated_by
+from smooth_operator.methods.presets import PRESETS, method_config
+from smooth_operator.types import HandRecording, Side
+
+PROGRAM: Final = "smooth-operator"
+"""Value of ``program`` in every configuration that this program writes."""
+
+Scale: TypeAlias = float | Literal["frame", "calibrate"]
+"""Robot size over human size: a number, found in every frame, or once for the recording."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be done to a recording, or to each of many; ``request`` makes one.
+
+    Attributes:
+        hand: name of the robot hand.
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration; that of the preset, so that workers need not know the name.
+        seed: of the random numbers; each recording starts from it.
+        scale: robot size over human size; None for the configuration's own.
+        side: which hand; None for what each recording says.
+        rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
+        frames: only these of each recording, as text.
+        fingers: robot finger -> human finger that drives it; None for all, each by its own.
+        operator: the calibrated operator; None for none.
+    """
+
+    hand: str
+    method: str
+    preset: str
+    config: MethodConfig
+    seed: int = 0
+    scale: Scale | None = None
+    side: Side | None = None
+    rate: float | None = None
+    layout: str | None = None
+    frames: str | None = None
+    fingers: Mapping[str, str] | None = None
+    operator: OperatorProfile | None = None
+
+
+def request(
+    *,
+    hand: str = "mimic_p050",
+    method: str = DEFAULT_METHOD,
+    preset: str | None = None,
+    seed: int = 0,
+    scale: Scale | None = None,
+    side: Side | None = None,
+    rate: float | None = None,
+    layout: str | None = None,
+    frames: str | None = None,
+    fingers: str | None = None,
+    operator: Path | None = None,
+) -> Request:
+    """A request from what a user says: names looked up, texts read, the operator's file too.
+
+    Raises:
+        UnknownNameError: there is no such method or preset.
+        HandModelError: the choice of fingers is none.
+        ConfigError: the operator's file can't be used.
+    """
+    return Request(
+        hand,
+        method,
+        next(iter(PRESETS.get(method, {"": None}))) if preset is None else preset,
+        method_config(method, preset),
+        seed,
+        scale,
+        side,
+        rate,
+        layout,
+        frames,
+        None if fingers is None else parse_fingers(fingers),
+        None if operator is None else read_operator(operator),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What is to be done, every name looked up.
+
+    Attributes:
+        recording: the human hand.
+        hand: the robot hand.
+        method: name of the method.
+        preset: name of its preset.
+        config: its configuration, scale and operator filled in.
+        seed: of the random numbers.
+        fingers: robot finger -> human finger that drives it, as asked for; None for all. The hand
+            has them already; this is for the configuration beside the result.
+    """
+
+    recording: HandRecording
+    hand: Hand
+    method: str
+    preset: str
+    config: MethodConfig
+    seed: int
+    fingers: Mapping[str, str] | None = None
+
+
+def plan(recording: HandRecording, asked: Request) -> Plan:
+    """Looks up the hand for the recording's side, and puts scale and operator in their place.
+
+    Args:
+        recording: the human hand, of the side, rate and frames that are asked for.
+        asked: what is to be done.
+
+    Raises:
+        UnknownNameError: there is no such hand, or it has no such finger.
+        HandModelError: the fingers can't be chosen so.
+        ConfigError: the scale is not a possible one, or the operator was calibrated for another
+            hand.
+        RecordingError: the scale is to be calibrated on a recording without a usable palm.
+    """
+    robot, config = settle(asked, recording.side, recording)
+    return Plan(recording, robot, asked.method, asked.preset, config, asked.seed, asked.fingers)
+
+
+def settle(
+    asked: Request, side: Side, recording: HandRecording | None = None
+) -> tuple[Hand, MethodConfig]:
+    """The hand and the configuration that are asked for, scale and operator in their place.
+
+    Args:
+        asked: what is to be done.
+        side: which hand.
+        recording: what a scale may be calibrated on; None where there is none, as in live use.
+
+    Raises:
+        UnknownNameError, HandModelError, ConfigError, RecordingError: as ``plan``.
+    """
+    robot = load_hand(asked.hand, side, fingers=asked.fingers)
+    return robot, settled_config(asked, robot, recording)
+
+
+def settled_config(
+    asked: Request, robot: Hand, recording: HandRecording | None = None
+) -> MethodConfig:
+    """The configuration that is asked for, scale and operator in their place, of a loaded hand.
+
+    Raises:
+        ConfigError, RecordingError: as ``plan``.
+    """
+    config = asked.config
+    if asked.operator is not None:
+        asked.operator.check(robot)
+        config = operated_by(config, asked.operator)
+    if asked.scale is not None:
+        fixed: float | None
+        if asked.scale == "calibrate":
+            if recording is None:
+                raise ConfigError(
+                    "there is no recording to calibrate the scale on; run `smooth-operator "
+                    "calibrate` and give its file with --operator, or give --scale a number"
+                )
+            fixed = calibrate_scale(recording, robot)
+        else:
+            fixed = None if asked.scale == "frame" else float(asked.scale)
+        operator = config.alignment.operator
+        # What the user says of the scale goes before what the calibration found.
+        operator = None if operator is None else operator.without("scale")
+        config = aligned_by(config, scale=fixed, operator=operator)
+    return config
+
+
+def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
+    """The resolved configuration, to be written beside a result.
+
+    Args:
+        command: which command made it.
+        todo: its plan; the operator is in the configuration's alignment.
+        more: what only that command knows.
+    """
+    recording = todo.recording
+    return {
+        "program": PROGRAM,
+        "command": command,
+        "hand": todo.hand.name,
+        "side": todo.hand.spec.side,
+        "fingers": todo.fingers,
+        "method": todo.method,
+        "preset": todo.preset,
+        "seed": todo.seed,
+        "config": todo.config,
+        "recording": {
+            "name": recording.name,
+            "side": recording.side,
+            "frames": len(recording),
+            "rate_hz": recording.rate_hz,
+            "duration_s": recording.duration,
+        },
+        **more,
+        **environment(),
+    }
+
+
+def live_configuration(
+    command: str, asked: Request, configs: Mapping[Side, MethodConfig], **more: Any
+) -> dict[str, Any]:
+    """The same of a run without a recording.
+
+    Args:
+        command: which command made it.
+        asked: what was asked for.
+        configs: side -> configuration of the method, as ``settle`` gave it.
+        more: what only that command knows.
+    """
+    return {
+        "program": PROGRAM,
+        "command": command,
+        "hand": asked.hand,
+        "fingers": asked.fingers,
+        "method": asked.method,
+        "preset": asked.preset,
+        "seed": asked.seed,
+        "config": dict(configs),
+        **more,
+        **environment(),
+    }

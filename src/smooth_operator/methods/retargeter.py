@@ -1,0 +1,270 @@
+"""From a hand frame to a joint command: one compiled program per frame, explicit state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.spec import HandSpec
+from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.io.anatomy import HandCheck
+from smooth_operator.io.checks import stamps_from_rate
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.method import HostMethod, Method, MethodConfig
+from smooth_operator.methods.notes import method_notes
+from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.program import RetargetState as RetargetState
+from smooth_operator.methods.program import ticks_of
+from smooth_operator.methods.shared import shared_program
+from smooth_operator.types import (
+    CommandTrajectory,
+    HandFrame,
+    HandRecording,
+    JointCommand,
+    Result,
+    Status,
+)
+
+_REFLECTION = np.array([-1, 1, 1], np.float32)
+
+
+class Retargeter:
+    """Retargets frames of a tracked human hand onto one robot hand.
+
+    Use it with explicit state (``init``, ``step``), or call it and let it keep the state
+    (``__call__``, ``reset``). Either way a frame is one compiled program from landmarks to
+    command (up to the solver, for methods whose solver is a library on the host), compiled at the
+    first frame or by ``warm_up``.
+
+    Methods go by time, so every frame has a stamp. A frame without one has that of the call, by the
+    clock, when the retargeter is called; with a ``rate`` it is one period after the frame before.
+    ``step`` has no clock and refuses a frame without a stamp unless there is a rate.
+
+    A frame that is invalid, not finite or degenerate gives the last good command (before the first
+    good frame: the neutral pose) with a status that says why, and leaves the state as it was.
+
+    Args:
+        hand: name of a hand, the path of a spec file, a description, or a loaded hand.
+        side: side of a hand given by name, ``right`` if left out; a spec file brings its own.
+        method: name of the method.
+        preset: name of its preset; None for the method's default.
+        config: a configuration of your own, instead of method and preset.
+        seed: of the method's random numbers.
+        rate: frames a second [Hz] of frames without stamps, such as those of a video; None for the
+            time of the call. Their stamps count from 0.
+        clock: seconds that never go back, for the time of the call.
+
+    Attributes:
+        method: the method for this hand.
+        shared: the compiled program, and the method that it was made from: that of the mirror image
+            for a hand that is described as one.
+
+    Raises:
+        UnknownNameError: for an unknown hand, method or preset.
+        HandModelError: if the hand's model can't be used.
+        ConfigError: if the operator in the configuration was calibrated for another hand, or the
+            rate is outside 1 to 2000 Hz.
+    """
+
+    def __init__(
+        self,
+        hand: str | Path | HandSpec | Hand = "mimic_p050",
+        *,
+        side: str | None = None,
+        method: str = DEFAULT_METHOD,
+        preset: str | None = None,
+        config: MethodConfig | None = None,
+        seed: int = 0,
+        rate: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
+        self.config = method_config(method, preset) if config is None else config
+        if self.config.alignment.operator is not None:
+            self.config.alignment.operator.check(self.hand)
+        stamps_from_rate(0, rate, "rate")  # refuses one that can't be
+        self.seed = seed
+        self.rate = rate
+        self._clock = clock
+        self._stamped: bool | None = None
+        self._input = HandCheck(self.hand.spec.side)
+        self.method: Method | HostMethod = self.config.build(self.hand)
+        self.shared = shared_program(self.hand, self.config)
+        self._state = self.init()
+
+    @property
+    def timed(self) -> bool:
+        """Whether the method goes by the frames' stamps."""
+        return bool(getattr(self.method, "timed", False))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of this method on this hand, such as collision shapes that are
+        estimated because the model's mesh files can't be read; empty for most hands."""
+        return method_notes(self.config, self.hand)
+
+    def init(self, seed: int | None = None) -> RetargetState:
+        """The state before the first frame."""
+        method = self.method.init(self.seed if seed is None else seed)
+        return RetargetState(method, jnp.asarray(self.hand.neutral, jnp.float32))
+
+    def step(
+        self, state: RetargetState, frame: HandFrame | ArrayLike
+    ) -> tuple[RetargetState, Result]:
+        """One frame.
+
+        Args:
+            state: from ``init`` or the last step; not changed.
+            frame: a hand frame, or (21, 3) landmarks [m] where the retargeter has a rate.
+
+        Returns:
+            the next state and the result.
+
+        Raises:
+            ConfigError: if the frame is of the other hand's side, or has no stamp and there is no
+                rate.
+            RecordingError: if landmarks have another shape.
+        """
+        start = time.perf_counter()
+        frame = self._framed(frame)
+        stamp = self._stamp_of(state, frame)
+        if frame.side != self.hand.spec.side:
+            raise ConfigError(
+                f"a {frame.side} human hand can't drive the {self.hand.spec.side} hand "
+                f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
+            )
+        assert frame.valid is not None  # filled in on construction
+        ticks = (ticks_of(stamp),) if self.timed else ()
+        before = state if state.stamp is None else state._replace(stamp=None)
+        state, answer = self.shared.run(before, self.seen(frame.landmarks), frame.valid, *ticks)
+        if self.rate is not None:
+            state = state._replace(stamp=stamp)
+        q, status = np.asarray(answer.q, float), Status(int(answer.status))
+        # float32 may round a limit outwards: the last word is in float64
+        q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
+        latency_ms = (time.perf_counter() - start) * 1e3
+        return state, Result(
+            JointCommand(q, self.hand.joint_names, stamp),
+            status,
+            latency_ms,
+            float(answer.tracking_loss),
+            float(answer.scale),
+        )
+
+    def seen(self, landmarks: Float[np.ndarray, "*batch 21 3"]) -> Float[np.ndarray, "*batch 21 3"]:
+        """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
+        image's."""
+        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
+            taken = landmarks.astype(np.float32)
+        return taken * _REFLECTION if self.shared.reflects else taken
+
+    def __call__(self, frame: HandFrame | ArrayLike) -> Result:
+        """One frame, with the state kept inside; see ``step``.
+
+        A frame without a stamp is of this moment, unless there is a rate.
+
+        Raises:
+            ConfigError, RecordingError: as ``step``; frames with and without stamps are
+                mixed, which two clocks would time; or the first frames are of the other hand or in
+                another order by their shape (``check_hand``).
+        """
+        frame = self._framed(frame)
+        if self._input.judged < HandCheck.WINDOW:
+            self._check_input(frame)
+        stamped = frame.stamp is not None
+        if self._stamped not in (None, stamped):
+            raise ConfigError(
+                "frames with and without stamps are mixed, so the time between them is not known; "
+                "give all of them stamps or none, or call reset() in between"
+            )
+        if not stamped and self.rate is None:
+            frame = replace(frame, stamp=self._clock())
+        self._state, result = self.step(self._state, frame)
+        self._stamped = stamped
+        return result
+
+    def _check_input(self, frame: HandFrame) -> None:
+        """One of the first frames since the start: once they pass, nothing more is looked at."""
+        assert frame.valid is not None  # filled in on construction
+        found = self._input.see(frame.landmarks, frame.valid)
+        if found is not None:
+            self._input = HandCheck(self.hand.spec.side)
+            raise RecordingError(f"the last frames: {found.what}; {found.in_python}")
+
+    def _framed(self, frame: HandFrame | ArrayLike) -> HandFrame:
+        if isinstance(frame, HandFrame):
+            return frame
+        return HandFrame(np.asarray(frame), side=self.hand.spec.side)
+
+    def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
+        """When a frame was measured [s]: as it says, or a period after the last one."""
+        if frame.stamp is not None:
+            return frame.stamp
+        if self.rate is None:
+            raise ConfigError(
+                "the frame has no stamp, and step() has no clock: give it the time of the "
+                "measurement, HandFrame(landmarks, stamp=seconds), or say the frame rate, "
+                "Retargeter(..., rate=30)"
+            )
+        return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
+
+    def reset(self, seed: int | None = None) -> None:
+        """Back to the start: latches, random numbers, last command. Never recompiles."""
+        self._state = self.init(seed)
+        self._stamped = None
+        self._input = HandCheck(self.hand.spec.side)
+
+    def warm_up(self) -> float:
+        """Compile, without touching the state kept inside.
+
+        Returns:
+            seconds it took.
+        """
+        start = time.perf_counter()
+        side = self.hand.spec.side
+        self.step(self.init(), HandFrame(reference_landmarks(self.hand), 0.0, side))
+        return time.perf_counter() - start
+
+    def run(
+        self,
+        recording: HandRecording,
+        *,
+        seed: int | None = None,
+        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+        """A whole recording from a fresh state, frame by frame, as a live loop would.
+
+        Args:
+            recording: the human hand.
+            seed: of the random numbers; None for the retargeter's own.
+            track: wraps the iteration over frames, for a progress bar.
+
+        Returns:
+            the commands, and the (T,) tracking loss of each frame (NaN where a command was held).
+        """
+        self.warm_up()
+        state = self.init(seed)
+        steps = range(len(recording))
+        results: list[Result] = []
+        for i in steps if track is None else track(steps):
+            state, result = self.step(state, recording[i])
+            results.append(result)
+        trajectory = CommandTrajectory(
+            np.stack([r.command.positions for r in results]),
+            self.hand.joint_names,
+            recording.stamps,
+            np.array([r.latency_ms for r in results]),
+            np.array([r.status for r in results], np.int8),
+        )
+        loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
+        return trajectory, np.array(loss)

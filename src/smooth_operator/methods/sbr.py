@@ -1,0 +1,143 @@
+"""The paper's sampling-based retargeter (SBR), with an optional second-order polish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, UInt32
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.methods.method import MethodOutput
+from smooth_operator.objective.local import LocalObjective
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
+from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+
+
+@dataclass(frozen=True)
+class SbrConfig:
+    """Settings of SBR.
+
+    Attributes:
+        alignment: how human landmarks reach the palm frame.
+        objective: weights of Eq. (1).
+        sampling: hyper-parameters of Algorithm 1.
+        polish: Newton steps on the same objective after Algorithm 1; none in the paper.
+        settle_rounds: how often the first frame is solved, each time from the last answer and
+            without the velocity term, since there is no last command to be near to. The hand then
+            starts where the operator is, and does not creep there from the neutral pose over
+            several frames. 1 is as published: once, velocity term and all.
+        settle_sigma: initial standard deviation of the sampler while it settles [rad]: the first
+            pose may be anywhere, and the wrong basin would last.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    polish: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=0))
+    settle_rounds: int = 1
+    settle_sigma: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.settle_rounds < 1:
+            raise ConfigError(f"settle_rounds must be 1 or more, not {self.settle_rounds}")
+        if self.settle_sigma <= 0:
+            raise ConfigError(f"settle_sigma must be positive [rad], not {self.settle_sigma}")
+
+    def build(self, hand: Hand) -> Sbr:
+        """The method for one hand."""
+        return Sbr(hand, self)
+
+
+class SbrState(NamedTuple):
+    """All that SBR remembers between frames.
+
+    Attributes:
+        q: (m,) last command of the actuated joints [rad].
+        latched: (F - 1,) fingers latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+        seed: two words, constant.
+        frames: frames answered so far; with the seed it gives each frame its random numbers.
+    """
+
+    q: Float[Array, " m"]
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+    seed: UInt32[Array, "2"]
+    frames: UInt32[Array, ""]
+
+
+@dataclass(frozen=True, eq=False)
+class Sbr:
+    """SBR for one hand."""
+
+    hand: Hand
+    config: SbrConfig
+
+    @cached_property
+    def objective(self) -> Objective:
+        """Eq. (1)."""
+        return Objective(self.hand, self.config.objective)
+
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """Wrist and fingertips."""
+        return self.objective.layout.landmarks
+
+    def init(self, seed: int) -> SbrState:
+        """Neutral pose, open latches."""
+        fingers = len(self.hand.fingers) - 1
+        return SbrState(
+            jnp.asarray(self.hand.neutral, jnp.float32),
+            jnp.zeros(fingers, bool),
+            jnp.zeros(fingers, jnp.float32),
+            jnp.asarray(seed_words(seed)),
+            jnp.uint32(0),
+        )
+
+    def step(self, state: SbrState, aligned: Float[Array, "21 3"]) -> tuple[SbrState, MethodOutput]:
+        """One frame."""
+        config, limits, layout = self.config, self.hand.limits, self.objective.layout
+        targets = config.objective.targets(
+            layout, layout.human(aligned), state.latched, state.closure
+        )
+        starting = (state.frames == 0) & (config.settle_rounds > 1)
+        velocity_weight = jnp.where(starting, 0.0, config.objective.velocity_weight)
+        sigma = jnp.where(starting, config.settle_sigma, config.sampling.sigma)
+        goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity_weight)
+        local = LocalObjective(self.objective)
+
+        def solve(round: Array | int, q: Array) -> tuple[Array, Array]:
+            q = sample_minimise(
+                lambda candidates: self.objective(candidates, goal),
+                q,
+                limits,
+                frame_key(state.seed, state.frames + jnp.uint32(round)),
+                config.sampling,
+                sigma,
+            )
+            return newton_minimise(lambda few: local.expand(few, goal), q, limits, config.polish)[
+                :2
+            ]
+
+        if config.settle_rounds > 1:
+            q, cost = lax.fori_loop(
+                0,
+                jnp.where(starting, config.settle_rounds, 1),
+                lambda round, last: solve(round, last[0]),
+                (state.q, jnp.zeros_like(state.q[0])),
+            )
+        else:
+            q, cost = solve(0, state.q)
+        tracking = cost - local.regularisation(q, goal)
+        after = SbrState(
+            q, targets.latched, targets.closure, state.seed, state.frames + jnp.uint32(1)
+        )
+        return after, MethodOutput(q, tracking)

@@ -1,0 +1,283 @@
+"""``smooth``: accurate, smooth and clear of itself at once, for a live loop.
+
+Eq. (1) with four ideas more, each of which a weight of 0 leaves out: fingertips move as the human's
+do while their places are corrected little by little, and most while the hand moves; the thumb's
+vectors are held by angle and length and not by distance alone; parts of the hand stay out of each
+other; landmarks are followed without leaps. docs/method.md has the equations, and what each of them
+is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, UInt32
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.pursuit import Followed, PursuitConfig, is_off, pursue
+from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.methods.method import MethodOutput
+from smooth_operator.objective.clearance import ClearanceConfig
+from smooth_operator.objective.close_targets import CloseTargets
+from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.polar import PolarConfig
+from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
+from smooth_operator.solvers.damped import damped_newton
+from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+
+REFERENCE: Final = 0.01
+"""Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
+error is worked off in the same time at any rate."""
+
+_ADAPTS: Final = 0.05
+"""By how much of the difference the usual time between frames adapts in each of them."""
+
+_SHORTEST: Final = 1e-3
+"""Time between frames that counts as some; stamps that stand still don't tell [s]."""
+
+
+@dataclass(frozen=True)
+class SmoothConfig:
+    """Settings of ``smooth``. A weight of 0 leaves its term out.
+
+    Attributes:
+        alignment: how human landmarks reach the palm frame.
+        objective: targets, loss, pose and velocity weight. The velocity weight is that at 100 Hz.
+        motion_weight: of fingertips moving as the human's do, at 100 Hz.
+        motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
+            with the square of the speed, since a correction of the same size turns a fast motion
+            less. 0 leaves it constant.
+        clearance: of the hand's parts from each other.
+        polar: of the thumb's vectors by angle and length.
+        landmarks: how human landmarks are followed.
+        joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
+        sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
+            the first after a gap.
+        settle_rounds: how often such a frame is solved, each time from the last answer.
+        settle_sigma: initial standard deviation of the sampler then [rad].
+        polish: Newton steps of a frame, at most.
+        rate_hz: rate that is assumed where stamps stand still.
+        gap: after a longer gap in the stamps [s] the basin is looked for anew.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    objective: ObjectiveConfig = field(
+        default_factory=lambda: ObjectiveConfig(
+            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
+        )
+    )
+    motion_weight: float = 1300.0
+    motion_speed: float = 0.1
+    clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
+    polar: PolarConfig = field(default_factory=PolarConfig)
+    landmarks: PursuitConfig = field(
+        default_factory=lambda: PursuitConfig(lag=0.00175, leap=0.065, noise=115.0)
+    )
+    joint_speed: float = 26.0
+    sampling: SamplingConfig = field(
+        default_factory=lambda: SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi")
+    )
+    settle_rounds: int = 10
+    settle_sigma: float = 0.4
+    polish: NewtonConfig = field(
+        default_factory=lambda: NewtonConfig(
+            iterations=6, damping=(0.0, 1.0, 30.0, 1000.0, 30000.0)
+        )
+    )
+    rate_hz: float = 100.0
+    gap: float = 0.25
+
+    def __post_init__(self) -> None:
+        if self.settle_rounds < 1:
+            raise ConfigError(f"settle_rounds must be 1 or more, not {self.settle_rounds}")
+        for name in ("motion_weight", "motion_speed"):
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not value >= 0:
+                raise ConfigError(f"{name} must not be negative, not {value}")
+        for name in ("joint_speed", "settle_sigma", "rate_hz", "gap"):
+            value = getattr(self, name)
+            if isinstance(value, int | float) and not value > 0:
+                raise ConfigError(f"{name} must be positive, not {value}")
+
+    def build(self, hand: Hand) -> Smooth:
+        """The method for one hand."""
+        return Smooth(hand, self)
+
+
+class SmoothState(NamedTuple):
+    """All that ``smooth`` remembers between frames.
+
+    Attributes:
+        q: (m,) last command of the actuated joints [rad].
+        solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
+        followed: the needed human landmarks.
+        ticks: time of the last frame, in microseconds modulo 2^32.
+        period: usual time between frames [s].
+        seed: two words, constant.
+        frames: frames answered so far.
+    """
+
+    q: Float[Array, " m"]
+    solved: Float[Array, " m"]
+    followed: Followed
+    ticks: UInt32[Array, ""]
+    period: Float[Array, ""]
+    seed: UInt32[Array, "2"]
+    frames: UInt32[Array, ""]
+
+
+class _Clock(NamedTuple):
+    """When a frame is.
+
+    Attributes:
+        dt: time since the last frame [s].
+        period: usual time between frames [s].
+        first: nothing came before.
+        anew: nothing came before, or too long ago to count as motion.
+    """
+
+    dt: Float[Array, ""]
+    period: Float[Array, ""]
+    first: Bool[Array, ""]
+    anew: Bool[Array, ""]
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """``smooth`` for one hand."""
+
+    hand: Hand
+    config: SmoothConfig
+
+    timed = True
+    """Its step takes the time of the frame, too."""
+
+    @cached_property
+    def objective(self) -> SmoothObjective:
+        """What is minimised."""
+        eq_1 = Objective(self.hand, self.config.objective)
+        return SmoothObjective(eq_1, self.config.clearance, self.config.polar)
+
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """Wrist and fingertips."""
+        return self.objective.objective.layout.landmarks
+
+    def init(self, seed: int) -> SmoothState:
+        """Neutral pose."""
+        neutral = jnp.asarray(self.hand.neutral, jnp.float32)
+        return SmoothState(
+            neutral,
+            neutral,
+            Followed.nothing(len(self.needs)),
+            jnp.uint32(0),
+            jnp.float32(1 / self.config.rate_hz),
+            jnp.asarray(seed_words(seed)),
+            jnp.uint32(0),
+        )
+
+    def step(
+        self,
+        state: SmoothState,
+        aligned: Float[Array, "21 3"],
+        ticks: UInt32[Array, ""] | int = 0,
+    ) -> tuple[SmoothState, MethodOutput]:
+        """One frame."""
+        config, now = self.config, jnp.asarray(ticks, jnp.uint32)
+        clock = self._clock(state, now)
+        measured = aligned[jnp.asarray(self.needs)]
+        followed, steps = pursue(state.followed, measured, clock.dt, config.landmarks, clock.anew)
+        goal = self._goal(state, followed.points, steps, clock)
+        solved = self._solve(state, goal, clock)
+        low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
+        # after a lost frame no further than else
+        most = config.joint_speed * jnp.minimum(clock.dt, clock.period)
+        most = jnp.where(clock.first, jnp.inf, most)
+        q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
+        count = state.frames + jnp.uint32(1)
+        after = SmoothState(q, solved, followed, now, clock.period, state.seed, count)
+        return after, MethodOutput(q, self.objective.tracking(q, goal))
+
+    def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:
+        elapsed = (now - state.ticks).astype(jnp.int32) * 1e-6
+        first = state.frames == 0
+        # a stamp that goes back belongs to another recording
+        anew = first | (elapsed > self.config.gap) | (elapsed < 0)
+        told = (elapsed >= _SHORTEST) & ~anew
+        dt = jnp.where(told, elapsed, 1 / self.config.rate_hz).astype(jnp.float32)
+        share = jnp.where(state.frames > 1, _ADAPTS, 1.0)
+        period = jnp.where(told, state.period + share * (dt - state.period), state.period)
+        return _Clock(dt, period, first, anew)
+
+    def _goal(
+        self,
+        state: SmoothState,
+        points: Float[Array, "L 3"],
+        steps: Float[Array, "L 3"],
+        clock: _Clock,
+    ) -> SmoothGoal:
+        config, layout = self.config, self.objective.objective.layout
+        every = jnp.zeros((NUM_LANDMARKS, 3), points.dtype).at[jnp.asarray(self.needs)].set(points)
+        nothing = jnp.zeros(len(self.hand.fingers) - 1, bool)
+        targets = config.objective.targets(layout, layout.human(every), nothing)
+        # the further apart two frames are, the less they hold each other
+        holds = jnp.where(clock.anew, 0.0, REFERENCE / clock.dt)
+        velocity = config.objective.velocity_weight * holds
+        tips = np.array([self.needs.index(TIPS[FINGERS.index(f)]) for f in self.hand.fingers])
+        moves = steps[tips] - steps[self.needs.index(WRIST)]
+        motion = jnp.full(len(tips), config.motion_weight * holds, points.dtype)
+        if not is_off(config.motion_speed):
+            speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
+            motion = motion / (1 + (speed / config.motion_speed) ** 2)
+        return SmoothGoal(
+            FrameGoal(targets.vectors, targets.weights, state.solved, velocity),
+            self.objective.tips(state.solved) + moves,
+            motion,
+        )
+
+    def _solve(self, state: SmoothState, goal: SmoothGoal, clock: _Clock) -> Float[Array, " m"]:
+        config, limits = self.config, self.hand.limits
+
+        def sampled(round: Array, q: Array) -> Array:
+            return sample_minimise(
+                lambda candidates: self.objective.objective(candidates, goal.frame),
+                q,
+                limits,
+                frame_key(state.seed, state.frames + round.astype(jnp.uint32)),
+                config.sampling,
+                config.settle_sigma,
+            )
+
+        # The last round only polishes; of most frames it is the only one. The Newton steps stand
+        # here once, for a program with two of them takes twice as long to compile.
+        rounds = jnp.where(clock.anew, config.settle_rounds, 0)
+
+        def cost(q: Array) -> Array:
+            return self.objective.values(q[None], goal)[0]
+
+        def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+            start = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
+            found = damped_newton(
+                lambda one: self.objective.derivatives(one, goal),
+                lambda few: self.objective.values(few, goal),
+                start,
+                limits,
+                config.polish,
+            )
+            # a later round may end in a worse basin; polishing alone never does
+            reached = lax.cond(rounds > 0, cost, lambda _: best[1], found)
+            worse = reached > best[1]
+            return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
+
+        nothing_yet = jnp.asarray(jnp.inf, state.solved.dtype)
+        best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (state.solved, nothing_yet))
+        return best[0]

@@ -1,0 +1,1 @@
+"""Figures and HTML that the reports share."""

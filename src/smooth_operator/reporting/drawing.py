@@ -1,0 +1,203 @@
+"""How plots look: colours of methods, ink that fits light and dark, PNG and SVG of one figure."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from smooth_operator.io import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK: Final = "#20262d"
+"""Text and axes; on a page it becomes the colour of the text around."""
+GRID: Final = "#8a939c"
+
+METHOD_COLORS: Final = {
+    "sbr": "#0072b2",
+    "dexpilot": "#d55e00",
+    "geort": "#009e73",
+    "hybrid": "#cc79a7",
+    "keyvector": "#e69f00",
+    "ako": "#56b4e9",
+    "joint_angle": "#8c6d4f",
+}
+"""One colour for a method in every report; most of them Okabe and Ito's safe palette."""
+_MORE: Final = ("#7a68c7", "#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790")
+
+MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
+"""Shapes, so that nothing is told by colour alone."""
+
+_DPI: Final = 150
+_CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+
+
+def colors_of(methods: Iterable[str]) -> dict[str, str]:
+    """A colour for each method; presets that are no default get colours of their own."""
+    chosen: dict[str, str] = {}
+    spare = iter(_MORE * 8)
+    for method in methods:
+        if method not in chosen:
+            chosen[method] = METHOD_COLORS.get(method) or next(spare)
+    return chosen
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Settings of the figures drawn inside."""
+    import matplotlib as mpl
+
+    settings: Any = {
+        "axes.edgecolor": GRID,
+        "axes.grid": True,
+        "axes.labelcolor": INK,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "axes.titlecolor": INK,
+        "axes.titlesize": 10.0,
+        "font.size": 9.0,
+        "grid.alpha": 0.28,
+        "grid.color": GRID,
+        "legend.frameon": False,
+        "legend.labelcolor": INK,
+        "path.simplify_threshold": 0.2,
+        "svg.fonttype": "none",  # text stays text
+        "svg.hashsalt": "smooth-operator",  # the same figure is the same file
+        "text.color": INK,
+        "text.parse_math": False,  # names of files may hold a dollar
+        "xtick.color": GRID,
+        "xtick.labelcolor": INK,
+        "ytick.color": GRID,
+        "ytick.labelcolor": INK,
+    }
+    with mpl.rc_context(settings):
+        yield
+
+
+def series(name: str, said: str = "") -> str:
+    """The ``gid`` of what a plot draws of one series; a page dims the others while it is hovered.
+
+    Args:
+        name: of the series, as the page's tables have it in ``data-series``.
+        said: what the pointer shows.
+    """
+    return f"series|{name.replace('|', ' ')}|{said}"
+
+
+def name_points(
+    ax: Axes,
+    points: Mapping[str, tuple[float, float]],
+    avoid: Iterable[tuple[float, float]] = (),
+    size: float = 9.0,
+) -> None:
+    """A name beside each point, where nothing stands yet; limits and layout are to be final.
+
+    Args:
+        ax: axes that the points are in.
+        points: name -> x and y, of the data.
+        avoid: other points that names are not to cover.
+        size: of the letters [points].
+    """
+    line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
+    scale = 72.0 / ax.figure.dpi
+    places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
+    taken = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
+    taken += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
+    (x0, y0), (x1, y1) = scale * ax.bbox.get_points()
+    shifts = [sign * 0.25 * line * k for k in range(29) for sign in (1, -1)]
+    for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
+        width = letter * len(name)
+        boxes = [
+            (left, y - 0.4 * size + shift, width, line)
+            for shift in shifts
+            for left in (x + aside, x - aside - width)
+        ]
+        within = [
+            box
+            for box in boxes
+            if x0 <= box[0] and box[0] + width <= x1 and y0 <= box[1] and box[1] + line <= y1
+        ]
+        free = (box for box in within if not any(_meet(box, other) for other in taken))
+        box = next(free, (within or boxes)[0])
+        taken.append(box)
+        far = abs(box[1] + 0.4 * size - y) > line
+        ax.annotate(
+            name, points[name], textcoords="offset points", fontsize=size,
+            xytext=(box[0] - x, box[1] + 0.2 * size - y),
+            arrowprops={"arrowstyle": "-", "color": GRID, "linewidth": 0.5} if far else None,
+        )  # fmt: skip
+
+
+def _pixels(ax: Axes, points: Iterable[tuple[float, float]]) -> np.ndarray:
+    return np.asarray(ax.transData.transform(np.reshape(list(points), (-1, 2))))
+
+
+def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Whether two boxes (left, low, width, height) overlap."""
+    return all(one[k] < other[k] + other[k + 2] and other[k] < one[k] + one[k + 2] for k in (0, 1))
+
+
+def plain_logs(ax: Axes, both: bool = True) -> None:
+    """Numbers and not powers of ten, as many as there is room for; of axes that are logarithmic."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):
+        low, high = sorted(axis.get_view_interval())
+        if axis.get_scale() != "log" or low <= 0:  # without points, limits are any
+            continue
+        decades = np.log10(high / low)
+        subs = (1.0,) if decades > 3 else (1.0, 2.0, 5.0) if decades > 0.7 else _CLOSE
+        axis.set_major_locator(LogLocator(subs=subs, numticks=12))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def write_figure(figure: Figure, stem: Path) -> str:
+    """Writes ``STEM.png`` and ``STEM.svg``.
+
+    Returns:
+        The SVG without a background, whose text has the colour of the text around it.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    with styled():
+        with atomic_write(stem.with_name(stem.name + ".png")) as file:
+            figure.savefig(file, format="png", dpi=_DPI)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"""<g id=(["'])(series\|.*?)\1>""", _series_group, text)
+    alone = text.replace("<svg ", '<svg style="background:#fff" ', 1)
+    with atomic_write(stem.with_name(stem.name + ".svg")) as file:
+        file.write(b'<?xml version="1.0" encoding="utf-8"?>\n' + alone.encode())
+    return _for_page(text, re.sub(r"\W", "-", stem.name))
+
+
+def _series_group(found: re.Match[str]) -> str:
+    _, name, said = html.unescape(found.group(2)).split("|", 2)
+    title = f"<title>{html.escape(said)}</title>" if said else ""
+    return f'<g class="series" data-series="{html.escape(name)}">{title}'
+
+
+def _for_page(text: str, prefix: str) -> str:
+    """An SVG that may stand in a page beside others: no size, no names that clash, no links."""
+    head = text.index(">")
+    tag = re.sub(r'\s(?:width|height|version|xmlns(?::\w+)?)="[^"]*"', "", text[:head])
+    body = re.sub(r'id="([^"]+)"', rf'id="{prefix}-\1"', text[head:])
+    body = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", body)
+    body = re.sub(r'(?:xlink:)?href="#([^"]+)"', rf'href="#{prefix}-\1"', body)
+    body = body.replace(INK, "currentColor")
+    body = re.sub(r"(\d+(?:\.\d+)?)px [^;\"]*?sans-serif", r"\1px sans-serif", body)
+    return f"{tag}{body}".strip()

@@ -1,0 +1,1 @@
+"""Robot hands under MuJoCo physics, and the scenes of the study's tasks."""

@@ -1,0 +1,122 @@
+"""One robot hand under physics: commands in, joint positions out, as fast as one likes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.physics_model import build_physics
+
+_RUNAWAY = 500.0
+"""No finger turns this fast [rad/s]: the physics has come apart."""
+
+
+class HandPhysics:
+    """A hand with position servos on a fixture. Not for several threads at once.
+
+    Args:
+        hand: the robot hand.
+        timestep: of the physics [s].
+        bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
+        gravity: pull along -z of the model's world.
+        furnish: what is around the hand, see ``build_physics``.
+
+    Attributes:
+        time: simulated time [s].
+        resets: how often the physics came apart, and was set back to the command.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        timestep: float = 0.002,
+        bandwidth: float = 20.0,
+        gravity: bool = False,
+        furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
+    ) -> None:
+        if not (0.0 < timestep <= 0.005 and 0.0 < bandwidth <= 0.05 / timestep):
+            raise ConfigError(
+                "simulation: expected a time step up to 5 ms and a bandwidth up to 0.05 / time "
+                f"step, not {timestep} s and {bandwidth} Hz"
+            )
+        self.hand = hand
+        self.time = 0.0
+        self.resets = 0
+        self._built = build_physics(
+            hand, timestep=timestep, bandwidth=bandwidth, gravity=gravity, furnish=furnish
+        )
+        self._data = mujoco.MjData(self._built.model)
+        self._due = 0.0
+        self._actuated = list(hand.actuated)
+        self._target: Float[np.ndarray, " m"] = hand.neutral.copy()
+        self._place(self._target)
+
+    @property
+    def positions(self) -> Float[np.ndarray, " n"]:
+        """(n,) where the joints are [rad], in the order of ``hand.joint_names``."""
+        return np.array(self._data.qpos[self._built.qpos])
+
+    @property
+    def velocities(self) -> Float[np.ndarray, " n"]:
+        """(n,) how fast they turn [rad/s]."""
+        return np.array(self._data.qvel[self._built.dofs])
+
+    @property
+    def contacts(self) -> int:
+        """How many pairs of shapes touch."""
+        return int(self._data.ncon)
+
+    def command(self, positions: Float[np.ndarray, " n"]) -> None:
+        """Set the servos' targets.
+
+        Args:
+            positions: (n,) positions of all joints [rad]; coupled ones follow by themselves. What
+                is not finite stays as it is, and the rest is kept within the limits.
+        """
+        wanted = np.asarray(positions, float)[self._actuated]
+        wanted = np.clip(wanted, self.hand.limits[:, 0], self.hand.limits[:, 1])
+        self._target = np.where(np.isfinite(wanted), wanted, self._target)
+        self._data.ctrl[:] = self._target
+
+    def hold(self) -> None:
+        """Stay where the hand is now."""
+        self.command(self.positions)
+
+    def advance(self, seconds: float) -> bool:
+        """Let time pass, in whole steps; what is left over counts next time.
+
+        Args:
+            seconds: how much [s].
+
+        Returns:
+            whether all went well; False if the physics came apart and was set back.
+        """
+        step = float(self._built.model.opt.timestep)
+        self._due += seconds
+        count = int(self._due / step + 1e-9)
+        if count <= 0:
+            return True
+        self._due -= count * step
+        self.time += count * step
+        self._step(count)
+        # A number that is not finite fails the comparison too.
+        if np.abs(self._data.qvel).max() < _RUNAWAY and np.isfinite(self._data.qpos).all():
+            return True
+        self.resets += 1
+        self._place(self._target)
+        return False
+
+    def _step(self, count: int) -> None:
+        mujoco.mj_step(self._built.model, self._data, count)
+
+    def _place(self, target: Float[np.ndarray, " m"]) -> None:
+        """Put the hand at rest into a pose."""
+        mujoco.mj_resetData(self._built.model, self._data)
+        self._data.qpos[self._built.qpos] = self.hand.expand(target)
+        self._data.ctrl[:] = target
+        mujoco.mj_forward(self._built.model, self._data)

@@ -1,0 +1,215 @@
+"""A robot hand's model made fit for physics: servos on its joints, couplings, contacts, a fixture.
+
+Models of hands are made for kinematics or for one vendor's simulator: most lack actuators, their
+rotors or sensible damping, and where they have them, no two agree. So all hands are given the same
+servo here: its stiffness follows from the inertia that it moves and a bandwidth, its damping is
+critical, and its torque is limited, so that a finger that is blocked pushes and does not explode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.loading import load_spec
+
+ARMATURE: Final = 5e-4
+"""Inertia of a finger motor's rotor behind its gears, at least [kg m^2]."""
+
+FURNISHED: Final = "hand/"
+"""Before the names of all that is the hand's, in a model with more than a hand in it."""
+
+_ACCELERATION: Final = 2000.0
+"""What a servo's torque can do to its inertia [rad/s^2]; the loop's own limit is below it."""
+
+_STOP_S: Final = 0.005
+"""Time constant of the joints' end stops [s]; MuJoCo's own give way by degrees."""
+
+_TOUCHING: Final = 1e-4
+"""Shapes that are this near each other at rest are drawn fatter than the parts they are [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicsModel:
+    """A compiled hand with servos.
+
+    Attributes:
+        model: the model; its actuators are in the order of ``Hand.actuated``.
+        qpos: (n,) address of each joint of the hand among the model's positions.
+        dofs: (n,) the same among its velocities.
+    """
+
+    model: mujoco.MjModel
+    qpos: Int[np.ndarray, " n"]
+    dofs: Int[np.ndarray, " n"]
+
+
+def build_physics(
+    hand: Hand,
+    *,
+    timestep: float,
+    bandwidth: float,
+    gravity: bool = False,
+    furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
+) -> PhysicsModel:
+    """Make a hand's model fit for physics.
+
+    The palm stands on a fixture: joints that are not the hand's, as an arm's, are taken out. Bodies
+    next to each other do not collide, nor those whose shapes overlap at rest.
+
+    Args:
+        hand: the robot hand.
+        timestep: of the physics [s].
+        bandwidth: of the servos [Hz].
+        gravity: pull along -z of the model's world.
+        furnish: takes the hand on its servos and gives a world with the hand in it, under names
+            that begin with ``FURNISHED``, and with what else there is.
+
+    Raises:
+        HandModelError: MuJoCo can't compile the result.
+    """
+    try:
+        bare = _bare(hand, timestep, gravity)
+        model = bare.compile()
+    except ValueError as error:
+        raise HandModelError(f"hand {hand.name!r} can't be simulated: {error}") from error
+    inertia = _inertia(hand, model)
+    pairs = _never_collide(hand, model)
+    spec = _bare(hand, timestep, gravity)  # afresh: compiling fills in what is then fixed
+    for first, second in pairs:
+        exclude = spec.add_exclude()
+        exclude.bodyname1, exclude.bodyname2 = first, second
+    for index, load in zip(hand.actuated, inertia, strict=True):
+        _add_servo(spec, hand.joint_names[index], float(load), bandwidth)
+    try:
+        model = spec.compile() if furnish is None else furnish(spec).compile()
+    except ValueError as error:
+        raise HandModelError(f"hand {hand.name!r} can't be simulated: {error}") from error
+    prefix = "" if furnish is None else FURNISHED
+    joints = [model.joint(prefix + name) for name in hand.joint_names]
+    return PhysicsModel(
+        model,
+        np.array([int(joint.qposadr[0]) for joint in joints]),
+        np.array([int(joint.dofadr[0]) for joint in joints]),
+    )
+
+
+def _bare(hand: Hand, timestep: float, gravity: bool) -> mujoco.MjSpec:
+    """The hand on its fixture, without actuators, with the couplings that were found in it."""
+    spec = load_spec(hand.spec.model, mirror=hand.spec.mirror)
+    own = set(hand.joint_names)
+    joint_equality = mujoco.mjtEq.mjEQ_JOINT
+    doomed = [*spec.actuators, *spec.sensors, *spec.keys, *spec.tendons]
+    doomed += [equality for equality in spec.equalities if equality.type == joint_equality]
+    doomed += [joint for joint in spec.joints if joint.name not in own]
+    for element in doomed:
+        spec.delete(element)
+    reference = {joint.name: float(joint.ref) for joint in spec.joints}
+    for coupling in hand.couplings:
+        equality = spec.add_equality()
+        equality.type, equality.active = joint_equality, True
+        equality.name1, equality.name2 = coupling.joint, coupling.follows
+        # q1 - ref1 = c0 + c1 (q2 - ref2)
+        offset = coupling.multiplier * reference[coupling.follows] + coupling.offset
+        data = np.zeros_like(np.asarray(equality.data))
+        data[:2] = offset - reference[coupling.joint], coupling.multiplier
+        equality.data = data
+    for joint in spec.joints:
+        joint.armature = max(float(joint.armature), ARMATURE)
+        joint.frictionloss = 0.0
+        joint.damping = np.zeros_like(joint.damping)
+        joint.stiffness = np.zeros_like(joint.stiffness)
+        joint.solref_limit = (max(_STOP_S, 2.5 * timestep), 1.0)
+    option = spec.option
+    option.timestep = timestep
+    option.gravity = (0.0, 0.0, -9.81 if gravity else 0.0)
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # we see to that, and say so
+    return spec
+
+
+def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
+    """What each servo has to move, followers included, in the neutral pose [kg m^2]."""
+    data = mujoco.MjData(model)
+    addresses = [int(model.joint(name).qposadr[0]) for name in hand.joint_names]
+    dofs = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
+    data.qpos[addresses] = hand.expand(hand.neutral)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    try:
+        mujoco.mj_fullM(model, data, full)
+    except TypeError:  # up to MuJoCo 3.3 it takes the packed matrix, and the result comes first
+        mujoco.mj_fullM(model, full, data.qM)
+    matrix = hand.expansion[0]
+    reduced = matrix.T @ full[np.ix_(dofs, dofs)] @ matrix
+    return np.asarray(np.diag(reduced))
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth: float) -> None:
+    """A position servo with critical damping: torque = kp (target - q) - kv dq/dt, limited."""
+    omega = 2.0 * np.pi * bandwidth
+    kp, kv = inertia * omega**2, 2.0 * inertia * omega
+    actuator = spec.add_actuator()
+    actuator.name = actuator.target = joint
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm = _padded(actuator.gainprm, kp)
+    actuator.biasprm = _padded(actuator.biasprm, 0.0, -kp, -kv)
+    # What the model's defaults may say of its own actuators does not hold for ours.
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+    actuator.gear = _padded(actuator.gear, 1.0)
+    actuator.inheritrange = 0.0
+    actuator.ctrllimited = actuator.actlimited = False
+    actuator.forcelimited = True
+    actuator.forcerange = (-inertia * _ACCELERATION, inertia * _ACCELERATION)
+
+
+def _padded(like: np.ndarray, *values: float) -> np.ndarray:
+    out = np.zeros_like(np.asarray(like))
+    out[: len(values)] = values
+    return out
+
+
+def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Bodies that are joined, directly or over one small link, or overlap in the neutral pose.
+
+    MuJoCo leaves out a body and its parent, but not where the parent is fixed to the world, as the
+    palm on its fixture is.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[[int(model.joint(name).qposadr[0]) for name in hand.joint_names]] = hand.expand(
+        hand.neutral
+    )
+    mujoco.mj_forward(model, data)
+    weld = np.asarray(model.body_weldid)
+    shaped = [b for b in range(model.nbody) if model.body_geomnum[b]]
+    pairs: set[tuple[int, int]] = set()
+    for one in shaped:
+        parts = _above(model, int(weld[one]))
+        pairs |= {
+            (min(one, other), max(one, other))
+            for other in shaped
+            if weld[other] in parts and weld[other] != weld[one]
+        }
+    for contact in data.contact[: data.ncon]:
+        if contact.dist < _TOUCHING:
+            one, other = sorted(int(model.geom_bodyid[g]) for g in contact.geom)
+            pairs.add((one, other))
+    return [(model.body(a).name, model.body(b).name) for a, b in sorted(pairs) if a]
+
+
+def _above(model: mujoco.MjModel, part: int) -> list[int]:
+    """The two parts that a part hangs from."""
+    above: list[int] = []
+    while part and len(above) < 2:
+        part = int(model.body_weldid[model.body_parentid[part]])
+        above.append(part)
+    return above

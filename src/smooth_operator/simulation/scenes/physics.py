@@ -1,0 +1,164 @@
+"""A hand under physics with something to do: the object of a task, its fixture, its reset."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator.simulation.scenes.scene import OBJECT, Scene
+from smooth_operator.simulation.scenes.state import ScenePart, SceneState
+from smooth_operator.simulation.scenes.touching import Touching
+
+_CLEAR: Final = 0.001
+"""The hand is out of the object's place when it is this far from it [m]."""
+
+_GRIP_N: Final = 0.3
+"""A finger that presses this hard holds [N]."""
+
+_GRIP_S: Final = 0.25
+"""Thumb and two fingers hold for so long before the fixture lets go [s]."""
+
+_KINDS: Final = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
+}
+
+
+class ScenePhysics(HandPhysics):
+    """A hand and an object.
+
+    The object starts as a ghost: it stays at its start and touches nothing until the hand is out
+    of its place, as an experimenter would wait with it. Where the scene has a fixture, that holds
+    the object until thumb and two fingers do.
+
+    Args:
+        hand: the robot hand.
+        scene: what is around it.
+        timestep: of the physics [s].
+        bandwidth: of the servos [Hz].
+
+    Attributes:
+        scene: what is around the hand.
+        starts: how often the object was put to its start, physics that came apart included.
+    """
+
+    def __init__(
+        self, hand: Hand, scene: Scene, timestep: float = 0.002, bandwidth: float = 20.0
+    ) -> None:
+        self.scene = scene
+        self._ghost = self._fixed = False  # until there is a model
+        self.starts = 0
+        super().__init__(hand, timestep, bandwidth, furnish=scene.furnish)
+        model = self.model
+        self._touching = Touching(hand, model)
+        joint = model.joint(OBJECT)
+        self._at, self._moves = int(joint.qposadr[0]), int(joint.dofadr[0])
+        self._body = model.body(OBJECT).id
+        self._needed = min(2, len(hand.fingers) - 1)
+        self._gripped = 0
+        self.reset_object()
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled scene."""
+        return self._built.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Its state; to look at."""
+        return self._data
+
+    def reset_object(self) -> None:
+        """Put the object back to its start, as soon as the hand is out of its place."""
+        self._ghost, self._fixed, self._gripped = True, self.scene.fixture, 0
+        self.starts += 1
+        self._solid(False)
+        if self.scene.fixture:
+            self._data.eq_active[self.model.equality(OBJECT).id] = 1
+        self._put()
+        mujoco.mj_forward(self.model, self._data)
+        self._try_to_place()
+
+    def observe(self) -> SceneState:
+        """Where the object is, and what touches it."""
+        force, touch, palm, rest = self._touching.read(self._data)
+        speed = self._data.qvel[self._moves : self._moves + 6]
+        turn = self._data.xmat[self._body].reshape(3, 3)
+        pose = self._data.qpos[self._at : self._at + 7]
+        return SceneState(
+            self.time, pose[:3].copy(), pose[3:].copy(), speed[:3].copy(), turn @ speed[3:],
+            force, touch, palm, rest, not self._ghost, self._fixed, self.starts,
+        )  # fmt: skip
+
+    def parts(self) -> list[ScenePart]:
+        """The shapes of the platform and of the object, to draw."""
+        model, found = self.model, []
+        for geom in range(model.ngeom):
+            body = int(model.geom_bodyid[geom])
+            kind = _KINDS.get(int(model.geom_type[geom]))
+            if kind is None or body not in (0, self._body):
+                continue
+            word, count = kind
+            found.append(
+                ScenePart(
+                    model.geom(geom).name or f"part{geom}", word,
+                    tuple(float(s) for s in model.geom_size[geom][:count]),
+                    tuple(float(c) for c in model.geom_rgba[geom]),  # type: ignore[arg-type]
+                    model.geom_pos[geom].copy(), model.geom_quat[geom].copy(), body == self._body,
+                )
+            )  # fmt: skip
+        return found
+
+    def _step(self, count: int) -> None:
+        for _ in range(count):
+            if not (self._ghost or self._fixed):
+                mujoco.mj_step(self.model, self._data, count)
+                return
+            mujoco.mj_step(self.model, self._data)
+            count -= 1
+            if self._ghost:
+                self._put()
+                self._try_to_place()
+            else:
+                self._let_go_if_held()
+
+    def _put(self) -> None:
+        self._data.qpos[self._at : self._at + 7] = np.concatenate(self.scene.start)
+        self._data.qvel[self._moves : self._moves + 6] = 0.0
+
+    def _try_to_place(self) -> None:
+        mujoco.mj_kinematics(self.model, self._data)
+        nearest = min(
+            mujoco.mj_geomDistance(self.model, self._data, own, thing, 2 * _CLEAR, None)
+            for own in self._touching.own
+            for thing in self._touching.things
+        )
+        if nearest > _CLEAR:
+            self._ghost = False
+            self._solid(True)
+
+    def _let_go_if_held(self) -> None:
+        force, *_ = self._touching.read(self._data)
+        holds = force > _GRIP_N
+        held = bool(holds[0]) and int(holds[1:].sum()) >= self._needed
+        self._gripped = self._gripped + 1 if held else 0
+        if self._gripped * float(self.model.opt.timestep) >= _GRIP_S:
+            self._fixed = False
+            self._data.eq_active[self.model.equality(OBJECT).id] = 0
+
+    def _solid(self, solid: bool) -> None:
+        """Have the object's shapes touch things, or not."""
+        for geom in self._touching.things:
+            self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = (
+                0xFFFF if solid else 0
+            )
+
+    def _place(self, target: np.ndarray) -> None:
+        super()._place(target)
+        if hasattr(self, "_touching"):  # the physics came apart: the object starts anew, too
+            self.reset_object()

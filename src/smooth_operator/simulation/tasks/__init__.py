@@ -1,0 +1,23 @@
+"""The study's three tasks in simulation: rubric, score, trial, record."""
+
+from smooth_operator.simulation.tasks.catalogue import TASKS, SimulatedTask, task_named
+from smooth_operator.simulation.tasks.record import TrialRecord, read_trial, write_trial
+from smooth_operator.simulation.tasks.run import Outcome, Phase, TaskRun, rescore
+from smooth_operator.simulation.tasks.scorer import Scorer, Standing
+from smooth_operator.simulation.tasks.session import TaskSession
+
+__all__ = [
+    "TASKS",
+    "Outcome",
+    "Phase",
+    "Scorer",
+    "SimulatedTask",
+    "Standing",
+    "TaskRun",
+    "TaskSession",
+    "TrialRecord",
+    "read_trial",
+    "rescore",
+    "task_named",
+    "write_trial",
+]

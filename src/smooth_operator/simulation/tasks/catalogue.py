@@ -1,0 +1,74 @@
+"""The study's tasks as they are done in simulation: rubric, time limit, scorer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from smooth_operator.errors import UnknownNameError
+from smooth_operator.simulation.tasks.card import CardScorer
+from smooth_operator.simulation.tasks.cube import CubeScorer
+from smooth_operator.simulation.tasks.rubrics import CARD_PICKUP, CUBE_ROTATION, SCREWDRIVER_PIVOT
+from smooth_operator.simulation.tasks.scorer import Scorer
+from smooth_operator.simulation.tasks.screwdriver import ScrewdriverScorer
+from smooth_operator.simulation.tasks.task import RubricLine, Task
+
+_NO_EDGE: Final = RubricLine("no-edge", 0.5, "pinched and lifted without having gone over the edge")
+
+
+@dataclass(frozen=True)
+class SimulatedTask:
+    """A task that physics can score.
+
+    Attributes:
+        name: as in ``SCENES``.
+        task: of the protocol, with its rubric.
+        seconds: the time limit of a trial [s].
+        scorer: from the scene of a trial to its scorer.
+        after_reset: line of the rubric for what was done after the reset.
+        after_stuck: the same, where only the reset had helped.
+    """
+
+    name: str
+    task: Task
+    seconds: float
+    scorer: Callable[[Any], Scorer]
+    after_reset: str
+    after_stuck: str
+
+
+def _simulated(
+    name: str,
+    task: Task,
+    seconds: float,
+    scorer: Callable[[Any], Scorer],
+    after: tuple[str, str],
+    *more: RubricLine,
+) -> SimulatedTask:
+    limited = replace(task, time_limit_s=seconds, rubric=(*task.rubric, *more))
+    return SimulatedTask(name, limited, seconds, scorer, *after)
+
+
+_RESET: Final = "done-after-reset"
+TASKS: Final[dict[str, SimulatedTask]] = {
+    task.name: task
+    for task in (
+        _simulated("card", CARD_PICKUP, 60.0, CardScorer, (_RESET, "out-of-reach"), _NO_EDGE),
+        _simulated("cube", CUBE_ROTATION, 120.0, CubeScorer, ("misaligned", "misaligned")),
+        _simulated("screwdriver", SCREWDRIVER_PIVOT, 60.0, ScrewdriverScorer, (_RESET, _RESET)),
+    )
+}
+"""Name -> task."""
+
+
+def task_named(name: str) -> SimulatedTask:
+    """A task by its name here or in the paper (A, B, C).
+
+    Raises:
+        UnknownNameError: there is no such task.
+    """
+    for task in TASKS.values():
+        if name in (task.name, task.task.name):
+            return task
+    raise UnknownNameError("task", name, TASKS)

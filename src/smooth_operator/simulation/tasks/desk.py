@@ -1,0 +1,203 @@
+"""The experimenter's place at a running simulation: which task, and its trials, on all hands."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from smooth_operator.errors import StudyError
+from smooth_operator.simulation.live import LiveSimulation
+from smooth_operator.simulation.tasks.catalogue import SimulatedTask, task_named
+from smooth_operator.simulation.tasks.run import Outcome, Phase
+from smooth_operator.simulation.tasks.session import TaskSession
+from smooth_operator.types import Side
+
+
+class TaskDesk:
+    """Trials on each hand of a simulation, and the scenes around them. Safe from any thread.
+
+    Args:
+        simulation: an open sink; with a task or without.
+        sides: the hands that are driven.
+        folder: where the trials' records go; None keeps none.
+        about: what is to stand in every record; asked when a trial begins.
+        told: called with each outcome, from the thread of the physics; it must not take long.
+        note: called with what happens to a trial, without its score, for a record of the hand.
+    """
+
+    def __init__(
+        self,
+        simulation: LiveSimulation,
+        sides: Sequence[Side],
+        folder: str | Path | None = None,
+        about: Callable[[], Mapping[str, Any]] = dict,
+        told: Callable[[Side, Outcome], None] = lambda side, outcome: None,
+        note: Callable[[Side, str], None] = lambda side, text: None,
+    ) -> None:
+        self._simulation, self._sides, self._folder = simulation, tuple(sides), folder
+        self._about, self._told, self._note = about, told, note
+        self._sessions: dict[Side, TaskSession] = {}
+        self._past: dict[Side, list[Outcome]] = {side: [] for side in sides}
+        self._lock = threading.RLock()
+        self._changing = threading.Lock()  # a scene takes long to build; trials go on meanwhile
+        self._attend()
+
+    @property
+    def task(self) -> SimulatedTask | None:
+        """What is done now; None for nothing."""
+        name = self._simulation.task_now
+        return None if name == "none" else task_named(name)
+
+    @property
+    def outcomes(self) -> dict[Side, list[Outcome]]:
+        """Of all trials so far, in order."""
+        with self._lock:
+            return {
+                side: [*past, *(self._sessions[side].outcomes if side in self._sessions else ())]
+                for side, past in self._past.items()
+            }
+
+    @property
+    def failures(self) -> list[str]:
+        """Why records could not be written."""
+        return [session.failed for session in self._sessions.values() if session.failed]
+
+    def change(self, task: str | None) -> SimulatedTask | None:
+        """Load another scene, or none; a trial that runs is forgotten.
+
+        The scene that is there already is kept, and its object put back to its start.
+
+        Args:
+            task: its name here or in the paper (A, B, C); None for the hand alone.
+
+        Raises:
+            UnknownNameError: there is no such task.
+            HandModelError: a hand can't do it; then nothing changes.
+            SinkError: the simulation is closed.
+        """
+        wanted = None if task is None else task_named(task)
+        with self._changing:
+            now = self.task
+            if now is not None and wanted is not None and now.name == wanted.name:
+                self.cancel()
+                self.put_back()
+                return wanted
+            self._simulation.change_task("none" if wanted is None else wanted.name)
+            with self._lock:
+                self.cancel()
+                for side, session in self._sessions.items():
+                    self._past[side] += session.outcomes
+                self._sessions = {}
+                self._attend()
+        return wanted
+
+    def go(self, **about: Any) -> None:
+        """Start a trial on every hand.
+
+        Args:
+            about: what is to stand in the records beside what always does.
+
+        Raises:
+            StudyError: one runs, or there is no task.
+        """
+        with self._lock:
+            sessions = self._all()
+            if any(session.run.phase is Phase.RUNNING for session in sessions):
+                raise StudyError("a trial is running; finish or cancel it first")
+            for side, session in self._sessions.items():
+                session.go(**{**self._about(), **about})
+                self._say(side, "begins")
+
+    def reset(self) -> None:
+        """The one reset of trials that run; where none does, the objects are just put back.
+
+        Raises:
+            StudyError: a trial has had its reset, or there is no task.
+        """
+        with self._lock:
+            running = self._running()
+            for side, session in running.items():
+                session.reset()
+                self._say(side, "the object is put back")
+            if not running:
+                self.put_back()
+
+    def put_back(self) -> None:
+        """Have the objects at their start, whatever runs.
+
+        Raises:
+            SinkError: the simulation is closed.
+        """
+        for side in self._sessions:
+            self._simulation.reset_object(side)
+
+    def finish(self) -> None:
+        """The operator can do no more.
+
+        Raises:
+            StudyError: no trial runs.
+        """
+        with self._lock:
+            running = self._running()
+            if not running:
+                raise StudyError("no trial is running; begin one first")
+            for session in running.values():
+                session.finish()
+
+    def cancel(self) -> None:
+        """Forget the trials that run."""
+        with self._lock:
+            for side, session in self._sessions.items():
+                if session.run.phase is Phase.RUNNING:
+                    session.cancel()
+                    self._say(side, "is forgotten")
+
+    def report(self, side: Side | None = None) -> dict[str, Any]:
+        """How the trial of a hand stands, the first one's if none is named; see TaskSession.
+
+        Raises:
+            StudyError: there is no such hand, or no task.
+        """
+        with self._lock:
+            sessions = self._all()
+            if side is None:
+                return sessions[0].report()
+            if side not in self._sessions:
+                raise StudyError(f"there is no {side} hand in this run")
+            return self._sessions[side].report()
+
+    def end(self) -> None:
+        """Look no more; the simulation may be closed already."""
+        with self._lock:
+            for session in self._sessions.values():
+                session.close()
+
+    def _all(self) -> list[TaskSession]:
+        if not self._sessions:
+            raise StudyError("there is no task; load one first: card, cube or screwdriver")
+        return list(self._sessions.values())
+
+    def _attend(self) -> None:
+        """Watch the scenes that are there."""
+        if self._simulation.task_now != "none":
+            for side in self._sides:
+                self._sessions[side] = TaskSession(
+                    self._simulation,
+                    side,
+                    self._folder,
+                    lambda outcome, side=side: self._ended(side, outcome),  # type: ignore[misc]
+                )
+
+    def _running(self) -> dict[Side, TaskSession]:
+        self._all()
+        return {s: one for s, one in self._sessions.items() if one.run.phase is Phase.RUNNING}
+
+    def _ended(self, side: Side, outcome: Outcome) -> None:
+        self._say(side, "ends")
+        self._told(side, outcome)
+
+    def _say(self, side: Side, what: str) -> None:
+        session = self._sessions[side]
+        self._note(side, f"trial {session.number} of {session.task.name}: {what}")

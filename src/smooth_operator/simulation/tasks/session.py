@@ -1,0 +1,219 @@
+"""Trials of a task in the running simulation: told by the experimenter, recorded one by one."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import SinkError, StudyError
+from smooth_operator.simulation.live import LiveSimulation
+from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.tasks.catalogue import task_named
+from smooth_operator.simulation.tasks.record import TrialRecord, write_trial
+from smooth_operator.simulation.tasks.run import Outcome, Phase, TaskRun
+from smooth_operator.types import Side
+
+_EVERY_S: Final = 0.01
+"""Between two looks at the scene [s], by its own clock."""
+
+
+class TaskSession:
+    """One trial after the other on one hand of a simulation. Safe from any thread.
+
+    The simulation must be open, with this task. Between trials the object is wherever it is;
+    ``go`` puts it back and starts the clock.
+
+    Attributes:
+        task: what is done.
+        outcomes: of the trials so far, in order.
+        failed: why a record could not be written; empty while all could.
+
+    Args:
+        simulation: the sink ``mujoco:task=...``.
+        side: which of its hands.
+        folder: where the trials' records go; None keeps none.
+        done: called with each outcome, from the thread of the physics; it must not take long.
+    """
+
+    def __init__(
+        self,
+        simulation: LiveSimulation,
+        side: Side,
+        folder: str | Path | None = None,
+        done: Callable[[Outcome], None] | None = None,
+    ) -> None:
+        self.task = task_named(simulation.task_now)
+        self.outcomes: list[Outcome] = []
+        self._simulation, self._side, self._done = simulation, side, done
+        self._folder = None if folder is None else Path(folder)
+        self._lock = threading.RLock()  # who is called with an outcome may look at the trial
+        self._run = TaskRun(self.task, simulation.scene_of(side))
+        self._record = self._fresh()
+        self._last = float("-inf")
+        self._now = 0.0
+        self._since = 0
+        self._number = 0
+        self._trials = 0
+        self._state: SceneState | None = None
+        self.failed = ""
+        simulation.watch(side, self.observe)
+
+    @property
+    def run(self) -> TaskRun:
+        """The trial at hand."""
+        with self._lock:
+            return self._run
+
+    @property
+    def number(self) -> int:
+        """Of the trial at hand, from 1; 0 before the first."""
+        return self._trials
+
+    @property
+    def seconds(self) -> float:
+        """Since 'go' [s]; how long it took, once it is done; 0 before."""
+        with self._lock:
+            if self._run.outcome is not None:
+                return self._run.outcome.seconds
+            return self._now - self._run.started if self._run.phase is Phase.RUNNING else 0.0
+
+    def go(self, **about: Any) -> None:
+        """Start a trial, with the object at its start.
+
+        Args:
+            about: what is to stand in the record: operator, condition, number.
+
+        Raises:
+            StudyError: one is running.
+        """
+        with self._lock:
+            if self._run.phase is Phase.RUNNING:
+                raise StudyError("a trial is running; finish it first")
+            self._since = self._simulation.reset_object(self._side)
+            self._run = TaskRun(self.task, self._run.scene).go(self._now)
+            self._record = self._fresh()
+            self._record.about = about
+            self._record.events.append((self._now, "go"))
+            self._trials += 1
+
+    def reset(self) -> None:
+        """Put the object back to its start, once a trial; the score is then 0.5 at most.
+
+        Raises:
+            StudyError: no trial runs, or it had its reset.
+        """
+        with self._lock:
+            self._run = self._run.reset()
+            self._since = self._simulation.reset_object(self._side)
+            self._record.events.append((self._now, "reset"))
+
+    def finish(self) -> None:
+        """The operator can do no more.
+
+        Raises:
+            StudyError: no trial runs.
+        """
+        with self._lock:
+            self._run = self._run.finish(self._now)
+            self._record.events.append((self._now, "finish"))
+            self._end()
+
+    def cancel(self) -> None:
+        """Forget the trial at hand: nothing is counted or written; nothing happens if none runs."""
+        with self._lock:
+            if self._run.phase is Phase.RUNNING:
+                self._run = TaskRun(self.task, self._run.scene)
+
+    def report(self) -> dict[str, Any]:
+        """How the trial stands, as JSON has it.
+
+        Returns:
+            ``task``, ``side``; ``number`` of the trial, from 1; ``phase`` ready, running or done;
+            ``elapsed_s`` since 'go', by the scene's clock; ``score``, ``line`` of the rubric, its
+            ``text``, and the ``reason`` for it, of which only those of a trial that is done are
+            final; ``time_s`` and ``ended`` of such a one, None before; ``resets``; ``placed``:
+            whether the object is at its start, and no longer waits for the hand to leave its place.
+        """
+        with self._lock:
+            run, outcome = self._run, self._run.outcome
+            standing = run.standing
+            line = standing.line if outcome is None else outcome.line
+            placed = self._state is None or self._state.placed
+            return {
+                "task": self.task.name,
+                "side": self._side,
+                "number": self._trials,
+                "phase": run.phase.value,
+                "elapsed_s": self.seconds,
+                "score": standing.score if outcome is None else outcome.score,
+                "line": line,
+                "text": next((r.text for r in self.task.task.rubric if r.name == line), ""),
+                "reason": standing.reason if outcome is None else outcome.reason,
+                "time_s": None if outcome is None else outcome.seconds,
+                "ended": None if outcome is None else outcome.ended,
+                "resets": run.resets,
+                "placed": placed,
+            }
+
+    def close(self) -> None:
+        """Look no more; a trial that runs is not counted. The simulation may be closed already."""
+        with contextlib.suppress(SinkError):
+            self._simulation.watch(self._side, None)
+
+    def observe(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
+        """What the simulation shows; it calls this itself.
+
+        Args:
+            state: the scene.
+            positions: (n,) where the hand's joints are [rad].
+        """
+        with self._lock:
+            if state.time - self._last < _EVERY_S - 1e-6:
+                return
+            self._last = self._now = state.time
+            self._state = state
+            if self._run.phase is not Phase.RUNNING or state.starts < self._since:
+                return  # or the object is not back at its start yet
+            if state.starts > self._since:
+                self._record.about["physics_came_apart"] = True
+            self._record.add(state, positions)
+            self._run = self._run.observe(state)
+            if self._run.phase is Phase.DONE:
+                self._end()
+
+    def _end(self) -> None:
+        outcome = self._run.outcome
+        assert outcome is not None  # it is done
+        self._record.outcome = outcome
+        self.outcomes.append(outcome)
+        if self._folder is not None:
+            record, path = self._record, self._folder / self._name()
+            # Not here: the physics would stand still while the disk is waited for.
+            threading.Thread(target=self._write, args=(path, record), name="trial").start()
+        if self._done is not None:
+            self._done(outcome)
+
+    def _write(self, path: Path, record: TrialRecord) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_trial(path, record)
+        except OSError as error:
+            self.failed = str(error)
+
+    def _name(self) -> str:
+        assert self._folder is not None
+        while True:
+            self._number += 1
+            name = f"{self.task.name}-{self._number:03d}.npz"
+            if not (self._folder / name).exists():
+                return name
+
+    def _fresh(self) -> TrialRecord:
+        hand = self._simulation.hand_of(self._side)
+        return TrialRecord(self.task.name, hand.name, hand.spec.side, hand.joint_names)

@@ -1,0 +1,181 @@
+"""The synthetic operator: a seeded human hand in motion, where no tracker is at hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.human.anatomy import JOINTS, HandAnatomy, couple, draw_anatomy
+from smooth_operator.human.kinematics import mirror, move, pose_hand
+from smooth_operator.synthetic.gestures import GESTURES, Programme
+from smooth_operator.synthetic.settings import check_range, check_seed
+from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
+from smooth_operator.synthetic.wrist import WristMotion
+from smooth_operator.types import HandFrame, HandRecording, Side, as_side
+
+_BLOCK = 256  # ticks made at a time, by record() and frames() alike, so that they agree to the bit
+
+
+@dataclass(frozen=True)
+class SyntheticOperator:
+    """A person in front of a tracker, made of published anatomy and a seed.
+
+    The frames have all that a MANUS glove's have: 21 landmarks with the wrist at the origin, the
+    four metacarpal bases and an orientation per landmark. The right hand's axes are x palmar,
+    y towards the thumb, z distal; the left hand is its mirror image in y. Joint angles and the
+    active gesture are known for every frame, see ``record``.
+
+    Attributes:
+        seed: the person (bone lengths a few percent about the published ones) and what they do
+            (timing, amplitude, random motion).
+        side: which hand; the left mirrors the right exactly.
+        hand_length: wrist to tip of the straight middle finger [m], 0.12 to 0.25. Adults are about
+            0.16 to 0.21.
+        rate_hz: frames per second.
+        gestures: what is done, in order, from ``GESTURES``; repeated with new draws for as long
+            as asked.
+        speed: 1 is a natural tempo, fingertips up to about 0.5 m/s; 2 doubles it where
+            ``max_jerk`` lets it.
+        max_jerk: bound on the jerk of every joint angle but the DIPs, which stay under 2/3 of it
+            [rad/s^3].
+        tracker: imperfections of the tracker; none by default.
+        wrist: motion of the whole hand; none by default.
+
+    Raises:
+        ConfigError: if a setting is outside its range.
+        UnknownNameError: if there is no gesture of a name.
+    """
+
+    seed: int = 0
+    side: Side = "right"
+    hand_length: float = 0.19
+    rate_hz: float = 100.0
+    gestures: tuple[str, ...] = GESTURES
+    speed: float = 1.0
+    max_jerk: float = 500.0
+    tracker: TrackerModel = field(default_factory=TrackerModel)
+    wrist: WristMotion = field(default_factory=WristMotion)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "side", as_side(self.side))
+        gestures: Sequence[str] = self.gestures
+        # One name alone is one gesture, not a gesture per letter.
+        names = (gestures,) if isinstance(gestures, str) else tuple(gestures)
+        object.__setattr__(self, "gestures", names)
+        check_seed("seed", self.seed)
+        check_range("hand_length", self.hand_length, 0.12, 0.25, "m")
+        check_range("rate_hz", self.rate_hz, 1.0, 10_000.0, "Hz")
+        check_range("speed", self.speed, 0.05, 5.0)
+        check_range("max_jerk", self.max_jerk, 10.0, 1e5, "rad/s^3")
+        if not self.gestures:
+            raise ConfigError(f"gestures must name one or more of {', '.join(GESTURES)}")
+        for gesture in self.gestures:
+            if gesture not in GESTURES:
+                raise UnknownNameError("gesture", gesture, GESTURES)
+
+    @property
+    def anatomy(self) -> HandAnatomy:
+        """Bone lengths and layout of this person's right hand."""
+        return draw_anatomy(self.hand_length, int(self.seed))
+
+    def record(self, duration: float = 20.0) -> HandRecording:
+        """Record for a while, starting at time 0 with a flat hand.
+
+        A longer recording starts with the frames of a shorter one.
+
+        Args:
+            duration: [s]; ``round(duration * rate_hz)`` ticks of the tracker, of which lost frames
+                are left out.
+
+        Returns:
+            The recording. Its ``meta`` holds, per frame, ``gesture`` (T names) and
+            ``joint_angles`` ((T, 20) [rad]); and ``joint_names`` (20) with the settings
+            ``seed``, ``hand_length`` [m] and ``rate_hz``.
+
+        Raises:
+            ConfigError: if the duration doesn't hold one frame, or isn't finite.
+        """
+        blocks = list(self._blocks(self._ticks(duration)))
+
+        def joined(name: str) -> np.ndarray:
+            return np.concatenate([getattr(block, name) for block in blocks])
+
+        return HandRecording(
+            joined("landmarks"),
+            joined("stamps"),
+            self.side,
+            joined("valid"),
+            joined("metacarpals"),
+            joined("orientations"),
+            name=f"synthetic-{self.side}-{self.seed}",
+            meta={
+                "gesture": [label for block in blocks for label in block.meta["gesture"]],
+                "joint_angles": np.concatenate([block.meta["joint_angles"] for block in blocks]),
+                "joint_names": tuple(joint.name for joint in JOINTS),
+                "seed": self.seed,
+                "hand_length": self.hand_length,
+                "rate_hz": self.rate_hz,
+            },
+        )
+
+    def frames(self, duration: float | None = None) -> Iterator[HandFrame]:
+        """Frames one by one, the same as ``record`` gives; the pace is the caller's.
+
+        Args:
+            duration: [s]; None goes on for ever.
+
+        Raises:
+            ConfigError: as ``record``.
+        """
+        ticks = None if duration is None else self._ticks(duration)
+        return (frame for block in self._blocks(ticks) for frame in block)
+
+    def _ticks(self, duration: float) -> int:
+        ticks = round(duration * self.rate_hz) if math.isfinite(duration) else 0
+        if ticks < 1:
+            raise ConfigError(
+                f"duration must be finite and hold one frame at least, {1.0 / self.rate_hz:g} s at "
+                f"{self.rate_hz:g} Hz, not {duration!r} s"
+            )
+        return ticks
+
+    def _blocks(self, ticks: int | None) -> Iterator[HandRecording]:
+        """Stretches of the recording, of ``ticks`` ticks together or without an end."""
+        anatomy = self.anatomy
+        programme = Programme(int(self.seed), self.gestures, self.speed, self.max_jerk)
+        stream = TrackerStream(self.tracker, self.rate_hz)
+        done = 0
+        while ticks is None or done < ticks:
+            tick = stream.next(_BLOCK)
+            free, labels = programme.at(tick.stamps)
+            angles = couple(free)
+            poses = pose_hand(anatomy, angles)
+            if self.side == "left":
+                poses = mirror(poses)
+            if self.wrist:
+                poses = move(poses, *self.wrist.at(tick.stamps))
+            landmarks, metacarpals = poses.landmarks, poses.metacarpals
+            if tick.noise is not None:
+                landmarks = landmarks + tick.noise[:, :21]
+                metacarpals = metacarpals + tick.noise[:, 21:]
+            landmarks[tick.lost] = np.nan
+            poses.orientations[tick.lost] = np.nan
+
+            kept = np.flatnonzero(tick.arrives[: None if ticks is None else ticks - done])
+            done += _BLOCK
+            yield HandRecording(
+                landmarks[kept],
+                tick.stamps[kept],
+                self.side,
+                ~tick.lost[kept],
+                metacarpals[kept],
+                poses.orientations[kept],
+                meta={
+                    "gesture": [labels[k] for k in kept],
+                    "joint_angles": angles[kept],
+                },
+            )

@@ -1,0 +1,1 @@
+"""Teleoperation: sources, the real-time loop, sinks, browser pages and recordings."""

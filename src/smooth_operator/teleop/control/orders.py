@@ -1,0 +1,205 @@
+"""The words of ``teleop --control`` that change what the hands are driven by, and what they do.
+
+Beside those of ``smooth_operator.teleop.runtime.remote``:
+
+    {"do": "method", "method": "dexpilot", "preset": "default"}
+        another method; compiled while the old one goes on, and answered when the hands go over to
+        it: {"ok": true, "method": "dexpilot", "preset": "default"}. Without a preset its default.
+    {"do": "calibration", "path": "operator.json"}
+        an operator's calibration, of the hand of its side; without a path none for all hands:
+        {"ok": true, "method": ..., "preset": ..., "side": "right", "hand": "mimic_p050"}.
+    {"do": "rate", "rate": 30}
+        commands a second from now on, until the run ends: {"ok": true, "rate": 30.0}.
+    {"do": "task", "task": "card"}
+        the scene of a task, by its name or the paper's (A, B, C); without a task the hand alone:
+        {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}.
+    {"do": "trial"}
+        how the trial stands. With "begin": true a trial begins, with the object at its start, and
+        "about": {...} stands in its record; with "finish": true it ends, the operator can do no
+        more; with "cancel": true it is forgotten. "side" says whose is told, where there are two:
+        {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
+         "line": "not-done", "text": ..., "reason": "on the table", "time_s": null, "ended": null,
+         "resets": 0, "number": 1, "placed": true, "side": "right"}; "phase" is ready, running or
+        done, and only of a trial that is done are score, line and time_s final.
+    {"do": "reset"}
+        the one reset of a trial that runs; where none does the object is just put back. The answer
+        is that of "trial".
+
+"status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
+"building" (what is being compiled), "source" {"label", "state", "detail"}, "sinks", "operators"
+{side: where the calibration is from}, "task" and "trial" (None without
+one) and the loop's own "modes" and "rate_hz".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.human.operator_file import read_operator
+from smooth_operator.teleop.control.workshop import Choice, Workshop
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.switchboard import Word
+from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # physics, which a run without a task need not have
+    from smooth_operator.simulation.tasks.desk import TaskDesk
+
+_LOOK_S: Final = 0.5
+"""How often it is looked whether a run still goes on in which something is waited for [s]."""
+
+
+class Orders:
+    """What other programs may have done to a running loop.
+
+    Args:
+        loop: the loop.
+        workshop: builds its methods.
+        desk: the simulation's, or None where there is none; asked again each time.
+        blind: the operator is not to know the method; for the status.
+    """
+
+    def __init__(
+        self,
+        loop: TeleopLoop,
+        workshop: Workshop,
+        desk: Callable[[], TaskDesk | None] = lambda: None,
+        *,
+        blind: bool = False,
+    ) -> None:
+        self._loop, self._workshop, self._desk, self._blind = loop, workshop, desk, blind
+
+    @property
+    def words(self) -> dict[str, Word]:
+        """Word -> what is done for it."""
+        return {
+            "method": self._method,
+            "calibration": self._calibration,
+            "rate": self._rate,
+            "task": self._task,
+            "trial": self._trial,
+            "reset": self._reset,
+        }
+
+    def status(self) -> dict[str, Any]:
+        """What is known of the run without asking the loop."""
+        loop, workshop, desk = self._loop, self._workshop, self._desk()
+        used = workshop.used
+        task = None if desk is None else desk.task
+        trial = None
+        if desk is not None and task is not None:
+            try:
+                trial = desk.report()
+            except SmoothOperatorError:  # the scene is just being changed
+                task = None
+        return {
+            "method": used.method,
+            "preset": used.preset,
+            "rate": loop.config.rate,
+            "building": workshop.building,
+            "blind": self._blind,
+            "sides": list(loop.pipelines),
+            "hand": next(iter(loop.pipelines.values())).retargeter.hand.name,
+            "source": {"label": loop.source.label, **asdict(loop.source.health())},
+            "sinks": [asdict(health) for health in loop.sinks.health()],
+            "operators": {
+                side: None if operator is None else operator.source
+                for side, operator in workshop.operators.items()
+            },
+            "task": None if task is None else task.name,
+            "trial": trial,
+        }
+
+    def _method(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        method, preset = _text(fields, "method"), _text(fields, "preset")
+        if method is None:
+            raise ConfigError('which method? {"do": "method", "method": "dexpilot"}')
+        return _driven(self._await(self._workshop.choose(method, preset)))
+
+    def _calibration(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        path = _text(fields, "path")
+        if path is None:
+            nobody: dict[Side, OperatorProfile | None] = dict.fromkeys(self._loop.pipelines)
+            return _driven(self._await(self._workshop.operate(nobody)))
+        operator = read_operator(Path(path))
+        choice = self._await(self._workshop.operate({operator.side: operator}))
+        return {**_driven(choice), "side": operator.side, "hand": operator.hand}
+
+    def _rate(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        rate = fields.get("rate")
+        if isinstance(rate, bool) or not isinstance(rate, int | float):
+            raise ConfigError(f"rate: expected commands a second, not {rate!r}")
+        self._loop.pace(float(rate))
+        return {"rate": self._loop.config.rate}
+
+    def _task(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        loaded = self._open_desk().change(_text(fields, "task"))
+        if loaded is None:
+            return {"task": None}
+        task = loaded.task
+        return {
+            "task": loaded.name,
+            "title": task.title,
+            "instruction": task.instruction,
+            "time_limit_s": task.time_limit_s,
+            "rubric": [asdict(line) for line in task.rubric],
+        }
+
+    def _trial(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        desk = self._open_desk()
+        wanted = [word for word in ("begin", "finish", "cancel") if fields.get(word)]
+        if len(wanted) > 1:
+            raise ConfigError(f"a trial can't {' and '.join(wanted)} at once")
+        if "begin" in wanted:
+            about = fields.get("about") or {}
+            if not isinstance(about, dict):
+                raise ConfigError(f"about: expected an object, not {about!r}")
+            desk.go(**about)
+        elif wanted:
+            getattr(desk, wanted[0])()
+        return desk.report(_side(fields))
+
+    def _reset(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        desk = self._open_desk()
+        desk.reset()
+        return desk.report(_side(fields))
+
+    def _open_desk(self) -> TaskDesk:
+        desk = self._desk()
+        if desk is None:
+            raise ConfigError(
+                "this run has no simulation: start teleop with --task card or with --sink mujoco"
+            )
+        return desk
+
+    def _await(self, wish: Future[Choice]) -> Choice:
+        """What was asked for, once the hands are driven by it."""
+        while True:
+            try:
+                return wish.result(_LOOK_S)
+            except TimeoutError:
+                if self._loop.controls.quitting:
+                    raise ConfigError("the run has ended") from None
+
+
+def _driven(choice: Choice) -> dict[str, Any]:
+    return {"method": choice.method, "preset": choice.preset}
+
+
+def _text(fields: Mapping[str, Any], name: str) -> str | None:
+    value = fields.get(name)
+    if value is not None and not (isinstance(value, str) and value):
+        raise ConfigError(f"{name}: expected a text, not {value!r}")
+    return value
+
+
+def _side(fields: Mapping[str, Any]) -> Side | None:
+    side = _text(fields, "side")
+    if side not in (None, "right", "left"):
+        raise ConfigError(f"side: expected right or left, not {side!r}")
+    return side  # type: ignore[return-value]  # just looked at

@@ -1,0 +1,256 @@
+"""Another method, preset or setting while the hand moves: built beside the loop."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, InvalidStateError
+from dataclasses import dataclass, replace
+from typing import Final
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.methods.building import build_retargeter
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.presets import default_preset, method_config
+from smooth_operator.methods.request import Request, settled_config
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.sinks.tick import Driver
+from smooth_operator.types import Side
+
+_DEBOUNCE_S: Final = 0.4
+"""A slider that has not moved for so long has been let go of [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What the hands are, or should be, driven by.
+
+    Attributes:
+        method: its name.
+        preset: and that of its preset, never empty.
+        base: the preset's own configuration, which sets the ranges of sliders.
+        configs: side -> configuration, with what has been changed.
+    """
+
+    method: str
+    preset: str
+    base: MethodConfig
+    configs: Mapping[Side, MethodConfig]
+
+    @property
+    def shown(self) -> MethodConfig:
+        """The configuration of the first hand; the others' differ in their operators only."""
+        return next(iter(self.configs.values()))
+
+    def driver(self, side: Side) -> Driver:
+        """What a record of the run says of it."""
+        return Driver(self.method, self.preset, self.configs[side])
+
+
+class Workshop:
+    """Builds retargeters on a thread of its own; the loop goes on with the old ones until then.
+
+    What is asked for while one is built replaces it: only the newest is handed over.
+
+    Args:
+        loop: whose hands they are for.
+        asked: what the run was begun with.
+
+    Attributes:
+        used: what drives the hands.
+        wanted: what was asked for last; ``used`` if nothing is under way.
+        error: why the last wish failed; empty if it did not.
+        refused: how many wishes failed, so that a page knows to show the old values again.
+    """
+
+    def __init__(self, loop: TeleopLoop, asked: Request) -> None:
+        self._loop, self._asked = loop, asked
+        self._hands = {side: p.retargeter.hand for side, p in loop.pipelines.items()}
+        self.operators: dict[Side, OperatorProfile | None] = dict.fromkeys(
+            self._hands, asked.operator
+        )
+        configs = {side: p.retargeter.config for side, p in loop.pipelines.items()}
+        self.used = self.wanted = Choice(asked.method, asked.preset, asked.config, configs)
+        self.error = ""
+        self.refused = 0
+        self.building = ""
+        self._due = 0.0
+        self._wish: Future[Choice] = Future()
+        self._wish.set_result(self.used)
+        self._changed = threading.Condition()
+        self._ending = False
+        self._thread = threading.Thread(target=self._run, name="workshop", daemon=True)
+        self._thread.start()
+
+    def choose(self, method: str, preset: str | None = None) -> Future[Choice]:
+        """Ask for a method; its default preset if none is named.
+
+        Returns:
+            what tells when the hands are driven by it, why they can't be, or that something else
+            was asked for meanwhile (``ConfigError``).
+
+        Raises:
+            UnknownNameError: there is no such method or preset.
+            ConfigError: the operator does not fit.
+        """
+        with self._changed:
+            return self._want(self._settled(method, preset), 0.0)
+
+    def adjust(self, change: Callable[[MethodConfig], MethodConfig]) -> Future[Choice]:
+        """Ask for the same change of every hand's configuration; see ``choose``.
+
+        Raises:
+            SmoothOperatorError: what ``change`` raises.
+        """
+        with self._changed:
+            wanted = self.wanted
+            try:
+                configs = {side: change(config) for side, config in wanted.configs.items()}
+            except SmoothOperatorError:
+                self.refused += 1
+                raise
+            return self._want(replace(wanted, configs=configs), _DEBOUNCE_S)
+
+    def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[Choice]:
+        """Ask for calibrations to be used; see ``choose``.
+
+        Changed settings go back to the preset's. Hands that are not named keep theirs.
+
+        Raises:
+            ConfigError: one was made for another hand, or for one that is not driven.
+        """
+        for side in operators:
+            if side not in self._hands:
+                raise ConfigError(f"there is no {side} hand in this run")
+        with self._changed:
+            before = dict(self.operators)
+            self.operators.update(operators)
+            try:
+                return self._want(self._settled(self.wanted.method, self.wanted.preset), 0.0)
+            except SmoothOperatorError:
+                self.operators.update(before)
+                raise
+
+    def close(self) -> None:
+        """End; what is being built is not waited for."""
+        with self._changed:
+            self._ending = True
+            self._settle(ConfigError("the run has ended"))
+            self._changed.notify_all()
+
+    def _settled(self, method: str, preset: str | None) -> Choice:
+        base = method_config(method, preset)
+        preset = preset or default_preset(method)
+        asked = replace(self._asked, method=method, preset=preset, config=base)
+        configs = {
+            side: settled_config(replace(asked, operator=self.operators[side]), hand)
+            for side, hand in self._hands.items()
+        }
+        return Choice(method, preset, base, configs)
+
+    def _want(self, choice: Choice, after: float) -> Future[Choice]:
+        self._settle(ConfigError("something else was asked for meanwhile"))
+        self._wish = Future()
+        self.wanted, self.error = choice, ""
+        self._due = time.monotonic() + after
+        self._changed.notify_all()
+        return self._wish
+
+    def _settle(self, outcome: Choice | Exception) -> None:
+        """Tell who waits; a wish that is settled stays so."""
+        _tell(self._wish, outcome)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._ending or self.wanted is not self.used)
+                while not self._ending and (rest := self._due - time.monotonic()) > 0:
+                    self._changed.wait(rest)
+                if self._ending:
+                    return
+                choice, used = self.wanted, self.used
+                self.building = f"compiling {choice.method} {choice.preset}"
+            try:
+                built = self._build(choice, used)
+            except Exception as error:  # whatever it is, the old one goes on
+                known = isinstance(error, SmoothOperatorError)
+                self._fail(choice, error if known else ConfigError(_words(error)))
+            else:
+                self._hand_over(choice, built)
+
+    def _build(self, choice: Choice, used: Choice) -> dict[Side, Retargeter]:
+        with _uncollected():
+            return {
+                side: build_retargeter(self._hands[side], config, self._asked.seed)[0]
+                for side, config in choice.configs.items()
+                if config != used.configs[side]
+            }
+
+    def _hand_over(self, choice: Choice, built: Mapping[Side, Retargeter]) -> None:
+        def switch(hand: HandPipeline) -> None:
+            if hand.side in built:
+                hand.switch(built[hand.side], choice.driver(hand.side))
+
+        with self._changed:
+            self.building = ""
+            if choice is not self.wanted or self._ending:
+                return
+            self.used, wish = choice, self._wish
+            self._loop.controls.change(switch)
+            # behind it in the queue: when this is done, that is
+            self._loop.controls.change(lambda hand: _tell(wish, choice))
+
+    def _fail(self, choice: Choice, error: Exception) -> None:
+        with self._changed:
+            self.building = ""
+            if choice is self.wanted:
+                self.wanted, self.error = self.used, str(error)
+                self.refused += 1
+                self._settle(error)
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """No collection of garbage meanwhile, nor of what was made, afterwards.
+
+    A collection has the interpreter to itself: a full one over what tracing a method leaves takes
+    20 to 80 ms, and the loop would miss as many of its commands. What is made stays anyway: JAX
+    keeps compiled programs.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if enabled:
+            gc.enable()
+
+
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _tell(wish: Future[Choice], outcome: Choice | Exception) -> None:
+    with contextlib.suppress(InvalidStateError):  # it is settled already
+        if isinstance(outcome, Choice):
+            wish.set_result(outcome)
+        else:
+            wish.set_exception(outcome)
+
+
+def checked(operator: OperatorProfile | None) -> OperatorProfile:
+    """The operator, where there is one.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if operator is None:
+        raise ConfigError("there is no finished calibration; calibrate first")
+    return operator

@@ -1,0 +1,5 @@
+"""Browser pages. Needs viser; nothing outside this package imports it."""
+
+from smooth_operator.teleop.pages.playback import Playback as Playback
+from smooth_operator.teleop.pages.player import PlaybackServer as PlaybackServer
+from smooth_operator.teleop.pages.player import serve as serve

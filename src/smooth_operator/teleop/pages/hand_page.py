@@ -1,0 +1,291 @@
+"""A browser page of one robot hand: shape, landmarks, palm frame, and a slider for every joint."""
+
+from __future__ import annotations
+
+import atexit
+import threading
+from typing import Any, Final
+
+import numpy as np
+import trimesh
+import viser
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.pages.hand_view import HandView, JointRow, joint_rows
+from smooth_operator.teleop.pages.markup import plain
+from smooth_operator.teleop.pages.palette import PALM, finger_colors, linear
+from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
+from smooth_operator.terminal import print_note
+from smooth_operator.web.browser import open_page
+
+_LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
+_FRAME: Final = 0.03  # length of the palm frame's axes [m]
+_FOV: Final = np.deg2rad(40.0)
+_GHOST: Final = 0.5  # opacity of the shape, so that landmarks inside it are seen
+
+
+class HandPage:
+    """Serves the page. Use as a context manager, or call ``start`` and ``stop``.
+
+    Args:
+        hand: the robot hand.
+        notes: a line of text to put first in the panel.
+        host: address to listen on; another than this machine's own wants the token in the URL.
+        port: first port to try; 0 for any free one.
+    """
+
+    def __init__(
+        self, hand: Hand, notes: str = "", *, host: str = "127.0.0.1", port: int = 8080
+    ) -> None:
+        self.hand = hand
+        self._notes, self._host, self._wanted_port = notes, host, port
+        self._view = HandView(hand)
+        self._q = hand.neutral.copy()
+        self._lock = threading.Lock()  # viser answers its controls on several threads
+        self._server: viser.ViserServer | None = None
+        self._ended = threading.Event()
+
+    def start(self) -> HandPage:
+        """Opens the port and shows the neutral pose; returns itself.
+
+        Raises:
+            ConfigError: if the address is not one of this machine's, or no port is free.
+        """
+        if self._server is not None:
+            return self
+        self._server = open_server(self._host, self._wanted_port)
+        atexit.register(self.stop)
+        with self._server.atomic():
+            self._build_scene(self._server)
+            self._build_panel(self._server.gui)
+            self._draw()
+        return self
+
+    def stop(self) -> None:
+        """Closes the port; safe to call twice."""
+        atexit.unregister(self.stop)
+        server, self._server = self._server, None
+        if server is not None:
+            close_server(server)
+        self._ended.set()
+
+    def wait(self) -> None:
+        """Blocks until ``stop``."""
+        while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
+            pass
+
+    def __enter__(self) -> HandPage:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def url(self) -> str:
+        """Address of the page.
+
+        Raises:
+            ConfigError: the page is not being served.
+        """
+        if self._server is None:
+            raise ConfigError("the page is not being served; call start() first")
+        return page_url(self._host, self._server)
+
+    @property
+    def joint_positions(self) -> Float[np.ndarray, " m"]:
+        """(m,) positions of the actuated joints that are shown [rad]."""
+        with self._lock:
+            return self._q.copy()
+
+    def set_joint(self, index: int, position: float) -> None:
+        """Moves an actuated joint, within its limits.
+
+        Args:
+            index: among the actuated joints.
+            position: [rad].
+        """
+        with self._lock:
+            low, high = self.hand.limits[index]
+            self._q[index] = np.clip(position, low, high)
+            self._draw()
+
+    def reset(self) -> None:
+        """Back to the neutral pose."""
+        for slider, position in zip(self._sliders, self.hand.neutral, strict=True):
+            slider.value = float(position)
+        with self._lock:
+            self._q = self.hand.neutral.copy()
+            self._draw()
+
+    def _build_scene(self, server: viser.ViserServer) -> None:
+        scene, view = server.scene, self._view
+        right, up, toward = view.axes
+        scene.set_up_direction(up)
+        scene.configure_default_lights(cast_shadow=False)
+        colors = finger_colors(len(self.hand.fingers))
+        self._nodes = {
+            body: scene.add_mesh_simple(
+                f"/hand/body_{body}",
+                mesh.vertices,
+                mesh.faces,
+                color=PALM if owner < 0 else tuple(colors[owner].tolist()),
+                opacity=_GHOST,
+                side="double",
+            )
+            for body, mesh in view.meshes.items()
+            for owner in (view.finger_of_body[body],)
+        }
+        names, bones = self.hand.tree.names, view.bones()
+        points = view.landmarks(self._q)
+        shades = np.tile(np.array([[40, 40, 40]], np.uint8), (len(points), 1))
+        for finger, _, end in bones:
+            shades[end] = colors[finger]
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+        tips = np.isin(names, self.hand.tip_names)
+        self._balls = scene.add_batched_meshes_simple(
+            "/landmarks/points",
+            ball.vertices,
+            ball.faces,
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)),
+            batched_positions=points,
+            batched_scales=np.where(tips, _TIP, _LANDMARK),
+            batched_colors=linear(shades),
+            lod="off",
+        )
+        self._lines = scene.add_line_segments(
+            "/landmarks/bones",
+            np.zeros((len(bones), 2, 3)),
+            np.stack([np.stack([colors[finger]] * 2) for finger, _, _ in bones]),
+            thickness=0.0015,
+        )
+        self._labels = [
+            scene.add_label(f"/labels/{name}", name, position=point, anchor="bottom-center")
+            for name, point in zip(names, points, strict=True)
+        ]
+        self._frame = scene.add_frame("/palm", axes_length=_FRAME, axes_radius=0.0012)
+        shown = np.concatenate([points, *self._corners()])
+        centre = (shown.min(axis=0) + shown.max(axis=0)) / 2
+        distance = 0.6 * float(np.linalg.norm(np.ptp(shown, axis=0))) / np.tan(_FOV / 2)
+        direction = toward + 0.35 * right + 0.25 * up
+        camera = server.initial_camera
+        camera.position = centre + distance * direction / np.linalg.norm(direction)
+        camera.look_at, camera.up = centre, up
+        camera.fov, camera.near, camera.far = _FOV, 0.005, 50.0
+
+    def _corners(self) -> list[Float[np.ndarray, "8 3"]]:
+        poses = self._view.bodies(self._q)
+        return [
+            mesh.bounding_box.vertices @ poses[body][0].T + poses[body][1]
+            for body, mesh in self._view.meshes.items()
+        ]
+
+    def _build_panel(self, gui: viser.GuiApi) -> None:
+        hand, spec = self.hand, self.hand.spec
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        facts = [
+            f"{spec.side} hand{', mirrored' if spec.mirror else ''}; {len(hand.fingers)} fingers; "
+            f"{len(hand.actuated)} joints actuated of {len(hand.joint_names)}",
+            *([spec.source] if spec.source else []),
+            *([self._notes] if self._notes else []),
+        ]
+        gui.set_panel_label(hand.name)
+        gui.add_markdown("\n\n".join(map(plain, facts)))
+        with gui.add_folder("Show"):
+            self._toggle(gui, "shape", True, list(self._nodes.values()))
+            self._toggle(gui, "landmarks", True, [self._balls, self._lines])
+            self._toggle(gui, "names", False, list(self._labels))
+            self._toggle(gui, "palm frame", True, [self._frame])
+        with gui.add_folder("Joints [rad]"):
+            rows = joint_rows(hand)
+            gui.add_button("Neutral pose").on_click(lambda _: self.reset())
+            self._sliders = [
+                self._slider(gui, index, rows[joint]) for index, joint in enumerate(hand.actuated)
+            ]
+        self._followers: list[tuple[int, Any]] = []
+        if hand.couplings:
+            with gui.add_folder("Joints that follow [rad]"):
+                for joint, row in enumerate(rows):
+                    if not row.actuated:
+                        self._followers.append((joint, self._slider(gui, None, row)))
+
+    @staticmethod
+    def _toggle(gui: viser.GuiApi, name: str, initial: bool, nodes: list[Any]) -> None:
+        box = gui.add_checkbox(name, initial)
+
+        def apply(_: object = None) -> None:
+            for node in nodes:
+                node.visible = box.value
+
+        box.on_update(apply)
+        apply()
+
+    def _slider(self, gui: viser.GuiApi, index: int | None, row: JointRow) -> Any:
+        low, high = (
+            (row.low, row.high) if np.isfinite([row.low, row.high]).all() else (-np.pi, np.pi)
+        )
+        slider = gui.add_slider(
+            row.name,
+            min=low,
+            max=high,
+            step=(high - low) / 200,
+            initial_value=min(max(row.neutral, low), high),
+            disabled=index is None,
+            hint=f"{low:.3f} .. {high:.3f}, neutral {row.neutral:.3f}"
+            + (f"; = {row.follows}" if row.follows else ""),
+        )
+        if index is not None:
+            slider.on_update(lambda _: self.set_joint(index, float(slider.value)))
+        return slider
+
+    def _draw(self) -> None:
+        for body, (rotation, position) in self._view.bodies(self._q).items():
+            self._nodes[body].position = position
+            self._nodes[body].wxyz = viser.transforms.SO3.from_matrix(rotation).wxyz
+        points = self._view.landmarks(self._q)
+        self._balls.batched_positions = points
+        self._lines.points = np.stack([points[[a, b]] for _, a, b in self._view.bones()])
+        for label, point in zip(self._labels, points, strict=True):
+            label.position = point
+        every = self.hand.expand(self._q)
+        for joint, slider in self._followers:
+            slider.value = float(np.clip(every[joint], slider.min, slider.max))
+
+
+def serve_hand(
+    hand: Hand,
+    notes: str = "",
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    open_browser: bool = True,
+    block: bool = True,
+) -> HandPage:
+    """Show a hand in the browser.
+
+    Args:
+        hand: the robot hand.
+        notes: a line of text to put first in the panel.
+        host: address to listen on; this machine only by default.
+        port: first port to try; the one that was free is printed.
+        open_browser: open the page, where there is a desktop to open it on.
+        block: return only after Ctrl-C; otherwise at once, and the caller stops the page.
+
+    Raises:
+        ConfigError: if the address is not one of this machine's, or no port is free.
+    """
+    page = HandPage(hand, notes, host=host, port=port).start()
+    hint = "; Ctrl-C ends" if block else ""
+    print_note(f"showing {hand.name} at {page.url}{hint}")
+    if open_browser:
+        open_page(page.url)
+    if block:
+        try:
+            page.wait()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            page.stop()
+    return page

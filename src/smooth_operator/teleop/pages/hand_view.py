@@ -1,0 +1,153 @@
+"""What a page and a picture of a robot hand have in common: its axes, parts and joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.teleop.pages.meshes import above, body_meshes, finger_of_body
+
+_POSES = 24  # in which the bodies of a finger are told from the motion of its tip
+
+
+@dataclass(frozen=True)
+class JointRow:
+    """A joint, for a table or a slider.
+
+    Attributes:
+        name: in the model.
+        low: lower limit [rad, or m for a slide].
+        high: upper limit; of an actuated joint such that the joints that follow it keep theirs.
+        neutral: position in the neutral pose.
+        actuated: whether it is commanded.
+        follows: of a coupled joint, what it follows: ``1.06 index_1 - 0.05``.
+    """
+
+    name: str
+    low: float
+    high: float
+    neutral: float
+    actuated: bool
+    follows: str = ""
+
+
+def joint_rows(hand: Hand) -> list[JointRow]:
+    """All joints of a hand, in the model's own order."""
+    limits = hand.joint_limits.copy()
+    limits[list(hand.actuated)] = hand.limits
+    neutral = hand.expand(hand.neutral)
+    words = {
+        c.joint: (f"{c.multiplier:.4g} " if c.multiplier != 1 else "")
+        + c.follows
+        + (f" {'-' if c.offset < 0 else '+'} {abs(c.offset):.4g}" if c.offset else "")
+        for c in hand.couplings
+    }
+    return [
+        JointRow(
+            name,
+            float(limits[i, 0]),
+            float(limits[i, 1]),
+            float(neutral[i]),
+            i in hand.actuated,
+            words.get(name, ""),
+        )
+        for i, name in enumerate(hand.joint_names)
+    ]
+
+
+class HandView:
+    """A hand that can be posed and looked at; everything is in the palm frame [m].
+
+    Args:
+        hand: the robot hand.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self.hand = hand
+        self._data = mujoco.MjData(hand.model)
+        self._palm = hand.model.body(hand.spec.palm).id
+        self.meshes: dict[int, trimesh.Trimesh] = body_meshes(hand.model, hand.bodies)
+        self.finger_of_body = self._owners()
+
+    @property
+    def axes(self) -> Float[np.ndarray, "3 3"]:
+        """Rows: right, up and toward the viewer, of somebody who looks at the palm.
+
+        Up is distal, as the human palm lies when it is aligned to the robot's.
+        """
+        distal, radial, palmar = human_palm_axes(self.hand)
+        # The thumb of a right hand points to the right of who looks into its palm.
+        right = radial if self.hand.spec.side == "right" else -radial
+        return np.stack([right, distal, palmar])
+
+    def bodies(
+        self, q: Float[np.ndarray, " m"]
+    ) -> dict[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
+        """Rotation and position of every body that has a mesh.
+
+        Args:
+            q: (m,) actuated joint positions [rad].
+        """
+        self._pose(self.hand.expand(q))
+        rotation = self._data.xmat.reshape(-1, 3, 3)
+        palm, origin = rotation[self._palm], self._data.xpos[self._palm]
+        return {
+            body: (palm.T @ rotation[body], palm.T @ (self._data.xpos[body] - origin))
+            for body in self.meshes
+        }
+
+    def without_forearm(
+        self, below: float, distal: Float[np.ndarray, "3"]
+    ) -> dict[int, trimesh.Trimesh]:
+        """The surfaces, cut off across the forearm; a body that is all forearm has none.
+
+        Args:
+            below: how much is kept below the wrist of what is no finger [m].
+            distal: unit vector along the forearm, toward the fingers.
+        """
+        at = self.hand.wrist - below * distal
+        kept: dict[int, trimesh.Trimesh] = {}
+        for body, (rotation, position) in self.bodies(self.hand.neutral).items():
+            mesh: trimesh.Trimesh | None = self.meshes[body]
+            if self.finger_of_body[body] < 0:
+                mesh = above(self.meshes[body], rotation.T @ (at - position), rotation.T @ distal)
+            if mesh is not None:
+                kept[body] = mesh
+        return kept
+
+    def landmarks(self, q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k 3"]:
+        """(k, 3) landmarks, in the order of ``hand.tree.names``."""
+        return self.hand.landmark_positions(q)
+
+    def bones(self) -> list[tuple[int, int, int]]:
+        """(finger, from, to) of the lines between landmarks, as indices into them."""
+        names = self.hand.tree.names
+        lines = []
+        for number, finger in enumerate(self.hand.fingers):
+            base = BASES[FINGERS.index(finger)]
+            chain = [LANDMARKS[0], *LANDMARKS[base : base + 4]]
+            at = [names.index(name) for name in chain if name in names]
+            lines += [(number, a, b) for a, b in pairwise(at)]
+        return lines
+
+    def _owners(self) -> Int[np.ndarray, " nbody"]:
+        hand = self.hand
+        low, high = hand.limits.T
+        poses = hand.expand(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
+        qpos = hand.qpos(poses)
+        self._pose(poses[0])
+        palm = self._data.xmat.reshape(-1, 3, 3)[self._palm].copy()
+        tips = hand.tips(poses) @ palm.T + self._data.xpos[self._palm]
+        return finger_of_body(hand.model, qpos, tips, _POSES)
+
+    def _pose(self, every: Float[np.ndarray, " n"]) -> None:
+        self._data.qpos[:] = self.hand.qpos(every)
+        mujoco.mj_kinematics(self.hand.model, self._data)

@@ -1,0 +1,205 @@
+"""Where things stand on the page: side-by-side offsets and a camera that frames both hands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import landmarks
+from smooth_operator.teleop.pages.playback import Playback
+
+GAP = 0.03
+"""Free space between the two hands when they stand side by side [m]."""
+FOV = float(np.deg2rad(32.0))
+"""Vertical field of view [rad]; narrow, so that the two hands are seen from the same side."""
+
+_MARGIN = 1.1
+_FOREARM = 0.03  # how much of what is below the wrist is framed [m]
+_LABEL = 0.012  # label above the highest fingertip [m]
+_SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
+_TILT = np.deg2rad(8.0)  # camera a little above and beside the palm normal: depth can be read
+_MCPS = [landmarks.index(f"{finger}_mcp") for finger in landmarks.FINGERS[1:]]
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Axes of the view, and where each hand goes when they stand side by side.
+
+    Attributes:
+        right, up, toward: orthonormal axes in the model's world frame: the screen's right, the
+            fingers' direction, and the palm normal, toward the viewer.
+        human_shift: offset of the human hand, side by side [m].
+        robot_shifts: offset of each robot hand, side by side [m].
+        centre: middle of the whole picture, side by side [m].
+        tops: points above the human and each robot hand, for labels, before the shifts [m].
+        half: half width and half height of the whole picture [m].
+    """
+
+    right: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, "3"]
+    toward: Float[np.ndarray, "3"]
+    human_shift: Float[np.ndarray, "3"]
+    robot_shifts: tuple[Float[np.ndarray, "3"], ...]
+    centre: Float[np.ndarray, "3"]
+    tops: tuple[Float[np.ndarray, "3"], ...]
+    half: tuple[float, float]
+
+    def camera(
+        self, aspect: float, covered: float = 0.0
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Position and look-at point of a camera on the palm side that shows both hands.
+
+        Args:
+            aspect: width / height of the canvas.
+            covered: share of the canvas height, from below, that controls cover.
+
+        Returns:
+            (3,) position and (3,) look-at point in the model's world frame [m].
+        """
+        axes = np.stack([self.right, self.up, self.toward])
+        return camera_for(axes, self.centre, self.half, aspect, covered)
+
+
+def camera_for(
+    axes: Float[np.ndarray, "3 3"],
+    centre: Float[np.ndarray, "3"],
+    half: tuple[float, float],
+    aspect: float,
+    covered: float = 0.0,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Position and look-at point of a camera that shows a whole picture.
+
+    Args:
+        axes: (3, 3) rows: the picture's right, up and toward the viewer.
+        centre: its middle [m].
+        half: its half width and half height [m].
+        aspect: width / height of the canvas.
+        covered: share of the canvas height, from below, that controls cover.
+    """
+    right, up, toward = axes
+    tangent = np.tan(FOV / 2)
+    free = 1.0 - covered
+    width, height = half
+    distance = _MARGIN * max(height / (free * tangent), width / (aspect * tangent))
+    # the free part's middle is covered / 2 of a canvas height above the canvas's middle
+    target = centre - up * covered * distance * tangent
+    direction = toward + np.tan(_TILT) * (0.6 * right + up)
+    return target + distance * direction / np.linalg.norm(direction), target
+
+
+def plan(playback: Playback, *robots: Float[np.ndarray, "_ 3"]) -> Layout:
+    """Lay out the scene for a recording: the human hand, and each robot hand to its right.
+
+    Args:
+        playback: what is played, by one of the robots.
+        robots: (N, 3) points that bound a robot hand over the recording, world frame [m].
+
+    Returns:
+        The layout; without any valid human frame it stands on the robot's fingertips.
+    """
+    right, up, toward = view_axes(playback)
+    human = playback.human[np.isfinite(playback.human).all(axis=-1)]
+    human = human if len(human) else robots[0]
+    axes = np.stack([right, up, toward])
+    low_h, high_h = _bounds(human @ axes.T, pad=0.01)
+    floor = min(low_h[1], float(axes[1] @ playback.robot_wrist)) - _FOREARM
+    boxes = [(low_h, high_h), *(_above(points @ axes.T, floor) for points in robots)]
+    low = np.min([box[0] for box in boxes], axis=0)
+    high = np.max([box[1] for box in boxes], axis=0)
+    high[1] += _LABEL
+    middle = (low + high) / 2
+    widths = [(box[1] - box[0])[0] for box in boxes]
+    width = sum(widths) + GAP * len(robots)
+    left = middle[0] - width / 2
+    shifts = []
+    for box, own in zip(boxes, widths, strict=True):
+        shifts.append((left - box[0][0]) * right)
+        left += own + GAP
+    return Layout(
+        right=right,
+        up=up,
+        toward=toward,
+        human_shift=shifts[0],
+        robot_shifts=tuple(shifts[1:]),
+        centre=middle @ axes,
+        tops=tuple(_top(*box, high[1]) @ axes for box in boxes),
+        half=(width / 2, float(high[1] - low[1]) / 2),
+    )
+
+
+def _above(
+    points: Float[np.ndarray, "N 3"], floor: float
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Bounds of a robot hand in the view's axes, without what is below the floor.
+
+    A forearm may run out of the picture below; framed whole, it would leave the hand small.
+    """
+    low, high = _bounds(points[points[:, 1] > floor])
+    low[1] = max(points[:, 1].min(), floor)
+    return low, high
+
+
+def view_axes(
+    playback: Playback,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Right, up and toward-the-viewer axes for looking at the palm, as unit vectors.
+
+    Up is where the fingers point from the wrist. Which side is the palm needs no handedness: over
+    a recording fingers and thumb are bent toward it, never away.
+    """
+    whole = np.isfinite(playback.human).all(axis=(1, 2))
+    if whole.any():
+        hand = playback.human[whole]
+        wrist, knuckles = hand[:, landmarks.WRIST], hand[:, _MCPS]
+        up = (knuckles.mean(axis=1) - wrist).mean(axis=0)
+        across = (knuckles[:, 0] - knuckles[:, -1]).mean(axis=0)
+        bent = (hand[:, list(landmarks.TIPS)].mean(axis=1) - wrist).mean(axis=0)
+    else:
+        tips, wrist = playback.robot_tips, playback.robot_wrist
+        up = (tips[:, 1:].mean(axis=1) - wrist).mean(axis=0)
+        across = (tips[:, 1] - tips[:, -1]).mean(axis=0)
+        if tips.shape[1] == 2:  # a gripper: thumb against finger
+            across = np.eye(3)[np.abs(up).argmin()]
+        bent = (tips[:, 0] - wrist).mean(axis=0)
+    up = _snap(_unit(up, np.array([0.0, 0.0, 1.0])))
+    up, toward = upright(up, _unit(np.cross(up, across), np.eye(3)[np.abs(up).argmin()]))
+    if toward @ bent < 0:
+        toward = -toward
+    return np.cross(up, toward), up, toward
+
+
+def upright(
+    up: Float[np.ndarray, "3"], toward: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Up and toward the viewer, at right angles, along the model's axes where those are near.
+
+    Models are built along their axes: a forearm that leans 10 degrees looks like a mistake.
+    """
+    up, toward = _snap(up), _snap(toward)
+    return up, _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
+
+
+def _unit(
+    vector: Float[np.ndarray, "3"], fallback: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 1e-9 else fallback
+
+
+def _snap(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    axis = int(np.abs(vector).argmax())
+    return np.sign(vector) * np.eye(3)[axis] if abs(vector[axis]) > _SNAP else vector
+
+
+def _bounds(
+    points: Float[np.ndarray, "N 3"], pad: float = 0.0
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    return points.min(axis=0) - pad, points.max(axis=0) + pad
+
+
+def _top(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], top: float
+) -> Float[np.ndarray, "3"]:
+    return np.array([(low[0] + high[0]) / 2, top, (low[2] + high[2]) / 2])

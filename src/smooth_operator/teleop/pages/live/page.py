@@ -1,0 +1,156 @@
+"""The live page as the loop sees it: a process that asks what to show and tells what was clicked.
+
+viser, its WebSockets and the kinematics for drawing take a tenth of a core for each hand, in
+Python. In the loop's own process each of those milliseconds may come just when a frame does, and
+the loop would have to wait for the interpreter. So they are elsewhere, at a lower priority: the
+page asks at its own pace over a pipe, one line of JSON each way, and the thread that answers is
+all that the loop's process knows of it. A page that hangs or dies harms nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import IO, Any, Final
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.terminal import print_note
+from smooth_operator.types import Side
+
+_MODULE: Final = "smooth_operator.teleop.pages.live.process"
+_END_S: Final = 3.0
+"""How long the page may take to end when it is asked to [s]."""
+
+
+@dataclass(frozen=True)
+class PageSetup:
+    """What a page has to know before there is anything to show.
+
+    Attributes:
+        hand: name of the robot hand, or the path of its description.
+        sides: which hands.
+        fingers: robot finger -> human finger that drives it; None for all.
+        host: address to listen on; another than this machine's own wants a token.
+        port: first port to try; 0 for any free one.
+        simulated: whether there is a simulated hand to be drawn.
+        blind: the operator is not to know the method: nothing shows or changes it.
+        model: MJCF or URDF that is drawn, or ``menagerie``; our own shapes if None.
+        details: with reflections, which a browser without a graphics card takes long to prepare.
+    """
+
+    hand: str
+    sides: tuple[Side, ...] = ("right",)
+    fingers: Mapping[str, str] | None = None
+    host: str = "127.0.0.1"
+    port: int = 8080
+    simulated: bool = False
+    blind: bool = False
+    model: str | None = None
+    details: bool = True
+
+
+class LivePage:
+    """The process of a page. Use as a context manager, or call ``stop``.
+
+    It starts at once, so that it is ready when the methods are compiled.
+
+    Args:
+        setup: what to show, and where.
+
+    Attributes:
+        url: of the page, with its token; empty before ``serve``.
+        trouble: why the page ended by itself; empty as long as it has not.
+    """
+
+    def __init__(self, setup: PageSetup) -> None:
+        self.url = ""
+        self.trouble = ""
+        self._session: LiveSession | None = None
+        self._thread: threading.Thread | None = None
+        self._ending = False
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", _MODULE],  # -P: nothing from the working folder
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._out: IO[bytes] = self._process.stdin
+        self._in: IO[bytes] = open(self._process.stdout.fileno(), "rb", closefd=False)  # noqa: SIM115
+        self._say(asdict(setup))
+
+    def serve(self, session: LiveSession) -> str:
+        """Show a loop; returns the page's address.
+
+        Raises:
+            ConfigError: the page can't be served there.
+        """
+        first = self._hear() or {"failed": "the process of the page ended before it was ready"}
+        if "failed" in first:
+            raise ConfigError(str(first["failed"]))
+        self.url = str(first["url"])
+        self._session = session
+        self._thread = threading.Thread(target=self._answer, name="page", daemon=True)
+        self._thread.start()
+        return self.url
+
+    def stop(self) -> None:
+        """End the page; safe to call twice."""
+        self._ending = True
+        with contextlib.suppress(OSError):
+            self._out.close()
+        self._process.terminate()  # it has nothing to lose, and may be busy with its browsers
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._thread is not None:
+            self._thread.join(_END_S)
+            self._thread = None
+        self._in.close()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        if self._session is not None:
+            self._session.close()
+
+    def __enter__(self) -> LivePage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _answer(self) -> None:
+        """Answer the page until it ends."""
+        assert self._session is not None
+        while (message := self._hear()) is not None:
+            if "do" in message:
+                self._session.do(*message["do"])
+            elif "look" in message:
+                answer = self._session.look(**message["look"])
+                if message.get("configuration"):
+                    answer["configuration"] = self._session.configuration()
+                self._say(answer)
+        if not self._ending:
+            self.trouble = "the process of the page ended; the loop goes on without it"
+            print_note(f"note: {self.trouble}")
+
+    def _hear(self) -> dict[str, Any] | None:
+        """The next message; None at the end."""
+        with contextlib.suppress(OSError, ValueError):
+            line = self._in.readline()
+            if line:
+                message: dict[str, Any] = json.loads(line)
+                return message
+        return None
+
+    def _say(self, message: Mapping[str, Any]) -> None:
+        with contextlib.suppress(OSError, ValueError):  # the other end is gone: that is heard next
+            self._out.write(json.dumps(message).encode() + b"\n")

@@ -1,0 +1,387 @@
+"""Both sides' hands on the page: human, robot at its command, simulated robot, keyvectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+from jaxtyping import Float, UInt8
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    palm_alignment,
+    reference_landmarks,
+)
+from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.human.operator import FingerProfile, OperatorProfile
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.teleop.pages.aiming import Aiming
+from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
+from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
+from smooth_operator.teleop.pages.layout import GAP, upright
+from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
+from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
+from smooth_operator.types import Side
+
+_LINE: Final = 0.0022  # thickness of a keyvector [m]
+_GHOST: Final = 0.45  # opacity of a hand that another stands in
+_WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
+_FOREARM: Final = 0.03  # how much of what is below the wrist is drawn [m]
+_LABEL: Final = 0.016  # from there to the label [m]
+_LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
+_FONT: Final = 1.25  # size of the labels
+_FLOOR: Final = 1.6  # width and depth of the floor [m]
+_CELLS: Final[Rgb] = (82, 90, 102)
+_SECTIONS: Final[Rgb] = (122, 132, 146)
+_SKY: Final[Rgb] = (72, 80, 92)
+_GROUND: Final[Rgb] = (44, 49, 57)
+_VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up, toward the viewer
+
+
+class LiveScene:
+    """Builds the nodes once, then shows what the loop tells.
+
+    Every palm is turned so that one looks at it with the fingers up.
+
+    Args:
+        server: where to draw.
+        hands: side -> robot hand.
+        simulated: whether there is a simulated hand.
+        drawn: side -> the same hand on the model to draw, with the same joints by name, in any
+            order; see ``on_model``. The hand itself if left
+            out.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        hands: Mapping[Side, Hand],
+        simulated: bool,
+        drawn: Mapping[Side, Hand] | None = None,
+    ) -> None:
+        self.simulated = simulated
+        self.scenery_number = 0
+        sides: tuple[Side, ...] = ("left", "right")
+        order = [side for side in sides if side in hands]
+        models = hands if drawn is None else drawn
+        self._sides = {
+            side: _SideView(server.scene, hands[side], models[side], simulated) for side in order
+        }
+        self._server = server
+        server.scene.set_background_image(_background(), format="png")
+        self._floor = server.scene.add_grid(
+            "/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
+            cell_color=_CELLS, section_color=_SECTIONS, fade_distance=2.0,
+        )  # fmt: skip
+        centre, half = self._arrange()
+        self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)
+
+    def _arrange(self) -> tuple[Float[np.ndarray, "3"], tuple[float, float]]:
+        """Give each hand its place; where the picture's middle is, and half its size [m]."""
+        low = np.min([view.low for view in self._sides.values()], axis=0)
+        high = np.max([view.high for view in self._sides.values()], axis=0)
+        size = high - low
+        # One hand: human beside robot. Two: each human above its robot.
+        columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
+        for column, view in enumerate(self._sides.values()):
+            right = (size[0] + GAP) * column
+            up = (size[1] + 2 * GAP) * (rows - 1)
+            step = np.array([size[0] + GAP, 0.0])
+            places = (
+                (np.zeros(2), step)
+                if rows == 1
+                else (np.array([right, up]), np.array([right, 0.0]))
+            )
+            view.put(*places)
+        spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
+        middle = (low + high + np.array([*spread, 0.0])) / 2
+        if self.has_task:
+            middle[2] = high[2]  # what is nearest, which looks largest, is to fit in, too
+        half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1]) / 2)
+        ground = np.array([middle[0], middle[1] - half[1] - _LABEL, (low[2] + high[2]) / 2])
+        self._floor.position = ground @ _VIEW
+        return middle @ _VIEW, half
+
+    @property
+    def has_task(self) -> bool:
+        """Whether a hand works on the object of a task."""
+        return any(view.scenery.there for view in self._sides.values())
+
+    def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
+        """Show the hands; see ``LiveSession.look``."""
+        self.draw_lines(hands)
+        self.draw_bodies(hands)
+
+    def draw_lines(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
+        """Show the human hands, keyvectors and fingertips, which a browser has in its next picture
+        but one."""
+        for side, view in self._sides.items():
+            if side in hands:
+                view.draw_lines(hands[side])
+
+    def draw_bodies(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
+        """Show the robots' bodies, which a browser has in its next picture."""
+        for side, view in self._sides.items():
+            if side in hands:
+                view.draw_bodies(hands[side])
+
+    def draw_scenery(self, seen: Mapping[str, Any]) -> None:
+        """Show what the hands work on; see ``Scenery``."""
+        self.scenery_number = seen["number"]
+        if "parts" in seen:
+            for side, view in self._sides.items():
+                view.scenery.show(seen["parts"].get(side, ()))
+                view.face(seen["views"].get(side), seen["poses"].get(side))
+            self.aiming.centre, self.aiming.half = self._arrange()
+            self._floor.visible = not self.has_task  # which stands on a floor of its own
+            for client in self._server.get_clients().values():
+                self.aiming.aim(client)
+        for side, view in self._sides.items():
+            view.scenery.draw(seen["poses"].get(side))
+
+    def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
+        """Which calibrations correct the human hands."""
+        for side, view in self._sides.items():
+            found = operators.get(side)
+            view.operator = None if found is None else _operator(found)
+
+    def set_overlay(self, overlay: bool) -> None:
+        """Each human hand inside its robot, or side by side."""
+        for view in self._sides.values():
+            view.set_overlay(overlay)
+
+    def set_keyvectors(self, visible: bool) -> None:
+        """Show or hide the thumb-to-tip lines."""
+        for view in self._sides.values():
+            view.set_keyvectors(visible)
+
+    def set_simulated(self, visible: bool) -> None:
+        """Show or hide the simulated hand in the robot's place."""
+        for view in self._sides.values():
+            view.set_simulated(visible)
+
+
+class _SideView:
+    """The hands of one side."""
+
+    def __init__(self, scene: viser.SceneApi, hand: Hand, drawn: Hand, simulated: bool) -> None:
+        side = hand.spec.side
+        self._hand, self._drawn = hand, drawn
+        self._rest = drawn.expand(drawn.neutral)
+        self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
+        self.operator: OperatorProfile | None = None
+        self._palm_axes = human_palm_axes(hand)
+        view = HandView(drawn)
+        # From the palm frame to the picture: rows right, up, toward become x, z, -y.
+        up, toward = upright(view.axes[1], view.axes[2])
+        self._axes = np.stack([np.cross(up, toward), up, toward])
+        meshes = view.without_forearm(_FOREARM, up)
+        tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
+        self._roots = {
+            name: scene.add_frame(f"/{side}/{name}", show_axes=False) for name in ("human", "robot")
+        }
+        palm_wxyz, palm_position = _inverse_palm(drawn)
+        model_root = f"/{side}/robot/model"
+        scene.add_frame(model_root, show_axes=False, wxyz=palm_wxyz, position=palm_position)
+        owner = view.finger_of_body
+        self._robot = BodyNodes(scene, drawn.model, meshes, owner, f"{model_root}/command")
+        self._simulated = (
+            BodyNodes(
+                scene,
+                drawn.model,
+                {body: mesh for body, mesh in meshes.items() if owner[body] >= 0},
+                owner,
+                f"{model_root}/simulated",
+                color=SIMULATED,
+                opacity=_GHOST,
+                scale=_WITHIN,
+            )
+            if simulated
+            else None
+        )
+        self._human = HumanView(scene, tips, f"/{side}/human")
+        self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
+        self._tips = tips
+        self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
+        none = np.zeros(len(tips) - 1, bool)
+        self._lines = {
+            name: scene.add_line_segments(
+                f"/{side}/{name}/keyvectors",
+                np.zeros((len(tips) - 1, 2, 3)),
+                keyvector_colors(len(tips), none),
+                thickness=_LINE,
+            )
+            for name in self._roots
+        }
+        self._points = self._hull(view, meshes)
+        words = {"human": "human", "robot": hand.name}
+        self._labels = [
+            scene.add_label(
+                f"/{side}/{name}/label",
+                f"{words[name]} {side}",
+                anchor="center-center",
+                font_screen_scale=_FONT,
+            )
+            for name in self._roots
+        ]
+        self._places = (np.zeros(3), np.zeros(3))
+        self._overlaid = False
+        self.face(None, None)
+        start = {"positions": hand.expand(hand.neutral), "human": None, "latched": None}
+        self.draw_lines(start)
+        self.draw_bodies(start)
+
+    def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
+        """Where the two stand when they don't stand in each other: right and up [m]."""
+        here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
+        self._places = (here, there)
+        self.set_overlay(self._overlaid)
+
+    def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
+        """Joint positions of the solid hand, and of the one that is seen where it differs."""
+        every = np.asarray(state["positions"], float)
+        if self._simulated is None or state.get("simulated") is None:
+            return every, None
+        other = np.asarray(state["simulated"], float)
+        # with a task, the hand that touches the object is the one to look at
+        return (other, every) if self.scenery.there else (every, other)
+
+    def draw_bodies(self, state: Mapping[str, Any]) -> None:
+        every, other = self._poses(state)
+        self._robot.draw(self._qpos(every))
+        if self._simulated is not None and other is not None:
+            self._simulated.draw(self._qpos(other))
+
+    def draw_lines(self, state: Mapping[str, Any]) -> None:
+        hand = self._hand
+        every, _ = self._poses(state)
+        latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
+        robot_tips = hand.tips(every)
+        self._balls.draw(robot_tips, latched)
+        landmarks = self._aligned(state)
+        self._human.draw(landmarks, latched)
+        colors = keyvector_colors(len(self._tips), latched)
+        for name, points in (("human", landmarks[self._tips]), ("robot", robot_tips)):
+            self._lines[name].points = thumb_lines(points)
+            self._lines[name].colors = colors
+
+    def set_overlay(self, overlay: bool) -> None:
+        self._overlaid = overlay
+        human, robot = self._places
+        self._roots["human"].position = robot if overlay else human
+        self._roots["robot"].position = robot
+        self._labels[0].visible = not overlay
+        self._robot.set_opacity(_GHOST if overlay else None)
+
+    def set_keyvectors(self, visible: bool) -> None:
+        for lines in self._lines.values():
+            lines.visible = visible
+
+    def set_simulated(self, visible: bool) -> None:
+        if self._simulated is not None:
+            self._simulated.set_visible(visible)
+
+    def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
+        """Joint positions of the drawn model; what it has besides the hand's joints rests."""
+        positions = self._rest.copy()
+        positions[self._order] = every
+        return self._drawn.qpos(positions)
+
+    def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
+        """The human hand in the palm frame, as the method sees it; NaN where there is none."""
+        if state.get("human") is None:
+            return np.full((21, 3), np.nan)
+        landmarks = np.asarray(state["human"], float).reshape(21, 3)
+        missing = ~np.isfinite(landmarks).all(axis=-1)
+        if missing[list(self._hand.align_indices)].any():
+            return np.full((21, 3), np.nan)
+        safe = np.where(missing[:, None], reference_landmarks(self._hand), landmarks)
+        config = AlignmentConfig(state.get("scale"), self.operator)
+        fit = palm_alignment(safe, self._hand, config)
+        if not fit.condition >= MIN_CONDITION:
+            return np.full((21, 3), np.nan)
+        aligned = fit.apply(safe)
+        if self.operator is not None:
+            aligned = self.operator.correct(aligned, fit.scale, self._hand, self._palm_axes)
+        return np.where(missing[:, None], np.nan, aligned)
+
+    def face(
+        self, axes: Sequence[Sequence[float]] | None, object_pose: Sequence[float] | None
+    ) -> None:
+        """Turn the hands: as one looks at a scene, or at a palm with the fingers up.
+
+        Args:
+            axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for the palm.
+            object_pose: of what the hand works on, which is to be in the picture, too.
+        """
+        rows = self._axes if axes is None else np.asarray(axes, float)
+        turn, wxyz = _VIEW.T @ rows, np.empty(4)
+        mujoco.mju_mat2Quat(wxyz, turn.ravel())
+        for root in self._roots.values():
+            root.wxyz = wxyz
+        end = self._hand.wrist - (_FOREARM + _LABEL) * self._axes[1]
+        points = np.concatenate([self._points, end[None]])
+        if object_pose is not None:
+            points = np.concatenate([points, self.scenery.bounds(object_pose)])
+        seen = points @ rows.T
+        self.low, self.high = seen.min(axis=0), seen.max(axis=0)
+        for label in self._labels:
+            label.position = end
+
+    def _hull(
+        self, view: HandView, meshes: Mapping[int, trimesh.Trimesh]
+    ) -> Float[np.ndarray, "p 3"]:
+        """(p, 3) points that hands of either kind stay within, in the palm frame [m]."""
+        hand = self._hand
+        neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
+        points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
+        for q in (neutral, straight):
+            self._robot.place(self._qpos(hand.expand(q)))
+            data, palm = self._robot.data, self._drawn.model.body(self._drawn.spec.palm).id
+            turn, origin = data.xmat[palm].reshape(3, 3), data.xpos[palm]
+            points += [
+                (mesh.bounding_box.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+                 - origin) @ turn
+                for body, mesh in meshes.items()
+            ]  # fmt: skip
+        return np.concatenate(points)
+
+
+def _background() -> UInt8[np.ndarray, "h w 3"]:
+    """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
+    shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
+    return np.repeat(shade[:, None], 2, axis=1)
+
+
+def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
+    """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
+    data = mujoco.MjData(hand.model)
+    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    mujoco.mj_kinematics(hand.model, data)
+    palm = data.body(hand.spec.palm)
+    wxyz, position = np.empty(4), np.empty(3)
+    mujoco.mju_negPose(position, wxyz, palm.xpos, palm.xquat)
+    return wxyz, position
+
+
+def _operator(content: Mapping[str, Any]) -> OperatorProfile:
+    """A profile that came as JSON."""
+    fingers = tuple(
+        FingerProfile(**{**finger, "bones": tuple(finger["bones"])})
+        for finger in content["fingers"]
+    )
+    return OperatorProfile(
+        **{
+            **content,
+            "fingers": fingers,
+            "palm_rotation": tuple(content["palm_rotation"]),
+            "apply": tuple(content["apply"]),
+        }
+    )

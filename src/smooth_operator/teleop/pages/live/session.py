@@ -1,0 +1,298 @@
+"""Between a running loop and its page: what is shown, as JSON, and what the page's controls do."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.io import to_json
+from smooth_operator.methods.presets import live_presets
+from smooth_operator.methods.request import Request, live_configuration
+from smooth_operator.teleop.control.workshop import Workshop, checked
+from smooth_operator.teleop.pages.live.camera import CameraFeed
+from smooth_operator.teleop.pages.live.coach import Coach
+from smooth_operator.teleop.pages.live.fields import changed, config_fields
+from smooth_operator.teleop.pages.live.rates import RateMeter
+from smooth_operator.teleop.pages.live.scenery import Scenery
+from smooth_operator.teleop.pages.live.takes import Takes
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.simulation import Simulation
+from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.types import Side
+
+_SEEN_S: Final = 1.0
+"""A hand that was not tracked for so long is no longer drawn [s]."""
+_EVENTS: Final = 6
+_RATE_S: Final = 0.9
+_FRAME_RATE_S: Final = 2.0
+"""Over how long commands, and the tracker's frames, are counted [s]; a tracker may be slow."""
+_TELLING: Final = ("solve", "total")
+"""Stages that take so long that one knows the method by them."""
+
+
+class LiveSession:
+    """What a page knows and may do of a loop. Its methods are for the page's thread, but for
+    ``watch``, which is for the loop's.
+
+    Args:
+        loop: the running loop.
+        asked: what the run was begun with.
+        sinks: those that it was begun with; of a simulated hand among them the state is shown, and
+            what it works on.
+        folder: where recordings and calibrations go.
+        workshop: builds methods; one of its own if left out.
+        blind: nothing that is shown tells which method drives the hands, and none can be chosen.
+    """
+
+    def __init__(
+        self,
+        loop: TeleopLoop,
+        asked: Request,
+        sinks: Sequence[Sink] = (),
+        folder: Path = Path(),
+        *,
+        workshop: Workshop | None = None,
+        blind: bool = False,
+    ) -> None:
+        self.loop = loop
+        self.coach = Coach()
+        self.workshop = Workshop(loop, asked) if workshop is None else workshop
+        self.blind = blind
+        self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
+        self._asked, self._folder = asked, folder
+        self._simulated = next((s.state for s in sinks if hasattr(s, "state")), None)
+        self._scenery = next((Scenery(s) for s in sinks if isinstance(s, Simulation)), None)
+        self._camera = CameraFeed(loop.source)
+        self._default = LoopConfig(loop.config.rate)
+        self._ticks: dict[Side, Tick] = {}
+        self._arrivals: dict[Side, Arrival] = {}
+        self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
+        self._commands = {side: RateMeter(_RATE_S) for side in loop.pipelines}
+        self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
+        self._message = ""
+        self._fields_changed = 0
+        self._actions: dict[str, Callable[..., None]] = {
+            "stop": loop.controls.stop,
+            "release": loop.controls.release,
+            "pause": loop.controls.pause,
+            "resume": loop.controls.resume,
+            "record": self.takes.toggle,
+            "method": self._choose,
+            "set": self._set,
+            "set_loop": self._set_loop,
+            "calibrate": self._calibrate,
+            "cancel_calibration": self.coach.cancel,
+            "use_operator": self._use_operator,
+            "drop_operator": self._drop_operator,
+            "save_operator": self._save_operator,
+        }
+        if blind:
+            for name in ("method", "set"):
+                del self._actions[name]
+
+    def watch(self, tick: Tick) -> None:
+        """Take note of a tick; called by the loop after its sinks."""
+        self._ticks[tick.side] = tick
+        seen = self.loop.pipelines[tick.side].seen
+        if seen is not None and seen is not self._arrivals.get(tick.side):
+            self._arrivals[tick.side] = seen
+            self.coach.see(seen)
+        if tick.events:
+            self._note(tick)
+
+    def do(self, name: str, *values: Any) -> None:
+        """Do what a control asks for; what can't be done becomes a message on the page."""
+        try:
+            if name not in self._actions:
+                raise ConfigError(f"the page asks for {name!r}, which is nothing here")
+            self._message = ""
+            self._actions[name](*values)
+        except SmoothOperatorError as error:
+            self._message = str(error)
+        except TypeError:
+            self._message = f"the page asks for {name!r} with the wrong values"
+
+    def look(
+        self, *, text: bool, fields: int, scenery: int = 0, picture: int | None = None
+    ) -> dict[str, Any]:
+        """What to show now, as JSON has it.
+
+        Args:
+            text: with figures and controls, not the hands alone.
+            fields: for which ``fields_number`` the fields are known already.
+            scenery: for which number the shapes of the task's scene are.
+            picture: which of the camera's pictures is known; None if none is wanted.
+        """
+        now = self.loop.mailbox.clock()
+        shown: dict[str, Any] = {
+            "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
+            "calibration": self.coach.look(now),
+        }
+        if self._scenery is not None:
+            shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
+        if picture is not None and (camera := self._camera.look(picture, now)) is not None:
+            shown["camera"] = camera
+        if text:
+            shown["status"] = self._status(now)
+            shown["controls"] = self._controls(fields)
+        return shown
+
+    @property
+    def fields_number(self) -> int:
+        """Changes when the page has to show the fields anew: another method, a value refused."""
+        shown = self.workshop.wanted
+        return hash((shown.method, shown.preset, self.workshop.refused, self._fields_changed))
+
+    def configuration(self) -> str:
+        """The configuration as it is now, as JSON text; empty where it is not to be known."""
+        if self.blind:
+            return ""
+        used = self.workshop.used
+        content = live_configuration("teleop", self._asked, used.configs, loop=self.loop.config,
+                                     source=self.loop.source)  # fmt: skip
+        return to_json({**content, **self._configuration()}, indent=2) + "\n"
+
+    def close(self) -> None:
+        """End what runs beside the loop."""
+        self.workshop.close()
+
+    def _configuration(self) -> Mapping[str, Any]:
+        used = self.workshop.used
+        return {
+            "method": used.method,
+            "preset": used.preset,
+            "config": dict(used.configs),
+            "loop": self.loop.config,
+        }
+
+    def _hand(self, side: Side, tick: Tick, now: float) -> dict[str, Any]:
+        arrival = self._arrivals.get(side)
+        age = None if arrival is None else now - arrival.received
+        state = None if self._simulated is None else self._simulated(side)
+        pipeline = self.loop.pipelines[side]
+        return {
+            "mode": tick.mode.value,
+            "positions": _numbers(tick.command.positions),
+            "simulated": None if state is None else _numbers(state.positions),
+            "human": None
+            if arrival is None or age is None or age > _SEEN_S
+            else _numbers(_trusted(arrival).ravel()),
+            "age_s": age,
+            # a method without latches has None, and so has one that is not to be known
+            "latched": pipeline.latched if pipeline.latches and not self.blind else None,
+            "scale": pipeline.retargeter.config.alignment.scale,
+        }
+
+    def _status(self, now: float) -> dict[str, Any]:
+        statistics, loop = self.loop.statistics, self.loop
+        for side, tick in self._ticks.items():
+            self._commands[side].count(tick.number, tick.time)
+        for side, meter in self._frames.items():
+            meter.count(loop.mailbox.received_of[side], now)
+        stages = {
+            name: {key: round(found[key], 3) for key in ("p50", "p99")}
+            for name, found in statistics.recent(500).items()
+            if found and not (self.blind and name in _TELLING)
+        }
+        return {
+            "rates": {side: meter.rate for side, meter in self._commands.items()},
+            "frame_rates": {side: meter.rate for side, meter in self._frames.items()},
+            "blind": self.blind,
+            "stages": stages,
+            "missed_share": statistics.missed_share,
+            "unusable": statistics.unusable,
+            "refused": {side: dict(p.supervisor.refused) for side, p in loop.pipelines.items()},
+            "source": {"label": loop.source.label, **asdict(loop.source.health())},
+            "sinks": [asdict(health) for health in loop.sinks.health()],
+            "events": [(round(now - at, 1), words) for at, words in list(self._events)],
+        }
+
+    def _controls(self, known: int) -> dict[str, Any]:
+        workshop = self.workshop
+        supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
+        shown, number = workshop.wanted, self.fields_number
+        controls: dict[str, Any] = {
+            "building": self._told(workshop.building, "getting ready"),
+            "message": self._message
+            or self._told(workshop.error, "that could not be done; the experimenter knows why")
+            or self.takes.error,
+            "stopped": any(supervisor.stopped for supervisor in supervisors),
+            "paused": any(supervisor.paused for supervisor in supervisors),
+            "recording": self.takes.recording,
+            "operators": {
+                side: None if operator is None else asdict(operator)
+                for side, operator in workshop.operators.items()
+            },
+            "fields_number": number,
+        }
+        if not self.blind:
+            controls["method"], controls["preset"] = shown.method, shown.preset
+            controls["presets"] = live_presets()
+        if number != known:
+            if not self.blind:
+                controls["fields"] = [asdict(f) for f in config_fields(shown.shown, shown.base)]
+            loop = config_fields(self.loop.config, self._default)
+            controls["loop_fields"] = [asdict(field) for field in loop if field.path != "rate"]
+        return controls
+
+    def _told(self, words: str, blind: str) -> str:
+        """What may name a method, or what is said in its place."""
+        return blind if words and self.blind else words
+
+    def _choose(self, method: str, preset: str | None = None) -> None:
+        self.workshop.choose(method, preset)
+
+    def _set(self, path: str, value: Any) -> None:
+        self.workshop.adjust(lambda config: changed(config, path, value))
+
+    def _set_loop(self, path: str, value: Any) -> None:
+        try:
+            self.loop.configure(changed(self.loop.config, path, value))
+        except SmoothOperatorError:
+            self._fields_changed += 1
+            raise
+
+    def _calibrate(self, side: Side) -> None:
+        if side not in self.loop.pipelines:
+            raise ConfigError(f"there is no {side} hand in this run")
+        self.coach.begin(self.loop.pipelines[side].retargeter.hand)
+
+    def _use_operator(self) -> None:
+        operator = checked(self.coach.operator)
+        self.workshop.operate({operator.side: operator})
+        self._fields_changed += 1
+
+    def _drop_operator(self, side: Side) -> None:
+        self.workshop.operate({side: None})
+        self._fields_changed += 1
+
+    def _save_operator(self) -> None:
+        path = self.coach.save(self._folder)
+        self._message = f"wrote {path.resolve()}; next time: --operator {path}"
+
+    def _note(self, tick: Tick) -> None:
+        for words in tick.events:
+            line = f"{tick.side}: {words}" if len(self.loop.pipelines) > 1 else words
+            if self._events and self._events[-1][1] == line:
+                self._events.pop()  # the same again: the newest time counts
+            self._events.append((tick.time, line))
+
+
+def _trusted(arrival: Arrival) -> np.ndarray:
+    """(21, 3) landmarks in the tracker's frame [m]; NaN where the tracker has nothing to trust."""
+    frame = arrival.frame
+    assert frame.valid is not None  # filled in on construction
+    return np.where(frame.valid[:, None], frame.landmarks, np.nan)
+
+
+def _numbers(values: np.ndarray) -> list[float]:
+    return [round(value, 5) for value in np.asarray(values, float).tolist()]

@@ -1,0 +1,150 @@
+"""What the browser page plays: one retargeted recording, human and robot, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike, DTypeLike
+
+from smooth_operator.errors import HandModelError, RecordingError
+from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
+
+PINCH_DISTANCE = 0.015
+"""A human thumb-finger tip distance below this counts as a pinch [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """A recording and its retargeted motion, ready to be drawn.
+
+    Attributes:
+        title: shown at the top of the page.
+        model: the robot hand; its geoms are what is drawn.
+        qpos: (T, nq) joint positions of the model [rad], finite.
+        stamps: (T,) strictly increasing times [s].
+        human: (T, 21, 3) landmarks aligned to the robot, in the model's world frame [m]; NaN where
+            a landmark is invalid.
+        status: (T,) ``Status`` values.
+        robot_tips: (T, F, 3) robot fingertips in the model's world frame [m], thumb first.
+        robot_wrist: (3,) robot wrist in the model's world frame [m].
+        latency_ms: (T,) time from landmarks to command [ms]; NaN where unknown.
+        human_tips: (F,) landmark index of the human fingertip that each robot fingertip follows.
+        fingers: (F,) names of the fingers, thumb first.
+        metrics: figures for the page's table; nested mappings are flattened. None: no table.
+        bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
+            if None.
+        label: what stands above the robot; where several are shown, what made its motion.
+
+    Raises:
+        RecordingError: if an array about the human has the wrong shape, or the stamps don't
+            increase, or there is no frame.
+        HandModelError: if an array about the robot has the wrong shape or is not finite.
+    """
+
+    title: str
+    model: mujoco.MjModel
+    qpos: Float[np.ndarray, "T nq"]
+    stamps: Float[np.ndarray, " T"]
+    human: Float[np.ndarray, "T 21 3"]
+    status: Int[np.ndarray, " T"]
+    robot_tips: Float[np.ndarray, "T F 3"]
+    robot_wrist: Float[np.ndarray, "3"]
+    latency_ms: Float[np.ndarray, " T"]
+    human_tips: tuple[int, ...] = TIPS
+    fingers: tuple[str, ...] = FINGERS
+    metrics: Mapping[str, Any] | None = None
+    bodies: Bool[np.ndarray, " nbody"] | None = None
+    label: str = "robot"
+
+    def __post_init__(self) -> None:
+        stamps = np.asarray(self.stamps, np.float64)
+        if stamps.ndim != 1 or not len(stamps):
+            raise RecordingError(
+                f"stamps must have shape (T,) with at least one frame, not {stamps.shape}"
+            )
+        if not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
+            raise RecordingError("stamps must be finite and strictly increasing; sort the frames")
+        frames, fingers = len(stamps), len(self.fingers)
+        if fingers < 2 or len(self.human_tips) != fingers:
+            raise HandModelError(
+                f"fingers and human_tips must name the same two or more fingers, thumb first; "
+                f"got {self.fingers} and {self.human_tips}"
+            )
+        if not all(0 <= tip < NUM_LANDMARKS for tip in self.human_tips):
+            raise RecordingError(
+                f"human_tips must be landmark indices 0..{NUM_LANDMARKS - 1}, not {self.human_tips}"
+            )
+        human, robot = RecordingError, HandModelError
+        self._put("stamps", (frames,), human)
+        self._put("human", (frames, NUM_LANDMARKS, 3), human)
+        self._put("status", (frames,), human, np.int64)
+        self._put("latency_ms", (frames,), human)
+        self._put("qpos", (frames, self.model.nq), robot)
+        self._put("robot_tips", (frames, fingers, 3), robot)
+        self._put("robot_wrist", (3,), robot)
+        for name in ("qpos", "robot_tips", "robot_wrist"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise HandModelError(f"{name} holds NaN or infinity; hold the last good value")
+
+    def _put(
+        self,
+        name: str,
+        shape: tuple[int, ...],
+        error: type[RecordingError | HandModelError],
+        dtype: DTypeLike = np.float64,
+    ) -> None:
+        array: ArrayLike = getattr(self, name)
+        array = np.asarray(array, dtype)
+        if array.shape != shape:
+            raise error(f"{name} must have shape {shape}, not {array.shape}")
+        object.__setattr__(self, name, array)  # normalising a frozen dataclass
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        """(T,) seconds since the first frame."""
+        return np.asarray(self.stamps - self.stamps[0])
+
+    def human_gaps(self) -> Float[np.ndarray, "T G"]:
+        """(T, F-1) distances of the human thumb tip to each other fingertip [m], NaN if missing."""
+        tips = self.human[:, list(self.human_tips)]
+        return np.asarray(np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1))
+
+    def robot_gaps(self) -> Float[np.ndarray, "T G"]:
+        """(T, F-1) distances of the robot thumb tip to each other fingertip [m]."""
+        gaps = self.robot_tips[:, 1:] - self.robot_tips[:, :1]
+        return np.asarray(np.linalg.norm(gaps, axis=-1))
+
+    def pinches(self) -> Bool[np.ndarray, "T G"]:
+        """(T, F-1) True where the human pinches: gap under ``PINCH_DISTANCE``."""
+        # NaN compares False: a lost hand never pinches
+        return np.asarray(self.human_gaps() < PINCH_DISTANCE)
+
+
+def check_runs(runs: Sequence[Playback]) -> None:
+    """Looks whether runs can be shown side by side.
+
+    Raises:
+        RecordingError: there is none, or they are not of the same frames and fingers.
+    """
+    if not runs:
+        raise RecordingError("there is nothing to play: give one run or more")
+    first = runs[0]
+    for run in runs[1:]:
+        if not np.array_equal(run.stamps, first.stamps):
+            raise RecordingError(
+                f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or their "
+                "time stamps differ: retarget the same frames of one recording with both"
+            )
+        if run.fingers != first.fingers:
+            raise RecordingError(
+                f"{run.label!r} drives {', '.join(run.fingers)}, but {first.label!r} "
+                f"{', '.join(first.fingers)}: give runs of the same fingers"
+            )

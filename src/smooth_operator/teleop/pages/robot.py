@@ -1,0 +1,58 @@
+"""The robot hand on the page: one node per body, moved by forward kinematics of the frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from jaxtyping import Bool, Float
+
+from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
+from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body
+from smooth_operator.teleop.pages.playback import Playback
+
+_GHOST = 0.45  # opacity of the robot when the human hand stands inside it
+
+
+class RobotView:
+    """Draws the robot hand; kinematics run per frame, so memory does not grow with the recording.
+
+    Args:
+        scene: where to draw.
+        playback: what to draw.
+        root: name of the parent node, which places the whole hand.
+    """
+
+    def __init__(self, scene: viser.SceneApi, playback: Playback, root: str) -> None:
+        self._playback = playback
+        meshes = body_meshes(playback.model, playback.bodies)
+        owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
+        self._boxes = {body: mesh.bounding_box.vertices for body, mesh in meshes.items()}
+        self._hand = BodyNodes(scene, playback.model, meshes, owner, root)
+        self._bodies = self._hand.nodes
+        self._balls = TipBalls(scene, len(playback.fingers), f"{root}/tips")
+        self._tips = self._balls.node
+
+    def draw(self, frame: int, pinched: Bool[np.ndarray, " G"]) -> None:
+        """Show one frame.
+
+        Args:
+            frame: index of the frame.
+            pinched: (F-1,) which fingers the human pinches with the thumb.
+        """
+        self._hand.draw(self._playback.qpos[frame])
+        self._balls.draw(self._playback.robot_tips[frame], pinched)
+
+    def set_ghost(self, ghost: bool) -> None:
+        """Make the hand see-through, for looking at the human hand inside it."""
+        self._hand.set_opacity(_GHOST if ghost else None)
+
+    def bounds(self, samples: int = 16) -> Float[np.ndarray, "N 3"]:
+        """(N, 3) corners of the bodies' boxes at some frames, in the model's world frame [m]."""
+        points = [self._playback.robot_tips.reshape(-1, 3)]
+        data = self._hand.data
+        for frame in np.unique(np.linspace(0, len(self._playback) - 1, samples).astype(int)):
+            self._hand.place(self._playback.qpos[frame])
+            for body, box in self._boxes.items():
+                rotation = data.xmat[body].reshape(3, 3)
+                points.append(box @ rotation.T + data.xpos[body])
+        return np.concatenate(points)

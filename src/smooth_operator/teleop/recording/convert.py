@@ -1,0 +1,298 @@
+"""Episodes from files of any format, and into files of any other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Literal, TypeAlias, get_args
+
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.io.checks import reading_notes
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.npz import is_own_npz, read_npz_episode, write_npz_episode
+from smooth_operator.io.readers import read_recording
+from smooth_operator.io.results import config_path
+from smooth_operator.io.sniff import file_kind, is_dataset
+from smooth_operator.teleop.recording.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
+from smooth_operator.teleop.recording.lerobot import (
+    Dataset,
+    is_own_dataset,
+    open_dataset,
+    read_dataset_episode,
+)
+from smooth_operator.teleop.recording.log_episode import (
+    is_own_log,
+    log_losses,
+    read_log_episode,
+    write_log_episode,
+)
+from smooth_operator.types import Side, as_side
+
+Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]
+"""What episodes can be written as."""
+
+SUFFIXES: Final[dict[str, Format]] = {
+    ".mcap": "mcap",
+    ".npz": "npz",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+}
+"""Format of an output by the suffix of its name; without a suffix it is a LeRobot dataset."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One episode that can be read.
+
+    Attributes:
+        path: the file, or the folder of a LeRobot dataset.
+        relative: where it is within the folder that was named; its name, if the file itself was.
+        dataset: the dataset that it is an episode of, if any.
+        number: of the episode in it.
+    """
+
+    path: Path
+    relative: Path
+    dataset: Dataset | None = None
+    number: int = 0
+
+    def read(
+        self, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
+    ) -> Episode:
+        """Reads it; see ``read_episode``.
+
+        Raises:
+            RecordingError, ConfigError, MissingExtraError: as the reader of its format.
+        """
+        if self.dataset is not None:
+            return read_dataset_episode(self.dataset, self.number, rate=rate, side=side)
+        return read_episode(self.path, rate=rate, side=side, layout=layout)
+
+
+def read_episode(
+    path: str | os.PathLike[str],
+    *,
+    rate: float | None = None,
+    side: Side | None = None,
+    layout: str | None = None,
+    episode: int = 0,
+) -> Episode:
+    """Reads an episode: whatever hand and commands a file of any format holds.
+
+    Args:
+        path: a recording (see ``read_recording``), the ``OUT.npz``
+            of a retargeting, a log, an HDF5 file or the folder of a LeRobot dataset, told by
+            content.
+        rate: frames a second [Hz], needed where the file has no stamps.
+        side: which hand; needed where the file does not say and it is a left one.
+        layout: the order of the landmarks in a plain array of 21, as of
+            ``read_recording``.
+        episode: which one of a LeRobot dataset.
+
+    Returns:
+        The episode; its ``notes`` say what a person should know.
+
+    Raises:
+        RecordingError: as ``read_recording``.
+        ConfigError: ``rate`` or ``side`` is not a possible one; there is no such ``episode``.
+        UnknownNameError: there is no such ``layout``.
+        MissingExtraError: the format needs an extra that is not installed.
+    """
+    path = Path(path)
+    side = None if side is None else as_side(side)
+    if is_dataset(path):
+        return read_dataset_episode(open_dataset(path), episode, rate=rate, side=side)
+    kind = file_kind(path)
+    if kind == "log":
+        return read_log_episode(path, rate=rate, side=side)
+    if kind == "hdf5":
+        return read_hdf5_episode(path, rate=rate, side=side)
+    if kind == "npz":
+        found = read_npz_episode(path, rate=rate, side=side, layout=layout)
+    else:
+        recording = read_recording(path, rate=rate, side=side, layout=layout)
+        found = Episode(recording, name=recording.name)
+    if found.recording is None:
+        return found
+    return replace(found, notes=(*found.notes, *reading_notes(found.recording, str(path))))
+
+
+def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | None = None) -> None:
+    """Writes an episode as a file; one that stands there is replaced when the new one is whole.
+
+    Args:
+        path: the file; its folder must exist.
+        episode: what to write.
+        to: its format; None for that of the suffix. A LeRobot dataset is written by
+            ``write_dataset``.
+
+    Raises:
+        ConfigError: the suffix names no format of a file.
+        MissingExtraError: the format needs an extra that is not installed.
+        OutputError: it can't be written.
+    """
+    path = Path(path)
+    kind = format_of(path, to)
+    if kind == "lerobot":
+        raise ConfigError(
+            f"{path}: a LeRobot dataset is a folder of episodes, not a file; write it with "
+            "smooth_operator.teleop.recording.lerobot.write_dataset"
+        )
+    writers = {"mcap": write_log_episode, "npz": write_npz_episode, "hdf5": write_hdf5_episode}
+    writers[kind](path, episode)
+
+
+def losses(episode: Episode, to: Format) -> list[str]:
+    """What a format can't hold of an episode, for a person."""
+    return log_losses(episode) if to == "mcap" else []
+
+
+def format_of(path: Path, to: Format | None) -> Format:
+    """Format of an output.
+
+    Raises:
+        ConfigError: the suffix names none, or contradicts ``to``.
+    """
+    named = SUFFIXES.get(path.suffix.lower())
+    if to is not None:
+        if to not in get_args(Format):
+            raise ConfigError(f"a format is one of {', '.join(get_args(Format))}, not {to!r}")
+        if named not in (None, to):
+            raise ConfigError(
+                f"the name {path.name!r} is that of {named} and --to says {to}; leave --to out, or "
+                "choose another name"
+            )
+        return to
+    if named is None and path.suffix and not path.is_dir():
+        raise ConfigError(
+            f"the suffix of {path.name!r} names no format: use {', '.join(SUFFIXES)}, none for the "
+            "folder of a LeRobot dataset, or say the format with --to"
+        )
+    return named or "lerobot"
+
+
+def find_sources(
+    inputs: Sequence[Path], *, episode: int | None = None, leave: Sequence[Path] = ()
+) -> tuple[list[Source], list[str]]:
+    """All episodes that the inputs hold.
+
+    Args:
+        inputs: files, datasets, and folders of these, which are searched to any depth, hidden files
+            left out.
+        episode: of a dataset, only this one.
+        leave: files and folders that are no inputs, though they may lie among them.
+
+    Returns:
+        The sources, in the order of the inputs and of names; and notes on files that were passed
+        over, because they are no recordings.
+
+    Raises:
+        RecordingError: an input does not exist, or a folder holds no recording.
+        ConfigError: an ``episode`` of what is no dataset, or one that it does not have.
+        MissingExtraError: an input needs an extra that is not installed.
+    """
+    sources: list[Source] = []
+    skipped: list[Path] = []
+    left = {path.resolve() for path in leave}
+    for given in inputs:
+        if is_dataset(given):
+            dataset = open_dataset(given)
+            numbers = dataset.numbers
+            if episode is not None:
+                dataset.row(episode)
+                numbers = [episode]
+            sources += [Source(given, Path(given.name), dataset, number) for number in numbers]
+            continue
+        if episode is not None:
+            raise ConfigError(f"{given}: --episode is of LeRobot datasets, and this is none")
+        if not given.is_dir():
+            file_kind(given)  # one that was named is not passed over in silence
+            sources.append(Source(given, Path(given.name)))
+            continue
+        before = len(sources)
+        for path in _walk(given, left):
+            relative = path.relative_to(given)
+            if path.is_dir():
+                dataset = open_dataset(path)
+                sources += [Source(path, relative, dataset, i) for i in dataset.numbers]
+            elif _is_recording(path):
+                sources.append(Source(path, relative))
+            else:
+                skipped.append(path)
+        if len(sources) == before:
+            raise RecordingError(f"{given}: no recording in this folder, nor in those below it")
+    notes = []
+    if skipped:
+        names = ", ".join(path.name for path in skipped[:5]) + (", …" if len(skipped) > 5 else "")
+        notes.append(f"passed over {len(skipped)} files that are no recordings: {names}")
+    return sources, notes
+
+
+def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool) -> None:
+    """Looks whether an output may be written; writes nothing.
+
+    Raises:
+        OutputError: something stands there and ``overwrite`` is not said, or it was not written by
+            this program, or is one of the inputs.
+    """
+    if not os.path.lexists(path):
+        return
+    if any(given.exists() and given.samefile(path) for given in inputs if path.exists()):
+        raise OutputError(f"can't write {str(path)!r}: it is an input; choose another name")
+    if to == "lerobot":
+        if path.is_dir() and not any(path.iterdir()):
+            return
+        own = path.is_dir() and is_own_dataset(path)
+    elif path.is_dir():
+        raise OutputError(f"can't write {str(path)!r}: it is a folder; give the name of a file")
+    else:
+        own = _is_own(path, to)
+    if not own:
+        raise OutputError(
+            f"can't write {str(path)!r}: what stands there was not written by this program as "
+            f"{to}; choose another name, or remove it first"
+        )
+    if not overwrite:
+        raise OutputError(
+            f"can't write {str(path)!r}: it exists already; add --overwrite to replace it, or "
+            "choose another name"
+        )
+
+
+def files_of(path: Path, to: Format) -> list[Path]:
+    """The files that writing an output may replace: itself, and a configuration beside it."""
+    return [path, config_path(path)] if to == "npz" else [path]
+
+
+def _walk(folder: Path, left: set[Path]) -> Iterator[Path]:
+    """Files and datasets below a folder, by name."""
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.resolve() in left:
+            continue
+        if path.is_dir() and not is_dataset(path):
+            if not path.is_symlink():  # or one could lead round in a circle
+                yield from _walk(path, left)
+        else:
+            yield path
+
+
+def _is_recording(path: Path) -> bool:
+    try:
+        file_kind(path)
+    except RecordingError:
+        return False
+    return True
+
+
+def _is_own(path: Path, to: Format) -> bool:
+    try:
+        kind = file_kind(path)
+    except RecordingError:
+        return False
+    if to == "mcap":
+        return kind == "log" and is_own_log(path)
+    if to == "npz":
+        return kind == "npz" and is_own_npz(path)
+    return kind == "hdf5" and is_own_hdf5(path)

@@ -1,0 +1,290 @@
+"""Episodes as HDF5: one file, one episode, units beside every array.
+
+::
+
+    /                    attributes: format "smooth-operator", version 1, name, task (optional)
+    /hand                attributes: side, landmark_names (21), meta (JSON)
+        landmarks        (T, 21, 3) float64, units m; NaN where not finite
+        stamps           (T,) float64, units s, strictly increasing
+        valid            (T, 21) bool
+        metacarpals      (T, 4, 3) float64, units m, index to pinky; if tracked
+        orientations     (T, 21, 4) float64, units "quaternion wxyz"; if tracked
+    /commands
+        joint_positions  (C, n) float64, units rad
+        joint_names      (n,) text
+        stamps           (C,) float64, units s: of the frames that are answered
+        latency_ms       (C,) float64, units ms
+        status           (C,) int8; attribute status_names: the name of code i at index i
+        stages_ms/NAME   (C,) float64, units ms; if the loop's stages were timed
+    /configuration       text, JSON; if there is one
+
+``/hand`` or ``/commands`` may be absent. A file of another program is read as well if it has the
+groups and arrays above that are not marked as optional; attributes may be missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
+from smooth_operator.io.checks import (
+    check_rate,
+    check_recording,
+    check_side,
+    check_stamps,
+    stamps_from_rate,
+)
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.io.results import translate_status
+from smooth_operator.io.staging import staged_file
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.teleop.recording.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+
+FORMAT: Final = "smooth-operator"
+VERSION: Final = 1
+
+_Group = Any  # of h5py, which comes without types
+
+
+def write_hdf5_episode(path: Path, episode: Episode) -> None:
+    """Writes an episode.
+
+    Raises:
+        MissingExtraError: h5py is not installed.
+        OutputError: it can't be written.
+    """
+    h5py = h5py_of()
+    with staged_file(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["version"] = VERSION
+        file.attrs["name"] = episode.name
+        if episode.task is not None:
+            file.attrs["task"] = episode.task
+        if episode.recording is not None:
+            _write_hand(file.create_group("hand"), episode.recording, episode.meta)
+        if episode.commands is not None:
+            _write_commands(file.create_group("commands"), episode.commands, episode.stages_ms)
+        if episode.config is not None:  # not an attribute, since these end at 64 KiB
+            file.create_dataset("configuration", data=to_json(episode.config))
+
+
+def read_hdf5_episode(
+    path: Path, *, rate: float | None = None, side: Side | None = None
+) -> Episode:
+    """Reads an episode.
+
+    Raises:
+        MissingExtraError: h5py is not installed.
+        RecordingError: damaged, of another layout or a newer version; arrays of the wrong shape or
+            type; a side or rate that contradicts the file.
+    """
+    tree = read_tree(path)
+    top = tree["/"]
+    if top.attributes.get("format", FORMAT) == FORMAT:
+        version = top.attributes.get("version", VERSION)
+        if version != VERSION:
+            raise RecordingError(
+                f"{path}: the file is of version {brief(version)}, this program reads version "
+                f"{VERSION}; upgrade it: {UPGRADE}"
+            )
+    hand, commands = tree.get("hand"), tree.get("commands")
+    if hand is None and commands is None:
+        raise RecordingError(
+            f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', "
+            f"but {top.describe()}. Save its landmarks with numpy.savez, or in a "
+            "group 'hand' as 'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
+        )
+    name = _text(top.attributes.get("name")) or path.stem
+    recording: HandRecording | None = None
+    notes: tuple[str, ...] = ()
+    if hand is not None:
+        recording = _read_hand(hand, path, name, rate, side)
+        notes = _notes(recording, path)
+        if top.attributes.get("format") != FORMAT:  # ours are in metres, others say nothing
+            check_recording(recording, str(path))
+    trajectory: CommandTrajectory | None = None
+    stages: dict[str, np.ndarray] = {}
+    if commands is not None:
+        trajectory, stages = _read_commands(commands, tree.get("commands/stages_ms"), path)
+    config = None
+    if "configuration" in top.arrays:
+        texts = top.arrays["configuration"].texts
+        config = _object(texts[0] if texts else None, f"{path}: 'configuration'")
+    task = _text(top.attributes.get("task"))
+    return Episode(recording, trajectory, config, stages, task, name, notes)
+
+
+def read_hdf5_recording(path: Path, rate: float | None, side: Side | None) -> HandRecording:
+    """The hand frames of an episode.
+
+    Raises:
+        RecordingError: as ``read_hdf5_episode``; there are no frames in it.
+    """
+    recording = read_hdf5_episode(path, rate=rate, side=side).recording
+    if recording is None:
+        raise RecordingError(f"{path}: the file holds commands, but no hand frames")
+    return replace(recording, name=path.stem)
+
+
+def is_own_hdf5(path: Path) -> bool:
+    """Whether this program wrote the file."""
+    try:
+        return bool(read_tree(path, head=True)["/"].attributes.get("format") == FORMAT)
+    except RecordingError:
+        return False
+
+
+def _write_hand(group: _Group, recording: HandRecording, meta: dict[str, Any]) -> None:
+    group.attrs["side"] = recording.side
+    group.attrs["landmark_names"] = list(LANDMARKS)
+    group.attrs["meta"] = to_json(meta)
+    for name, units in (
+        ("landmarks", "m"),
+        ("stamps", "s"),
+        ("valid", None),
+        ("metacarpals", "m"),
+        ("orientations", "quaternion wxyz"),
+    ):
+        value = getattr(recording, name)
+        if value is not None:
+            _write(group, name, value, units)
+
+
+def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> None:
+    _write(group, "joint_positions", np.asarray(commands.joint_positions, np.float64), "rad")
+    names = h5py_of().string_dtype()
+    group.create_dataset("joint_names", data=list(commands.joint_names), dtype=names)
+    _write(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
+    _write(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
+    _write(group, "status", np.asarray(commands.status, np.int8), None)
+    known = {int(status): status.name for status in Status}
+    group["status"].attrs["status_names"] = [known.get(i, "") for i in range(max(known) + 1)]
+    for stage, times in stages.items():
+        # The name as an attribute, since a slash in it would mean a group.
+        timed = group.require_group("stages_ms")
+        key = stage.replace("/", "_") or "_"
+        while key in timed:
+            key += "_"
+        data = timed.create_dataset(key, data=np.asarray(times, np.float64))
+        data.attrs["units"] = "ms"
+        data.attrs["stage"] = stage
+
+
+def _write(group: _Group, name: str, value: np.ndarray, units: str | None) -> None:
+    # Shuffled bytes of neighbouring samples compress far better than the samples themselves.
+    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if value.size else {}
+    data = group.create_dataset(name, data=value, **packed)
+    if units is not None:
+        data.attrs["units"] = units
+
+
+def _read_hand(
+    group: Hdf5Group, path: Path, name: str, rate: float | None, side: Side | None
+) -> HandRecording:
+    landmarks = _numbers(group, "landmarks", (None, 21, 3), path)
+    count = len(landmarks)
+    if "stamps" in group.arrays:
+        stamps = _numbers(group, "stamps", (count,), path)
+    else:
+        stamps = stamps_from_rate(count, rate, str(path))
+    check_stamps(stamps, str(path))
+    check_rate(stamps, rate, str(path))
+    optional = {
+        key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
+        for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4)))
+    }
+    valid = _array(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
+    label = _text(group.attributes.get("side"))
+    found, assumed = check_side([] if label is None else [label], side, str(path))
+    meta = _object(_text(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
+    meta |= {"format": "hdf5", "side_assumed": assumed}
+    return HandRecording(landmarks, stamps, found, valid=valid, name=name, meta=meta, **optional)
+
+
+def _read_commands(
+    group: Hdf5Group, timed: Hdf5Group | None, path: Path
+) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
+    positions = _numbers(group, "joint_positions", (None, None), path)
+    count, joints = positions.shape
+    names = _data(group, "joint_names", path)
+    if names.shape != (joints,):
+        raise RecordingError(
+            f"{path}: joint_names must have shape {(joints,)} to fit joint_positions "
+            f"{positions.shape}, not {names.shape}"
+        )
+    if names.texts is None or None in names.texts:
+        raise RecordingError(f"{path}: {names.name} must hold text, not {names.type[:80]}")
+    status = _array(group, "status", (count,), "iu", path)
+    labels = group.arrays["status"].attributes.get("status_names")
+    labels = [str(label) for label in labels] if isinstance(labels, list) else None
+    commands = CommandTrajectory(
+        joint_positions=positions,
+        joint_names=tuple(map(str, names.texts)),
+        stamps=_numbers(group, "stamps", (count,), path),
+        latency_ms=_numbers(group, "latency_ms", (count,), path),
+        status=translate_status(status, labels, str(path)),
+    )
+    stages: dict[str, np.ndarray] = {}
+    for key in () if timed is None else timed.arrays:
+        assert timed is not None
+        stage = _text(timed.arrays[key].attributes.get("stage")) or key
+        stages[stage] = _numbers(timed, key, (count,), path)
+    return commands, stages
+
+
+def _numbers(group: Hdf5Group, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
+    return _array(group, name, shape, "fiu", path).astype(np.float64, copy=False)
+
+
+def _array(
+    group: Hdf5Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
+) -> np.ndarray:
+    """An array of numbers of the shape and kinds that are expected."""
+    found = _data(group, name, path)
+    fits = len(found.shape) == len(shape) and all(
+        asked in (None, size) for asked, size in zip(shape, found.shape, strict=True)
+    )
+    if not fits:
+        asked = ", ".join("any" if size is None else str(size) for size in shape)
+        raise RecordingError(
+            f"{path}: {found.name} must have shape ({asked}), not {tuple(found.shape)}"
+        )
+    if found.kind not in kinds or found.data is None:
+        what = "true or false" if kinds == "b" else "numbers"
+        raise RecordingError(f"{path}: {found.name} must hold {what}, not {found.type[:80]}")
+    return found.data
+
+
+def _data(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
+    if name not in group.arrays:
+        raise RecordingError(
+            f"{path}: it lacks the array {group.name}/{name}; the group holds {group.describe()}"
+        )
+    return group.arrays[name]
+
+
+def _text(value: Any) -> str | None:
+    return value if isinstance(value, str) else None
+
+
+def _object(text: str | None, what: str) -> dict[str, Any]:
+    try:
+        value = parse_json(text or "")
+    except DocumentError as error:
+        raise RecordingError(f"{what} is not JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise RecordingError(f"{what} must be a JSON object, not {type(value).__name__}")
+    return value
+
+
+def _notes(recording: HandRecording, path: Path) -> tuple[str, ...]:
+    if not recording.meta["side_assumed"]:
+        return ()
+    return (f"{path} does not say which hand it is: taken for a right one; else say --side left",)

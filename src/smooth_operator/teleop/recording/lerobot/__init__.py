@@ -1,0 +1,28 @@
+"""Episodes as a LeRobot dataset, version 3.0: a folder of Parquet files and their metadata.
+
+::
+
+    meta/info.json                               fps, features, totals
+    meta/tasks.parquet                           task -> task_index
+    meta/stats.json                              statistics of every feature, all episodes
+    meta/episodes/chunk-000/file-000.parquet     a row an episode: where it is, its statistics
+    meta/smooth_operator.json                    which program wrote the folder
+    data/chunk-000/file-000.parquet              a row a frame, a row group an episode
+    README.md                                    the columns and their units
+
+LeRobot's own columns are in its own types. What they can't hold is in further columns, whose names
+begin with neither ``observation`` nor ``action``, since LeRobot makes inputs and outputs of a
+policy of all that do. They are listed in ``smooth_operator.teleop.recording.lerobot.columns``.
+
+LeRobot has one number of frames a second and no other clock: ``timestamp`` is
+``frame_index / fps``, as its own recorder writes it, and the true time of each frame is in
+``stamp``.
+"""
+
+from smooth_operator.teleop.recording.lerobot.reader import Dataset as Dataset
+from smooth_operator.teleop.recording.lerobot.reader import open_dataset as open_dataset
+from smooth_operator.teleop.recording.lerobot.reader import (
+    read_dataset_episode as read_dataset_episode,
+)
+from smooth_operator.teleop.recording.lerobot.writer import is_own_dataset as is_own_dataset
+from smooth_operator.teleop.recording.lerobot.writer import write_dataset as write_dataset

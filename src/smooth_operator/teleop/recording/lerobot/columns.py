@@ -1,0 +1,261 @@
+"""The columns of a dataset, their types and units, and an episode as columns and back.
+
+LeRobot's own:
+
+======================  =====================  ===================================================
+``observation.state``   float32 (63,)          landmarks [m], wrist.x, wrist.y, … pinky_tip.z; NaN
+                                               where the tracker has no value
+``action``              float32 (n,)           joint positions [rad] by joint name; NaN in a frame
+                                               that no command answers
+``timestamp``           float32                ``frame_index / fps`` [s]
+``frame_index``         int64                  within the episode
+``episode_index``       int64
+``index``               int64                  within the dataset
+``task_index``          int64                  row of ``meta/tasks.parquet``
+======================  =====================  ===================================================
+
+What these can't hold, without loss:
+
+======================  =====================  ===================================================
+``stamp``               float64                time of the frame by the recording's own clock [s]
+``landmarks``           float64 (63,)          as ``observation.state``
+``landmarks_valid``     bool (21,)             False where the tracker lost the landmark
+``left_hand``           bool                   which hand: True for a left one
+``metacarpals``         float64 (12,)          metacarpal bases [m], index to pinky
+``orientations``        float64 (84,)          quaternions wxyz, one per landmark
+``joint_positions``     float64 (n,)           as ``action``
+``command_stamp``       float64                of the command [s]; NaN where there is none
+``status``              int64                  code of the command's status; -1 where there is none
+``latency_ms``          float64                from landmarks to command [ms]
+``stages_ms``           float64 (k,)           parts of it [ms], by stage
+======================  =====================  ===================================================
+
+A dataset has the columns that any of its episodes needs; an episode's row in ``meta/episodes``
+says, in the column ``smooth_operator``, which of them are its own, with its name, configuration and
+what the source said. LeRobot's own tools drop that column when they rewrite a dataset; the frames
+can still be read. Its loader turns every float64 into float32, which is too coarse for ``stamp``
+where that counts from 1970: read it with any Parquet reader.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.io.episode import Episode
+from smooth_operator.landmarks import FINGERS, LANDMARKS
+
+NO_COMMAND: Final = -1
+"""Status of a frame that no command answers."""
+
+LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
+_METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
+_ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "wxyz")
+
+INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+UNITS: Final = {
+    "observation.state": "m, landmarks",
+    "action": "rad, joint positions",
+    "timestamp": "s, frame_index / fps",
+    "stamp": "s, true time of the frame",
+    "landmarks": "m, as observation.state, without loss",
+    "landmarks_valid": "false where the tracker lost the landmark",
+    "left_hand": "which hand",
+    "metacarpals": "m",
+    "orientations": "quaternions wxyz",
+    "joint_positions": "rad, as action, without loss",
+    "command_stamp": "s, NaN in a frame without a command",
+    "status": "why the command is what it is; -1 in a frame without a command",
+    "latency_ms": "ms, from landmarks to command",
+    "stages_ms": "ms, parts of the latency",
+}
+"""Unit or meaning of each column that is not an index."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which columns a dataset, or one episode of it, has.
+
+    Attributes:
+        hand: the episodes have a hand.
+        metacarpals: with metacarpal bases.
+        orientations: with orientations.
+        joints: names of the joints; None without commands.
+        stages: names of the timed stages of the loop.
+    """
+
+    hand: bool
+    metacarpals: bool
+    orientations: bool
+    joints: tuple[str, ...] | None
+    stages: tuple[str, ...]
+
+    @classmethod
+    def of(cls, episode: Episode) -> Layout:
+        """What one episode needs."""
+        recording, commands = episode.recording, episode.commands
+        return cls(
+            recording is not None,
+            recording is not None and recording.metacarpals is not None,
+            recording is not None and recording.orientations is not None,
+            None if commands is None else tuple(commands.joint_names),
+            tuple(episode.stages_ms),
+        )
+
+    def widened(self, other: Layout, names: tuple[str, str]) -> Layout:
+        """What both need.
+
+        Args:
+            other: of another episode.
+            names: of the two, for the message.
+
+        Raises:
+            RecordingError: one has a hand or commands and the other has none, or their joints
+                differ; a dataset has one kind of observation and one of action.
+        """
+        for what, mine, theirs in (
+            ("hand frames", self.hand, other.hand),
+            ("commands", self.joints is not None, other.joints is not None),
+        ):
+            if mine != theirs:
+                has, lacks = names if mine else names[::-1]
+                raise RecordingError(
+                    f"{has} holds {what} and {lacks} holds none; the episodes of one LeRobot "
+                    "dataset must be alike, so convert them into two"
+                )
+        if self.joints != other.joints:
+            raise RecordingError(
+                f"{names[0]} and {names[1]} hold commands for different joints "
+                f"({', '.join(self.joints or ())} and {', '.join(other.joints or ())}); write the "
+                "commands of each robot hand to a LeRobot dataset of its own"
+            )
+        more = tuple(stage for stage in other.stages if stage not in self.stages)
+        return Layout(
+            self.hand,
+            self.metacarpals or other.metacarpals,
+            self.orientations or other.orientations,
+            self.joints,
+            self.stages + more,
+        )
+
+    def features(self) -> dict[str, dict[str, Any]]:
+        """The ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
+        features: dict[str, dict[str, Any]] = {}
+
+        def add(name: str, dtype: str, names: tuple[str, ...] | None = None) -> None:
+            shape = [1 if names is None else len(names)]
+            features[name] = {
+                "dtype": dtype,
+                "shape": shape,
+                "names": None if names is None else list(names),
+            }
+
+        if self.hand:
+            add("observation.state", "float32", LANDMARK_NAMES)
+        if self.joints is not None:
+            add("action", "float32", self.joints)
+        add("stamp", "float64")
+        if self.hand:
+            add("landmarks", "float64", LANDMARK_NAMES)
+            add("landmarks_valid", "bool", LANDMARKS)
+            add("left_hand", "bool")
+        if self.metacarpals:
+            add("metacarpals", "float64", _METACARPAL_NAMES)
+        if self.orientations:
+            add("orientations", "float64", _ORIENTATION_NAMES)
+        if self.joints is not None:
+            add("joint_positions", "float64", self.joints)
+            add("command_stamp", "float64")
+            add("status", "int64")
+            add("latency_ms", "float64")
+        if self.stages:
+            add("stages_ms", "float64", self.stages)
+        for name in INDICES:
+            add(name, "float32" if name == "timestamp" else "int64")
+        return features
+
+
+def episode_columns(
+    episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
+) -> dict[str, np.ndarray]:
+    """The columns of an episode.
+
+    Args:
+        episode: what to write.
+        layout: of the dataset.
+        number: ``episode_index``.
+        first: ``index`` of its first frame.
+        task: ``task_index``.
+        fps: frames a second.
+
+    Returns:
+        (T,) or (T, k) of each of the layout's features, in its type.
+
+    Raises:
+        RecordingError: there is no frame; commands that answer no frame, several that answer the
+            same, or out of order: a row has room for one frame and one command.
+    """
+    count = len(episode)
+    if not count:
+        raise RecordingError(f"{episode.name}: it holds no frames; leave it out")
+    recording, commands = episode.recording, episode.commands
+    columns: dict[str, np.ndarray] = {"stamp": episode.stamps}
+    if recording is not None:
+        assert recording.valid is not None  # filled in by HandRecording
+        flat = recording.landmarks.reshape(count, -1)
+        columns |= {"observation.state": flat, "landmarks": flat}
+        columns["landmarks_valid"] = recording.valid
+        columns["left_hand"] = np.full(count, recording.side == "left")
+        for name, width in (("metacarpals", 12), ("orientations", 84)):
+            value = getattr(recording, name)
+            columns[name] = np.full((count, width), np.nan)
+            if value is not None:
+                columns[name] = value.reshape(count, -1)
+    if commands is not None:
+        rows = _rows(episode)
+
+        def spread(values: Any, empty: float) -> np.ndarray:
+            values = np.asarray(values)
+            out = np.full((count, *values.shape[1:]), empty, values.dtype)
+            out[rows] = values
+            return out
+
+        positions = spread(np.asarray(commands.joint_positions, np.float64), np.nan)
+        columns |= {"action": positions, "joint_positions": positions}
+        columns["command_stamp"] = spread(np.asarray(commands.stamps, np.float64), np.nan)
+        columns["latency_ms"] = spread(np.asarray(commands.latency_ms, np.float64), np.nan)
+        columns["status"] = spread(np.asarray(commands.status, np.int64), NO_COMMAND)
+        times = np.full((count, len(layout.stages)), np.nan)
+        for i, stage in enumerate(layout.stages):
+            if stage in episode.stages_ms:
+                times[rows, i] = episode.stages_ms[stage]
+        columns["stages_ms"] = times
+    frames = np.arange(count)
+    columns["timestamp"] = frames / fps
+    columns["frame_index"] = frames
+    columns["episode_index"] = np.full(count, number)
+    columns["index"] = frames + first
+    columns["task_index"] = np.full(count, task)
+    # Values beyond float32 become infinite there, as they must; the float64 columns have them.
+    with np.errstate(over="ignore"):
+        return {
+            name: columns[name].astype(feature["dtype"])
+            for name, feature in layout.features().items()
+        }
+
+
+def _rows(episode: Episode) -> np.ndarray:
+    """Row of each command."""
+    rows = episode.answered()
+    lost, doubled = int((rows < 0).sum()), bool((np.diff(rows) <= 0).any())
+    if lost or doubled:
+        what = f"{lost} commands answer no frame" if lost else "several commands answer one frame"
+        raise RecordingError(
+            f"{episode.name}: {what}, and a row of a LeRobot dataset holds one frame and its one "
+            "command; convert it to .mcap or .h5, which hold them apart"
+        )
+    return rows

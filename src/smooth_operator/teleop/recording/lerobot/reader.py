@@ -1,0 +1,304 @@
+"""Reading episodes of a dataset back, whole."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.errors import (
+    UPGRADE,
+    ConfigError,
+    DocumentError,
+    RecordingError,
+    brief,
+    listed,
+)
+from smooth_operator.io.checks import check_rate, check_side, check_stamps
+from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.sniff import is_dataset
+from smooth_operator.teleop.recording.lerobot.arrow import numbers, read_table
+from smooth_operator.teleop.recording.lerobot.columns import NO_COMMAND
+from smooth_operator.teleop.recording.lerobot.writer import OWN_COLUMN
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+
+_FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?(\d{1,2})d?)?\}", re.ASCII)
+_LONGEST_PATH = 500
+_OWN_STATUS = {int(status) for status in Status}
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """A dataset whose metadata was read.
+
+    Attributes:
+        path: its folder.
+        info: ``meta/info.json``.
+        episodes: a row of ``meta/episodes`` each, without the statistics, in order.
+    """
+
+    path: Path
+    info: dict[str, Any]
+    episodes: tuple[dict[str, Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    @property
+    def numbers(self) -> list[int]:
+        """``episode_index`` of each episode, in order."""
+        return [int(row["episode_index"]) for row in self.episodes]
+
+    def row(self, number: int) -> dict[str, Any]:
+        """The row of one episode.
+
+        Raises:
+            ConfigError: there is no episode of that number.
+        """
+        for row in self.episodes:
+            if row["episode_index"] == number:
+                return row
+        raise ConfigError(
+            f"{self.path}: it has no episode {number}; it has {len(self)}, {self.numbers[0]} to "
+            f"{self.numbers[-1]}"
+        )
+
+    def name_of(self, number: int) -> str:
+        """Name of one episode.
+
+        Raises:
+            ConfigError: there is no episode of that number.
+        """
+        own = _own(self.row(number), self.path)
+        return str(own.get("name") or f"episode_{number:06d}")
+
+
+def open_dataset(path: Path) -> Dataset:
+    """Reads the metadata of a dataset.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        RecordingError: it is no dataset, damaged, of another version, or holds neither hands nor
+            commands that this program wrote.
+    """
+    if not is_dataset(path):
+        raise RecordingError(f"{path}: not a LeRobot dataset: it has no meta/info.json")
+    where = path / "meta" / "info.json"
+    try:
+        info = _object(read_json(where), "it")
+        version, features = str(info["codebase_version"]), _object(info["features"], "features")
+        template, fps = str(info["data_path"]), info["fps"]
+        for name, feature in features.items():
+            _names(_object(feature, f"feature {brief(name)}"))
+    except (OSError, ValueError, KeyError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
+        raise RecordingError(
+            f"{where}: can't be read as the description of a LeRobot dataset ({what}); copy the "
+            "dataset again"
+        ) from error
+    if not version.startswith("v3."):
+        raise RecordingError(
+            f"{path}: a LeRobot dataset of version {version[:20]}, v3.0 is read here; bring it "
+            "up to date with LeRobot's own converter: python -m "
+            "lerobot.datasets.v30.convert_dataset_v21_to_v30"
+        )
+    if not {"landmarks", "joint_positions"} & features.keys() or "stamp" not in features:
+        raise RecordingError(
+            f"{path}: a LeRobot dataset of another program, with {listed(features) or 'nothing'}: "
+            "it has no columns 'stamp' and 'landmarks' or 'joint_positions', so it holds no hand "
+            "that could be converted"
+        )
+    if isinstance(fps, bool) or not isinstance(fps, int | float):
+        raise RecordingError(f"{where}: fps must be a number, not {brief(fps)}")
+    info["data_path"] = template
+    rows: list[dict[str, Any]] = []
+    for file in sorted((path / "meta" / "episodes").glob("*/*.parquet")):
+        table = read_table(file)
+        kept = [name for name in table.column_names if not name.startswith("stats/")]
+        rows += table.select(kept).to_pylist()
+    if not rows or any(type(row.get("episode_index")) is not int for row in rows):
+        raise RecordingError(
+            f"{path}: meta/episodes holds no episodes; the dataset is incomplete, copy it again"
+        )
+    return Dataset(path, info, tuple(sorted(rows, key=lambda row: int(row["episode_index"]))))
+
+
+def read_dataset_episode(
+    dataset: Dataset, number: int, *, rate: float | None = None, side: Side | None = None
+) -> Episode:
+    """Reads one episode.
+
+    Raises:
+        ConfigError: there is no episode of that number.
+        RecordingError: its file is missing or damaged, or lacks columns; a side or rate that
+            contradicts it.
+    """
+    row = dataset.row(number)
+    file = _data_file(dataset, row)
+    table = read_table(file, [("episode_index", "=", number)])
+    if table.num_rows != row.get("length", table.num_rows) or not table.num_rows:
+        raise RecordingError(
+            f"{file}: it holds {table.num_rows} frames of episode {number}, and the metadata say "
+            f"{row.get('length')}; the dataset is incomplete, copy it again"
+        )
+    if "frame_index" in table.column_names:
+        order = numbers(table, "frame_index", 1, file)[:, 0].argsort(kind="stable")
+        table = table.take(order)
+    own = _own(row, dataset.path)
+    name = dataset.name_of(number)
+    stamps = numbers(table, "stamp", 1, file)[:, 0].astype(np.float64)
+    recording: HandRecording | None = None
+    notes: tuple[str, ...] = ()
+    if "landmarks" in dataset.info["features"]:
+        recording = _recording(table, own, stamps, name, side, file)
+        check_rate(stamps, rate, str(file))
+        if recording.meta["side_assumed"]:
+            notes = (
+                f"{dataset.path} does not say of episode {number} which hand it is: taken for a "
+                "right one; else say --side left",
+            )
+    commands: CommandTrajectory | None = None
+    stages: dict[str, np.ndarray] = {}
+    if "joint_positions" in dataset.info["features"]:
+        commands, stages = _commands(table, dataset.info["features"], own, file)
+    config = own.get("configuration")
+    config = config if isinstance(config, dict) else None
+    tasks = row.get("tasks")
+    task = own["task"] if "task" in own else tasks[0] if isinstance(tasks, list) and tasks else None
+    task = None if task is None else str(task)
+    return Episode(recording, commands, config, stages, task, name, notes)
+
+
+def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
+    try:
+        relative = _filled(
+            dataset.info["data_path"],
+            chunk_index=int(row["data/chunk_index"]),
+            file_index=int(row["data/file_index"]),
+        )
+        file: Path = (dataset.path / relative).resolve()
+    except (KeyError, ValueError, TypeError, OSError) as error:  # OSError: a name too long
+        raise RecordingError(
+            f"{dataset.path}: the metadata do not say where episode {row['episode_index']} is "
+            f"({str(error)[:200]}); copy the dataset again"
+        ) from error
+    if not file.is_relative_to(dataset.path.resolve()):
+        raise RecordingError(f"{dataset.path}: its metadata point out of the dataset, to {file}")
+    return file
+
+
+def _filled(template: str, **indices: int) -> str:
+    """A path with its numbers, as ``str.format`` would give it, whose attributes and widths can
+    be made to do more.
+
+    Raises:
+        ValueError: it asks for something else than the two numbers, or is no path.
+    """
+
+    def number(match: re.Match[str]) -> str:
+        return f"{indices[match[1]]:0{int(match[2] or 1)}d}"
+
+    path = _FIELD.sub(number, template)
+    if "{" in path or "}" in path or "\0" in path or len(path) > _LONGEST_PATH:
+        raise ValueError(f"data_path can't be {brief(template)}")
+    return path
+
+
+def _object(value: Any, what: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{what} must be an object, not {brief(value)}")
+    return value
+
+
+def _names(feature: Mapping[str, Any]) -> list[str]:
+    """What a feature calls its numbers.
+
+    Raises:
+        ValueError: the names are no list of texts.
+    """
+    names = feature.get("names")
+    if isinstance(names, dict):  # of other programs' columns
+        names = None
+    if not isinstance(names, list | None) or not all(isinstance(n, str) for n in names or ()):
+        raise ValueError(f"names must be a list of texts, not {brief(names)}")
+    return names or []
+
+
+def _own(row: Mapping[str, Any], where: Path) -> dict[str, Any]:
+    """What only this program writes; empty if other tools dropped it."""
+    text = row.get(OWN_COLUMN)
+    if not isinstance(text, str):
+        return {}
+    try:
+        value = parse_json(text)
+    except DocumentError as error:
+        raise RecordingError(
+            f"{where}: {OWN_COLUMN} of episode {row['episode_index']} is not JSON ({error})"
+        ) from error
+    return value if isinstance(value, dict) else {}
+
+
+def _recording(
+    table: Any, own: dict[str, Any], stamps: np.ndarray, name: str, side: Side | None, file: Path
+) -> HandRecording:
+    count = len(stamps)
+    labels = {str(own["side"])} if own.get("side") else set()
+    if not labels and "left_hand" in table.column_names:
+        flags = numbers(table, "left_hand", 1, file)[:, 0].astype(bool)
+        labels = {"left" if left else "right" for left in flags.tolist()}
+    found, assumed = check_side(labels, side, str(file))
+    check_stamps(stamps, f"{file}, {name}")
+    optional: dict[str, Any] = {}
+    for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4))):
+        # Where other tools dropped what says so, the column itself tells.
+        if own.get(key, key in table.column_names):
+            values = numbers(table, key, shape[0] * shape[1], file)
+            optional[key] = values.reshape(count, *shape).astype(np.float64)
+    meta = own.get("meta")
+    return HandRecording(
+        numbers(table, "landmarks", 63, file).reshape(count, 21, 3).astype(np.float64),
+        stamps,
+        found,
+        valid=numbers(table, "landmarks_valid", 21, file).astype(bool),
+        name=name,
+        meta={
+            **(meta if isinstance(meta, dict) else {}),
+            "format": "lerobot",
+            "side_assumed": assumed,
+        },
+        **optional,
+    )
+
+
+def _commands(
+    table: Any, features: dict[str, Any], own: dict[str, Any], file: Path
+) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
+    names = tuple(_names(features["joint_positions"]))
+    codes = numbers(table, "status", 1, file)[:, 0].astype(np.int64)
+    unknown = sorted(set(codes.tolist()) - _OWN_STATUS - {NO_COMMAND})
+    if unknown:
+        raise RecordingError(
+            f"{file}: status {brief(unknown)} is not one of {sorted(_OWN_STATUS)}; if a newer "
+            f"version wrote it, upgrade: {UPGRADE}"
+        )
+    there = codes != NO_COMMAND
+    stages: dict[str, np.ndarray] = {}
+    if "stages_ms" in features:
+        labels = _names(features["stages_ms"])
+        times = numbers(table, "stages_ms", len(labels), file)[there]
+        wanted = own.get("stages", labels)
+        wanted = wanted if isinstance(wanted, list) else labels
+        stages = {n: times[:, i].copy() for i, n in enumerate(labels) if n in wanted}
+    commands = CommandTrajectory(
+        joint_positions=numbers(table, "joint_positions", len(names), file)[there],
+        joint_names=names,
+        stamps=numbers(table, "command_stamp", 1, file)[there, 0],
+        latency_ms=numbers(table, "latency_ms", 1, file)[there, 0],
+        status=codes[there].astype(np.int8),
+    )
+    return commands, stages

@@ -1,0 +1,345 @@
+"""Writing a dataset: first what the episodes share, then one episode after the other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.io.documents import read_json
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.io.staging import staged_folder
+from smooth_operator.teleop.recording.lerobot.arrow import arrow, column, parquet
+from smooth_operator.teleop.recording.lerobot.card import dataset_card
+from smooth_operator.teleop.recording.lerobot.columns import Layout, episode_columns
+from smooth_operator.teleop.recording.lerobot.stats import (
+    Statistics,
+    column_statistics,
+    joint_statistics,
+)
+
+CODEBASE_VERSION: Final = "v3.0"
+CHUNK_PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+DATA_PATH: Final = f"data/{CHUNK_PATH}"
+EPISODES_PATH: Final = f"meta/episodes/{CHUNK_PATH}"
+OWN_COLUMN: Final = "smooth_operator"
+"""Column of ``meta/episodes`` with what LeRobot has no place for, as JSON."""
+
+UNNAMED_TASK: Final = "unnamed"
+"""LeRobot wants a task of every frame; this stands in for one that is not known."""
+
+MARK: Final = "meta/smooth_operator.json"
+PROGRAM: Final = "smooth-operator"
+_CHUNKS_SIZE: Final = 1000  # files a chunk, as LeRobot
+_FILE_MB: Final = 100  # at most in a file, as LeRobot
+_VIDEO_MB: Final = 200
+_PAUSE: Final = 3.0  # a step this many times the median is a pause of the tracker
+_KEPT_BYTES: Final = 256 << 20  # of episodes kept between the two passes, so not read again
+
+Load: TypeAlias = Callable[[], Episode]
+
+
+@dataclass
+class _Survey:
+    """What the first pass found."""
+
+    layout: Layout
+    tasks: list[str] = field(default_factory=list)
+    lengths: list[int] = field(default_factory=list)
+    rates: list[float] = field(default_factory=list)
+    robots: set[str] = field(default_factory=set)
+    kept: dict[int, Episode] = field(default_factory=dict)
+
+
+def write_dataset(
+    path: Path,
+    episodes: Sequence[Load],
+    *,
+    fps: int | None = None,
+    done: Callable[[Episode], None] = lambda _: None,
+) -> list[str]:
+    """Writes a dataset; it stands at ``path`` when it is whole, and not before.
+
+    Args:
+        path: the folder; one that stands there is replaced.
+        episodes: each gives an episode when called, and the same when called again: they are looked
+            at twice, so that not all need to be in memory.
+        fps: frames a second; None for the median over the episodes of their mean rate, pauses left
+            out, rounded.
+        done: called with each episode that was written.
+
+    Returns:
+        What a person should know: stamps that ``fps`` does not give back, values that are NaN.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        RecordingError: an episode can't be read, has no frames or no row for each command, or has
+            other columns than those before it.
+        ConfigError: no episode has a rate to take ``fps`` from, or it is not positive.
+        OutputError: it can't be written.
+    """
+    arrow()  # a missing extra costs a second, not the reading of everything
+    if fps is not None and fps < 1:
+        raise ConfigError(f"fps must be a whole number of frames a second from 1, not {fps}")
+    survey = _look(episodes)
+    if fps is None:
+        if not survey.rates:
+            raise ConfigError("no episode has two frames, so none has a rate; say it with --fps")
+        fps = max(1, round(float(np.median(survey.rates))))
+    notes = _Notes(fps)
+    rows: list[dict[str, Any]] = []
+    statistics: list[dict[str, Statistics]] = []
+    features = survey.layout.features()
+    with staged_folder(path) as stage:
+        files = _DataFiles(stage)
+        try:
+            first = 0
+            for number, episode in enumerate(_again(episodes, survey)):
+                task = episode.task or UNNAMED_TASK
+                columns = episode_columns(
+                    episode,
+                    survey.layout,
+                    number=number,
+                    first=first,
+                    task=survey.tasks.index(task),
+                    fps=fps,
+                )
+                chunk, file = files.append({name: column(v) for name, v in columns.items()})
+                statistics.append({name: column_statistics(v) for name, v in columns.items()})
+                rows.append(
+                    {
+                        "episode_index": number,
+                        "tasks": [task],
+                        "length": len(episode),
+                        "data/chunk_index": chunk,
+                        "data/file_index": file,
+                        "dataset_from_index": first,
+                        "dataset_to_index": first + len(episode),
+                        OWN_COLUMN: to_json(_own(episode)),
+                    }
+                )
+                first += len(episode)
+                notes.look(episode)
+                done(episode)
+        finally:
+            files.close()
+        _write_episodes(stage, rows, statistics)
+        _write_tasks(stage, survey.tasks)
+        joint = {
+            name: joint_statistics([part[name] for part in statistics]).to_lists()
+            for name in features
+        }
+        _write_json(stage / "meta" / "stats.json", joint)
+        info = {
+            "codebase_version": CODEBASE_VERSION,
+            "robot_type": survey.robots.pop() or None if len(survey.robots) == 1 else None,
+            "total_episodes": len(rows),
+            "total_frames": first,
+            "total_tasks": len(survey.tasks),
+            "chunks_size": _CHUNKS_SIZE,
+            "data_files_size_in_mb": _FILE_MB,
+            "video_files_size_in_mb": _VIDEO_MB,
+            "fps": fps,
+            "splits": {"train": f"0:{len(rows)}"},
+            "data_path": DATA_PATH,
+            "video_path": None,
+            "features": features,
+        }
+        _write_json(stage / "meta" / "info.json", info)
+        _write_json(stage / MARK, {"program": PROGRAM, "version": 1})
+        (stage / "README.md").write_text(dataset_card(info), encoding="utf-8")
+    return notes.texts()
+
+
+def is_own_dataset(path: Path) -> bool:
+    """Whether a folder is a dataset that this program wrote, with nothing else beside it."""
+    try:
+        mark = read_json(path / MARK)
+        others = {item.name for item in path.iterdir()} - {"meta", "data", "README.md"}
+    except (OSError, ValueError):
+        return False
+    return isinstance(mark, dict) and mark.get("program") == PROGRAM and not others
+
+
+def _look(episodes: Sequence[Load]) -> _Survey:
+    survey: _Survey | None = None
+    name, budget = "", _KEPT_BYTES
+    for number, load in enumerate(episodes):
+        episode = load()
+        layout = Layout.of(episode)
+        if layout.joints == ():
+            raise RecordingError(f"{episode.name}: its commands are for no joint at all")
+        if survey is None:
+            survey, name = _Survey(layout), episode.name
+        survey.layout = survey.layout.widened(layout, (name, episode.name))
+        task = episode.task or UNNAMED_TASK
+        if task not in survey.tasks:
+            survey.tasks.append(task)
+        survey.lengths.append(len(episode))
+        survey.rates += _rate(episode.stamps)
+        robot = (episode.config or {}).get("hand")
+        survey.robots.add(robot if isinstance(robot, str) else "")
+        size = len(episode) * 8 * 300  # about: of all the columns that a frame may have
+        if size <= budget:
+            budget -= size
+            survey.kept[number] = episode
+    if survey is None:
+        raise RecordingError("there is no episode to write a dataset of")
+    return survey
+
+
+def _rate(stamps: np.ndarray) -> list[float]:
+    """Frames a second, if there are two: of all steps but pauses, so that time adds up."""
+    steps = np.diff(stamps)
+    usual = steps[steps <= _PAUSE * np.median(steps)] if len(steps) else steps
+    mean = float(usual.mean()) if len(usual) else 0.0
+    return [1.0 / mean] if mean > 0.0 else []
+
+
+def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
+    for number, load in enumerate(episodes):
+        episode = survey.kept.pop(number, None) or load()
+        if len(episode) != survey.lengths[number]:
+            raise RecordingError(
+                f"{episode.name}: the file changed while it was being converted; try again when "
+                "nothing writes it"
+            )
+        yield episode
+
+
+def _own(episode: Episode) -> dict[str, Any]:
+    """What LeRobot has no place for."""
+    layout = Layout.of(episode)
+    return {
+        "name": episode.name,
+        "side": None if episode.recording is None else episode.recording.side,
+        "task": episode.task,
+        "metacarpals": layout.metacarpals,
+        "orientations": layout.orientations,
+        "stages": list(layout.stages),
+        "meta": episode.meta,
+        "configuration": episode.config,
+    }
+
+
+class _DataFiles:
+    """The Parquet files of the frames: a row group an episode, a new file where one is full."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._writer: Any = None
+        self._number = -1
+        self._bytes = 0
+
+    def append(self, columns: dict[str, Any]) -> tuple[int, int]:
+        """Adds an episode; chunk and file that it went to."""
+        table = arrow().table(columns)
+        if self._writer is None or self._bytes + table.nbytes > _FILE_MB << 20:
+            self.close()
+            self._number += 1
+            self._bytes = 0
+            chunk, file = divmod(self._number, _CHUNKS_SIZE)
+            path = self._root / DATA_PATH.format(chunk_index=chunk, file_index=file)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = parquet().ParquetWriter(path, table.schema)
+        self._writer.write_table(table, row_group_size=table.num_rows)
+        self._bytes += table.nbytes
+        return divmod(self._number, _CHUNKS_SIZE)
+
+    def close(self) -> None:
+        """Ends the file that is being written."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.close()
+
+
+def _write_episodes(
+    root: Path, rows: list[dict[str, Any]], statistics: list[dict[str, Statistics]]
+) -> None:
+    columns: dict[str, list[Any]] = {name: [row[name] for row in rows] for name in rows[0]}
+    lists = [{name: part.to_lists() for name, part in each.items()} for each in statistics]
+    for name, parts in lists[0].items():
+        for statistic in parts:
+            columns[f"stats/{name}/{statistic}"] = [each[name][statistic] for each in lists]
+    for name in ("chunk_index", "file_index"):
+        columns[f"meta/episodes/{name}"] = [0] * len(rows)
+    path = root / EPISODES_PATH.format(chunk_index=0, file_index=0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    parquet().write_table(arrow().table(columns), path)
+
+
+def _write_tasks(root: Path, tasks: list[str]) -> None:
+    pa = arrow()
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
+    # LeRobot looks tasks up in the index of a pandas table; this is what makes one of the column.
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": kind,
+                "numpy_type": numpy,
+                "metadata": None,
+            }
+            for name, kind, numpy in (
+                ("task_index", "int64", "int64"),
+                ("task", "unicode", "object"),
+            )
+        ],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+    }
+    table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    parquet().write_table(table, root / "meta" / "tasks.parquet")
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(to_json(value, indent=4) + "\n", encoding="utf-8")
+
+
+class _Notes:
+    """What a person should know of a dataset."""
+
+    def __init__(self, fps: int) -> None:
+        self._fps = fps
+        self._drift = 0.0
+        self._frames = self._missing = self._unanswered = 0
+
+    def look(self, episode: Episode) -> None:
+        """Takes an episode into account."""
+        stamps = episode.stamps
+        nominal = np.arange(len(stamps)) / self._fps
+        self._drift = max(self._drift, float(np.abs(stamps - stamps[0] - nominal).max()))
+        self._frames += len(episode)
+        if episode.recording is not None:
+            finite = np.isfinite(episode.recording.landmarks).all(axis=(1, 2))
+            self._missing += int((~finite).sum())
+            if episode.commands is not None:
+                self._unanswered += len(episode) - len(episode.commands)
+
+    def texts(self) -> list[str]:
+        """Said to the person."""
+        texts = []
+        if self._drift > 1e-3:
+            texts.append(
+                f"timestamp is frame_index / {self._fps}, as LeRobot wants it, up to "
+                f"{self._drift:.3g} s from the true time, which is in the column 'stamp'"
+            )
+        for count, what, flag in (
+            (self._missing, "missing landmarks (NaN in observation.state)", "landmarks_valid"),
+            (self._unanswered, "no command (NaN in action)", "status"),
+        ):
+            if count:
+                texts.append(
+                    f"{count} of {self._frames} frames have {what}; leave them out when training, "
+                    f"by the column {flag!r}"
+                )
+        return texts

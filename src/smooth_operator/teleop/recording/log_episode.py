@@ -1,0 +1,122 @@
+"""Episodes as the project's own log (MCAP)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.io.checks import check_rate, check_side
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.episode import Episode
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.io.staging import staged_file
+from smooth_operator.teleop.recording import foxglove
+from smooth_operator.teleop.recording.log import LogWriter
+from smooth_operator.teleop.recording.log_reader import Log, read_log
+from smooth_operator.teleop.recording.log_records import read_summary
+from smooth_operator.teleop.recording.schemas import SCHEMAS
+from smooth_operator.types import JointCommand, Side, Status
+
+_CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
+
+
+def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None = None) -> Episode:
+    """Reads a log.
+
+    Raises:
+        RecordingError: as ``read_log``; the log holds neither frames
+            nor commands; a side or rate that contradicts it.
+    """
+    log = read_log(path)
+    name = log.origin.get("name") or path.stem
+    recording = log.recording
+    if recording is not None:
+        check_side([recording.side], side, str(path))
+        check_rate(recording.stamps, rate, str(path))
+        recording = replace(recording, name=name, meta={**_meta(log), **recording.meta})
+    notes: tuple[str, ...] = ()
+    if log.truncated:
+        notes = (f"{path}: the end of the log is missing; what came before is converted",)
+    if log.loop is not None:
+        notes += (f"{path}: mode and events of the live loop stay behind, in the log",)
+    task = log.origin.get("task")
+    return Episode(recording, log.commands, log.config, log.stages_ms, task, name, notes)
+
+
+def write_log_episode(path: Path, episode: Episode) -> None:
+    """Writes a log: frames in order, each followed by the commands up to the next.
+
+    Raises:
+        OutputError: it can't be written.
+        RecordingError: the stamps of the frames do not increase.
+    """
+    origin = {"name": episode.name, "meta": to_json(episode.meta)}
+    if episode.task is not None:
+        origin["task"] = episode.task
+    recording, commands = episode.recording, episode.commands
+    with (
+        staged_file(path) as temporary,
+        LogWriter(temporary, chunk_bytes=_CHUNK_BYTES, flush_seconds=3600.0) as log,
+    ):
+        log.write_origin(origin)
+        if episode.config is not None:
+            log.write_config(episode.config)
+        written = 0
+        for i in range(0 if commands is None else len(commands)):
+            assert commands is not None
+            stamp = float(commands.stamps[i])
+            while recording is not None and written < len(recording):
+                if recording.stamps[written] > stamp:
+                    break
+                log.write_hand(recording[written])
+                written += 1
+            log.write_command(
+                JointCommand(commands.joint_positions[i], commands.joint_names, stamp),
+                Status(int(commands.status[i])),
+                float(commands.latency_ms[i]),
+                {name: float(values[i]) for name, values in episode.stages_ms.items()},
+            )
+        if recording is not None:
+            for frame in recording[written:]:
+                log.write_hand(frame)
+
+
+def log_losses(episode: Episode) -> list[str]:
+    """What a log can't hold of an episode: JSON knows no infinity."""
+    parts: list[tuple[str, np.ndarray | None]] = []
+    if episode.recording is not None:
+        recording = episode.recording
+        parts += [(n, getattr(recording, n)) for n in ("landmarks", "metacarpals", "orientations")]
+    if episode.commands is not None:
+        parts.append(("joint_positions", episode.commands.joint_positions))
+        parts.append(("latency_ms", episode.commands.latency_ms))
+    parts += list(episode.stages_ms.items())
+    return [
+        f"{episode.name}: {int(np.isinf(values).sum())} infinite values of {name} become NaN, "
+        "since the log's JSON has no word for them"
+        for name, values in parts
+        if values is not None and np.isinf(values).any()
+    ]
+
+
+def is_own_log(path: Path) -> bool:
+    """Whether this program wrote the file; found from its index, where that is whole."""
+    try:
+        summary = read_summary(path)
+        if summary is not None and summary.topics:
+            topics = set(summary.topics.values())
+            return bool(topics & SCHEMAS.keys()) and topics <= SCHEMAS.keys() | foxglove.SCHEMAS
+        return read_log(path) is not None  # which refuses a log of another program
+    except (RecordingError, OSError):
+        return False
+
+
+def _meta(log: Log) -> dict[str, object]:
+    try:
+        meta = parse_json(log.origin.get("meta", "{}"))
+    except DocumentError:
+        return {}
+    return meta if isinstance(meta, dict) else {}

@@ -1,0 +1,129 @@
+"""What a log of the live loop tells of each command, beside the command itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from smooth_operator.teleop.recording.messages import number
+
+
+@dataclass(frozen=True)
+class LoopState:
+    """The loop at one command.
+
+    Attributes:
+        number: of the tick, counted from 0.
+        mode: what the loop did, as ``tracking`` or ``holding``.
+        time: when the command was ready, by the loop's clock [s].
+        received: when the frame that it answers came in, by the loop's clock [s]; None where the
+            command answers none.
+        tracker_stamp: stamp of that frame by the tracker's own clock [s].
+        session: which start of the tracker it is of.
+        tracking_loss: of the frame; NaN where none is answered.
+        scale: robot size over human size; NaN where none is answered.
+        events: what happened, a sentence each.
+    """
+
+    number: int
+    mode: str
+    time: float
+    received: float | None = None
+    tracker_stamp: float | None = None
+    session: int | None = None
+    tracking_loss: float = math.nan
+    scale: float = math.nan
+    events: tuple[str, ...] = ()
+
+    def message(self, stamp: float) -> dict[str, Any]:
+        """As the log has it.
+
+        Args:
+            stamp: of the command [s].
+        """
+        return {
+            "stamp": stamp,
+            "number": self.number,
+            "mode": self.mode,
+            "time": number(self.time),
+            "received": number(self.received),
+            "tracker_stamp": number(self.tracker_stamp),
+            "session": self.session,
+            "tracking_loss": number(self.tracking_loss),
+            "scale": number(self.scale),
+            "events": list(self.events),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class LoopTrack:
+    """The loop over all commands of a log; T is their number.
+
+    Attributes:
+        numbers: (T,) of the ticks; -1 where the log does not tell.
+        modes: (T,) what the loop did; empty where the log does not tell.
+        times: (T,) when each command was ready, by the loop's clock [s].
+        received: (T,) when the frame that it answers came in [s]; NaN where it answers none.
+        tracker_stamps: (T,) the frame's stamp by the tracker's own clock [s], or NaN.
+        tracking_loss: (T,) of the frame, or NaN.
+        scale: (T,) robot size over human size, or NaN.
+        events: index of a command -> what happened at it.
+    """
+
+    numbers: Int[np.ndarray, " T"]
+    modes: tuple[str, ...]
+    times: Float[np.ndarray, " T"]
+    received: Float[np.ndarray, " T"]
+    tracker_stamps: Float[np.ndarray, " T"]
+    tracking_loss: Float[np.ndarray, " T"]
+    scale: Float[np.ndarray, " T"]
+    events: Mapping[int, tuple[str, ...]]
+
+    @property
+    def answers(self) -> Bool[np.ndarray, " T"]:
+        """(T,) whether the command answers a frame."""
+        return np.asarray(np.isfinite(self.received))
+
+
+def read_loop_track(
+    commands: Sequence[int], messages: Mapping[int, Mapping[str, Any]]
+) -> LoopTrack | None:
+    """Put together what the messages tell.
+
+    Args:
+        commands: sequence numbers of the commands.
+        messages: sequence number -> message of the topic.
+
+    Returns:
+        None where there is no message: the log is not of a live loop.
+
+    Raises:
+        KeyError, TypeError, ValueError: a field is missing or wrong.
+    """
+    if not messages:
+        return None
+    found = [messages.get(number) for number in commands]
+
+    def numbers(key: str) -> np.ndarray:
+        # float64 makes NaN of None
+        return np.array([None if m is None else m.get(key) for m in found], np.float64)
+
+    return LoopTrack(
+        numbers=np.array([-1 if m is None else int(m["number"]) for m in found], np.int64),
+        modes=tuple("" if m is None else str(m["mode"]) for m in found),
+        times=numbers("time"),
+        received=numbers("received"),
+        tracker_stamps=numbers("tracker_stamp"),
+        tracking_loss=numbers("tracking_loss"),
+        scale=numbers("scale"),
+        events={
+            i: tuple(str(event) for event in m["events"])
+            for i, m in enumerate(found)
+            if m is not None and m["events"]
+        },
+    )

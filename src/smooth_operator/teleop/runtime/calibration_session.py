@@ -1,0 +1,121 @@
+"""A calibration with an operator in front of it: prompts, one after the other, and the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.human.calibration.prompts import Prompt
+from smooth_operator.human.calibration.segments import Segment
+from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.types import HandRecording, Side
+
+SIGHT_S = 0.3
+"""A hand that was not seen for so long is out of sight, and the prompt waits [s]."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What to show an operator now.
+
+    Attributes:
+        prompt: what is asked.
+        number: which of the prompts, from 0.
+        phase: ``settle``, get there; ``hold``, keep it; ``wait``, no hand is seen.
+        done: share of the whole calibration that is done, 0 to 1.
+        left_s: of this phase [s].
+    """
+
+    prompt: Prompt
+    number: int
+    phase: Literal["settle", "hold", "wait"]
+    done: float
+    left_s: float
+
+
+class CalibrationSession:
+    """Goes through prompts while frames come; time stands still while no hand is seen.
+
+    Args:
+        side: which hand.
+        asked: the prompts, in order.
+    """
+
+    def __init__(self, side: Side, asked: Sequence[Prompt]) -> None:
+        self.side: Side = side
+        self.prompts = tuple(asked)
+        self._frames: list[Arrival] = []
+        self._held: list[int | None] = []  # for each frame, the prompt that it holds
+        self._holding: int | None = None
+        self._spent = 0.0
+        self._last: float | None = None
+
+    def see(self, arrival: Arrival) -> None:
+        """Take in a frame; one of the other hand, or no later than the last, is left out."""
+        newest = self._frames[-1].received if self._frames else -np.inf
+        if arrival.frame.side == self.side and arrival.received > newest:
+            self._frames.append(arrival)
+            self._held.append(self._holding)
+
+    def at(self, now: float) -> Moment | None:
+        """What to show.
+
+        Args:
+            now: by the clock of the arrivals; never earlier than at the last call [s].
+
+        Returns:
+            None when all is done.
+        """
+        seen = bool(self._frames) and now - self._frames[-1].received <= SIGHT_S
+        if self._last is not None and seen:
+            self._spent += now - self._last
+        self._last = now
+        self._holding = None
+        begins = 0.0
+        for number, prompt in enumerate(self.prompts):  # noqa: B007  (used after the loop)
+            holds, ends = begins + prompt.settle, begins + prompt.settle + prompt.hold
+            if self._spent < ends:
+                break
+            begins = ends
+        else:
+            return None
+        settling = self._spent < holds
+        if seen and not settling:
+            self._holding = number
+        left = (holds if settling else ends) - self._spent
+        phase: Literal["settle", "hold", "wait"] = "settle" if settling else "hold"
+        total = sum(p.settle + p.hold for p in self.prompts)
+        return Moment(prompt, number, phase if seen else "wait", self._spent / total, left)
+
+    def recording(self) -> HandRecording:
+        """All frames, with the times at which they came for stamps.
+
+        Raises:
+            RecordingError: none came.
+        """
+        if not self._frames:
+            raise RecordingError(
+                f"no frame of a {self.side} hand came from the tracker; check that it is on, and "
+                "which hand it sees"
+            )
+        frames = [arrival.frame for arrival in self._frames]
+        return HandRecording(
+            np.stack([frame.landmarks for frame in frames]),
+            np.array([arrival.received for arrival in self._frames]),
+            self.side,
+            np.stack([frame.valid for frame in frames if frame.valid is not None]),
+            name="live calibration",
+        )
+
+    def segments(self) -> list[Segment]:
+        """Where in the recording each prompt was held; what was asked is taken as done."""
+        found = []
+        for number, prompt in enumerate(self.prompts):
+            rows = [i for i, held in enumerate(self._held) if held == number]
+            if rows:
+                found.append(Segment(prompt.pose, rows[0], rows[-1] + 1, 1.0))
+        return found

@@ -1,0 +1,226 @@
+"""The loop: one thread, one clock, the newest frame of each hand to a command for the sinks."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from smooth_operator.teleop.runtime.controls import Controls
+from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.runtime.statistics import LoopStatistics
+from smooth_operator.teleop.runtime.turns import Turns
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sources.live import LiveSource, Mailbox
+from smooth_operator.types import Side
+
+
+class TeleopLoop:
+    """Drives robot hands from a source until told to end.
+
+    A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
+    commands go out at the loop's pace all the same, held or easing as the policies say. Commands of
+    a hand never exceed the rate (``Turns``), but for the first
+    one of an emergency stop, which waits for nothing.
+
+    Args:
+        pipelines: side -> hand.
+        source: where frames come from.
+        sinks: where commands go.
+        config: pace and policies.
+        mailbox: between source and loop; has the clock.
+        watch: called with every tick after the sinks have it, such as for a page; must be quick.
+
+    Attributes:
+        controls: switches, for any thread.
+        statistics: what the run came to.
+        watch: as given; to be set before ``run``.
+    """
+
+    def __init__(
+        self,
+        pipelines: Mapping[Side, HandPipeline],
+        source: LiveSource,
+        sinks: SinkRunner,
+        config: LoopConfig,
+        *,
+        mailbox: Mailbox | None = None,
+        watch: Callable[[Tick], None] | None = None,
+    ) -> None:
+        self.pipelines = dict(pipelines)
+        self.source = source
+        self.sinks = sinks
+        self.config = config
+        self.mailbox = Mailbox() if mailbox is None else mailbox
+        self.controls = Controls(self.mailbox)
+        self.statistics = LoopStatistics(config.period)
+        self.watch = watch
+        self._beat = self.mailbox.clock()
+        self._turns = {side: Turns(config.period) for side in self.pipelines}
+        self._asked: set[Side] = set()  # hands that something was changed of
+        self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
+
+    def run(
+        self,
+        duration: float | None = None,
+        configuration: Mapping[str, Any] = {},
+        started: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Open the sinks, start the source, and loop.
+
+        Args:
+            duration: [s]; None until ``Controls.quit`` or the source's end.
+            configuration: resolved, for sinks that keep it.
+            started: called once, when everything is open and before anything moves.
+
+        Raises:
+            SourceError, SinkError, OutputError, MissingExtraError: something can't be opened; what
+                was opened before is closed again.
+        """
+        hands = {side: pipeline.retargeter.hand for side, pipeline in self.pipelines.items()}
+        self.sinks.open(hands, configuration)
+        try:
+            self.source.start(self.mailbox)
+            try:
+                started()
+                with self._watchdog():
+                    self._loop(duration)
+            finally:
+                self.source.stop()
+        finally:
+            self.sinks.close()
+
+    def configure(self, config: LoopConfig) -> None:
+        """Change policies and limits, before the next command; the pace stays as it is.
+
+        Raises:
+            ConfigError: the limits don't fit a hand; then nothing changes.
+        """
+        config = replace(config, rate=self.config.rate)
+        for pipeline in self.pipelines.values():
+            Limiter(pipeline.retargeter.hand, config.limits)
+        self.config = config
+        self.controls.change(lambda hand: hand.configure(config))
+
+    def pace(self, rate: float) -> None:
+        """Go on at another rate, before the next command.
+
+        Args:
+            rate: commands per second and hand [Hz].
+
+        Raises:
+            ConfigError: it is out of its range.
+        """
+        self.config = replace(self.config, rate=rate)
+        config = self.config
+        self.controls.change(lambda hand: hand.configure(replace(hand.config, rate=rate)))
+        self.statistics.period = config.period
+        for turns in self._turns.values():
+            turns.period = config.period
+
+    @property
+    def silent_s(self) -> float:
+        """How long ago the last command left [s]; since it was built before the first one."""
+        return self.mailbox.clock() - self._beat
+
+    def _loop(self, duration: float | None) -> None:
+        clock, sides = self.mailbox.clock, tuple(self.pipelines)
+        start = clock()
+        for turns in self._turns.values():
+            turns.begin(start)
+        ended: float | None = None
+        while not self.controls.quitting:
+            now = clock()
+            if duration is not None and now - start >= duration:
+                return
+            if self.source.health().state == "ended":
+                # As a recording does: the policies for silence run their course first. One that
+                # failed is silence and no end.
+                ended = now if ended is None else ended
+                if now - ended > self.config.safety.lost_s:
+                    return
+            self._wait(sides)
+            self._change()
+            for side in sides:
+                self._serve(side)
+
+    def _wait(self, sides: Sequence[Side]) -> None:
+        """Sleep until something is to be done."""
+        if self.controls.waiting:
+            return
+        seen, now = self.mailbox.received, self.mailbox.clock()
+        opens = [self._turns[side].opens for side in sides]
+        until = min(
+            at if at > now else self._due(side, now) for side, at in zip(sides, opens, strict=True)
+        )
+        # where nothing may leave yet no frame need wake the loop: the newest is looked at then
+        self.mailbox.sleep(until - now, seen if min(opens) <= now else None)
+
+    def _change(self) -> None:
+        """Do what the switches ask for."""
+        free = {side for side, hand in self.pipelines.items() if not hand.supervisor.stopped}
+        for change in self.controls.drain():
+            for side, pipeline in self.pipelines.items():
+                change(pipeline)
+                self._asked.add(side)  # the sinks are to know as soon as the pace lets them
+        self._stopped |= {side for side in free if self.pipelines[side].supervisor.stopped}
+
+    def _due(self, side: Side, now: float) -> float:
+        """When the next command of a hand is due, as things are now [s]."""
+        turns, following = self._turns[side], self.mailbox.following(side)
+        if side in self._stopped:
+            return now
+        if side in self._asked:
+            return min(turns.opens, now)
+        arrival = self.mailbox.newest(side)
+        if arrival is None:
+            return turns.keeps(following)
+        return turns.answers(arrival.received, following)
+
+    def _serve(self, side: Side) -> None:
+        """Answer the newest frame of a hand, or keep its pace."""
+        now, turns = self.mailbox.clock(), self._turns[side]
+        if now < turns.opens and side not in self._stopped:
+            return
+        due = self._due(side, now)
+        if now < due:
+            return
+        arrival = self.mailbox.take(side)
+        self._asked.discard(side)
+        self._stopped.discard(side)
+        turns.take(now)
+        tick = self.pipelines[side].step(now, arrival)
+        before = self.mailbox.clock()
+        self.sinks.send(tick)
+        sent = self._beat = self.mailbox.clock()
+        if tick.status is not None:
+            tick = replace(tick, stages={**tick.stages, "send": (sent - before) * 1e3})
+        self.sinks.observe(tick)
+        self.statistics.add(tick, due, sent)
+        if self.watch is not None:
+            self.watch(tick)
+
+    @contextlib.contextmanager
+    def _watchdog(self) -> Iterator[None]:
+        """A thread that tells the sinks when the loop has fallen silent."""
+        done = threading.Event()
+        self._beat = self.mailbox.clock()
+
+        def watch() -> None:
+            while not done.wait(self.config.safety.watchdog_s / 2):
+                silence = self.silent_s
+                if silence > self.config.safety.watchdog_s:
+                    self.sinks.stalled(silence)
+
+        thread = threading.Thread(target=watch, name="watchdog", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()

@@ -1,0 +1,209 @@
+"""One hand: the newest frame, or none, to the next command."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.teleop.runtime.delay import TrackerDelay
+from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.plausible import SessionCheck, implausible
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.runtime.supervisor import Supervisor
+from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
+from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.types import JointCommand, Result, Side, Status
+
+SWITCHED: Final = "another method, or other settings"
+"""Event of the first tick after a switch; which they are is in its driver, for the record alone."""
+
+
+class HandPipeline:
+    """Frames of one hand to commands of one robot hand.
+
+    Not for several threads at once: the loop owns it, and whoever else wants something of it asks
+    the loop (``Controls``).
+
+    Args:
+        retargeter: method and hand.
+        config: policies and limits.
+        clock: measures the stages; the time of a step is given.
+        driver: what the retargeter is, by name, for the record.
+
+    Attributes:
+        supervisor: mode and policies.
+        limiter: what was last commanded.
+        seen: the last frame that was not refused, in a pause or an emergency stop, too.
+    """
+
+    def __init__(
+        self,
+        retargeter: Retargeter,
+        config: LoopConfig,
+        clock: Callable[[], float] = time.perf_counter,
+        driver: Driver | None = None,
+    ) -> None:
+        self.retargeter = retargeter
+        self.driver = driver
+        self.config = config
+        self.supervisor = Supervisor(config.safety)
+        self.limiter = Limiter(retargeter.hand, config.limits)
+        self.side: Side = retargeter.hand.spec.side
+        self._clock = clock
+        self._state = retargeter.init()
+        self._wanted = self.limiter.q  # what the operator asked for last
+        self._from = self.limiter.q  # where a blend began
+        self._delay = TrackerDelay()
+        self._session = SessionCheck(self.side)
+        self._last: float | None = None
+        self._number = 0
+        self.seen: Arrival | None = None
+        self._told: list[str] = []  # events of the next step
+
+    @property
+    def mode_now(self) -> Mode:
+        """What the next tick does, if no frame comes."""
+        return self.supervisor.preview(self._clock())
+
+    def switch(self, retargeter: Retargeter, driver: Driver | None = None) -> None:
+        """Go on with another method, or other settings of it; it should be warmed up.
+
+        The robot goes over from its last command as the limits let it.
+        """
+        self.retargeter, self.driver = retargeter, driver
+        self.note(SWITCHED)
+        self._state = retargeter.init()
+        self.supervisor.restart_blend(self._last)
+        self._from = self.limiter.q
+
+    def note(self, text: str) -> None:
+        """Have something stand among the events of the next step, and so in the record."""
+        self._told.append(text)
+
+    def configure(self, config: LoopConfig) -> None:
+        """Go on with other policies and limits, from the last command.
+
+        Raises:
+            ConfigError: the limits leave nothing of a joint's range; then nothing has changed.
+        """
+        limiter = Limiter(self.retargeter.hand, config.limits)
+        limiter.succeed(self.limiter)
+        self.config, self.limiter, self.supervisor.config = config, limiter, config.safety
+
+    @property
+    def latches(self) -> bool:
+        """Whether the method holds pinching fingers to the thumb at all."""
+        return getattr(self._state.method, "latched", None) is not None
+
+    @property
+    def latched(self) -> tuple[str, ...]:
+        """Fingers that the method holds to the thumb; safe from any thread, and costs the loop
+        nothing, since a state is replaced and never changed."""
+        latched = getattr(self._state.method, "latched", None)
+        if latched is None:
+            return ()
+        fingers = self.retargeter.hand.fingers[1:]
+        return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
+
+    def step(self, now: float, arrival: Arrival | None = None) -> Tick:
+        """The next command.
+
+        Args:
+            now: time of the step, by the clock of the arrivals [s].
+            arrival: the newest frame, if one has come since the last step.
+        """
+        before = self.supervisor.mode
+        events, self._told = self._told, []
+        stages: dict[str, float] = {}
+        result: Result | None = None
+        self.supervisor.update(now)  # what the operator switched since the last step
+        if arrival is not None:
+            why = implausible(arrival.frame)
+            if why is None:
+                self._delay.see(arrival)
+                why = self.supervisor.admits(arrival, now)
+            else:
+                self.supervisor.refuse(why)
+            if why is None and (doubt := self._session.doubt(arrival)) is not None:
+                why = self.supervisor.refuse(doubt.live)
+            if why is not None:
+                events.append(f"frame refused: {why}")
+                arrival = None
+            elif not self.supervisor.listens:
+                self.seen, arrival = arrival, None
+            else:
+                self.seen = arrival
+                result, stages = self._answer(arrival, now)
+                if result.status != Status.OK:
+                    events.append(f"frame not used: {result.status.reason}")
+        mode = self.supervisor.update(now)
+        guarded = self._clock()
+        q = self._follow(mode, now, guarded)
+        velocity = self.limiter.velocity
+        if mode is not before:
+            events.append(f"{before.value} -> {mode.value}")
+        hand = self.retargeter.hand
+        command = JointCommand(
+            hand.expand(q),
+            hand.joint_names,
+            now if arrival is None else arrival.stamp,
+        )
+        ready = self._clock()
+        if result is not None:
+            stages["limit"] = (ready - guarded) * 1e3
+        tick = Tick(
+            self.side,
+            hand.name,
+            command,
+            hand.expansion[0] @ velocity,
+            mode,
+            guarded,
+            self._number,
+            None if result is None else result.status,
+            arrival,
+            stages,
+            float("nan") if result is None else result.tracking_loss,
+            float("nan") if result is None else result.scale,
+            tuple(events),
+            self.driver,
+        )
+        # Times of commands, not of the frames that they answer: solving takes longer now and then.
+        self._last, self._number = guarded, self._number + 1
+        return tick
+
+    def _answer(self, arrival: Arrival, now: float) -> tuple[Result, dict[str, float]]:
+        """The method's answer to a frame, and how long its stages took [ms]."""
+        start = self._clock()
+        if self.supervisor.afresh:
+            self._state = self.retargeter.init()
+        state, result = self.retargeter.step(self._state, arrival.frame)
+        solved = self._clock()
+        if result.status == Status.OK:
+            if not self.supervisor.mode.moves:
+                self._from = self.limiter.q
+            self.supervisor.usable(now)
+            self._state = state
+            self._wanted = result.command.positions[list(self.retargeter.hand.actuated)]
+        return result, {
+            "tracker": self._delay.above_fastest(arrival) * 1e3,
+            "receive": (start - arrival.received) * 1e3,
+            "solve": (solved - start) * 1e3,
+        }
+
+    def _follow(self, mode: Mode, now: float, at: float) -> np.ndarray:
+        """What the limits let the robot do in this mode by the time of the command."""
+        dt = self.config.period if self._last is None else at - self._last
+        if mode is Mode.TRACKING:
+            return self.limiter.step(self._wanted, dt)
+        if mode is Mode.BLENDING:
+            share = self.supervisor.blend(now)
+            return self.limiter.step(self._from + share * (self._wanted - self._from), dt)
+        if mode is Mode.EASING:
+            return self.limiter.step(
+                self.retargeter.hand.neutral, dt, self.config.safety.ease_velocity
+            )
+        return self.limiter.rest(dt)

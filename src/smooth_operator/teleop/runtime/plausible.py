@@ -1,0 +1,81 @@
+"""Whether a frame can be what it says: of a human's size, of that side, of a time in seconds."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.io.anatomy import Doubt, HandCheck, finger_curl
+from smooth_operator.landmarks import BASES, WRIST
+from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Arrival
+from smooth_operator.types import HandFrame, Side
+
+PALM_M = (0.05, 0.14)
+"""Wrist to the base of the middle finger of a human hand [m]."""
+
+REACH_M = 0.5
+"""No landmark of a hand is farther than this from its wrist, by any axis [m]."""
+_FAR = (
+    f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
+)
+
+CURL = -0.6
+"""Least curl of a hand, as share of its fingers' length.
+
+Over four real recordings and the built-in operator, hands bent back as far as they go reach -0.51.
+A mirrored hand has the negative of its curl: it is refused with its first frame near a fist, and
+otherwise by ``SessionCheck``, whose rule is sharper and needs several frames.
+"""
+
+_PALM: Final = (
+    f"a palm outside {PALM_M[0]} to {PALM_M[1]} m is no human's; landmarks must be in metres"
+)
+_MIDDLE: Final = BASES[2]
+
+
+@np.errstate(all="ignore")  # numbers of any size may come
+def implausible(frame: HandFrame) -> str | None:
+    """Why a frame can't be a human hand of its side; None if it may be one.
+
+    What is missing is not judged: the method says whether it needs it. The reasons are few and
+    have no figures in them, so that frames can be counted by reason.
+    """
+    if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
+        return "a stamp that is no time in seconds"
+    p = frame.landmarks
+    if (np.abs(p[frame.valid] - p[WRIST]) > REACH_M).any():
+        return _FAR
+    palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
+    if not np.isfinite(palm):
+        return None
+    if not PALM_M[0] <= palm <= PALM_M[1]:
+        return _PALM
+    curl = finger_curl(p, frame.side)
+    if curl < CURL:
+        other = "left" if frame.side == "right" else "right"
+        return f"the fingers bend to the back of the hand: is it a {other} hand?"
+    return None
+
+
+class SessionCheck:
+    """Whether the frames of a tracker are of the side and in the order that they should be.
+
+    Each start of a tracker is judged by itself: over its first frames, and then now and then.
+
+    Args:
+        side: of the hand that is driven.
+    """
+
+    def __init__(self, side: Side) -> None:
+        self._side = side
+        self._session: int | None = None
+        self._check = HandCheck(side)
+
+    def doubt(self, arrival: Arrival) -> Doubt | None:
+        """What is wrong with the frames up to this one; None if nothing is."""
+        if arrival.session != self._session:
+            self._session, self._check = arrival.session, HandCheck(self._side)
+        frame = arrival.frame
+        assert frame.valid is not None  # filled in by HandFrame
+        return self._check.see(frame.landmarks, frame.valid)

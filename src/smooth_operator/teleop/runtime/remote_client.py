@@ -1,0 +1,132 @@
+"""The other end of ``teleop --control``: a console that tells a running teleoperation what to do.
+
+    teleop = RemoteTeleop("tcp://127.0.0.1:5558")
+    teleop.request("method", method="dexpilot", preset="default")
+    teleop.request("status")["method"]
+
+The words, and what each answers, are in ``smooth_operator.teleop.runtime.remote``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from smooth_operator.errors import ConfigError, MissingExtraError, RemoteError, RemoteRefusedError
+from smooth_operator.io.documents import json_object
+
+LONGEST_S: Final = 600.0
+"""Whatever the far side is busy with, after so long it is given up [s]."""
+
+_LOOK_MS: Final = 100
+_BUSY: Final = json.dumps({"do": "status"}).encode()
+
+
+class RemoteTeleop:
+    """A running ``smooth-operator teleop --control ADDRESS``. Safe from any thread.
+
+    Every request has a connection of its own, so that a teleoperation may end and be started again
+    between two of them, and none waits for another: a stop is not held up by a method that is
+    being compiled.
+
+    Args:
+        address: where it listens, such as ``tcp://127.0.0.1:5558``.
+        timeout_s: longest silence [s]. A word that takes longer, as compiling a method does, is
+            waited for as long as the teleoperation says that it is busy.
+
+    Raises:
+        ConfigError: that is no ZeroMQ address, or the time is not positive.
+        MissingExtraError: pyzmq is not installed.
+    """
+
+    def __init__(self, address: str, timeout_s: float = 5.0) -> None:
+        if "://" not in address:
+            raise ConfigError(
+                f"{address!r} is no ZeroMQ address; expected one such as tcp://127.0.0.1:5558, as "
+                "given to teleop --control"
+            )
+        if not 0.0 < timeout_s <= LONGEST_S:
+            raise ConfigError(f"timeout_s must be over 0 to {LONGEST_S:g} s, not {timeout_s}")
+        try:
+            import zmq
+        except ImportError:
+            raise MissingExtraError("talking to a running teleop", "zmq") from None
+        self.address, self.timeout_s = address, timeout_s
+        self._zmq: Any = zmq
+
+    def request(self, do: str, **fields: Any) -> dict[str, Any]:
+        """Have something done.
+
+        Args:
+            do: a word: ``status``, ``stop``, ``method``, ``task``, ...
+            fields: what belongs to it, as JSON has it.
+
+        Returns:
+            the answer, in which ``ok`` is true.
+
+        Raises:
+            RemoteRefusedError: it can't be done; the message is the teleoperation's.
+            RemoteError: nobody answers there, or something else than a teleoperation.
+            ConfigError: a field is nothing that JSON can hold, or nothing can be at the address.
+        """
+        try:
+            message = json.dumps({**fields, "do": do}, allow_nan=False).encode()
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{do}: JSON can't hold what is to be sent: {error}") from error
+        answer = self._exchange(message, self._still_busy)
+        if answer.get("ok") is not True:
+            why = answer.get("error")
+            raise RemoteRefusedError(str(why) if why else f"{do}: refused without a reason")
+        return answer
+
+    def _still_busy(self) -> bool:
+        """Whether a teleoperation is there, and says that something takes long."""
+        return bool(self._exchange(_BUSY, lambda: False).get("busy"))
+
+    def _exchange(self, message: bytes, patient: Callable[[], bool]) -> dict[str, Any]:
+        """Send a message and take its answer; ``patient`` is asked after each silence."""
+        zmq = self._zmq
+        context = zmq.Context()
+        try:
+            socket = context.socket(zmq.REQ)
+            socket.setsockopt(zmq.LINGER, 0)  # what nobody took is not kept for a later program
+            try:
+                socket.connect(self.address)
+                socket.send(message)
+                self._wait(socket, patient)
+                return self._read(socket.recv())
+            except zmq.ZMQError as error:
+                raise ConfigError(f"{self.address!r} can't be connected to: {error}") from error
+            finally:
+                socket.close()
+        finally:
+            context.term()
+
+    def _wait(self, socket: Any, patient: Callable[[], bool]) -> None:
+        begun = time.monotonic()
+        until = begun + self.timeout_s
+        while not socket.poll(min(_LOOK_MS, 1 + math.ceil(1e3 * self.timeout_s))):
+            now = time.monotonic()
+            if now < until:
+                continue
+            if now - begun < LONGEST_S and patient():
+                until = time.monotonic() + self.timeout_s
+                continue
+            if socket.poll(0):
+                return
+            raise RemoteError(
+                f"nobody answers at {self.address} within {self.timeout_s:g} s; is smooth-operator "
+                f"teleop --control {self.address} running?"
+            )
+
+    def _read(self, answer: bytes) -> dict[str, Any]:
+        content = json_object(answer)
+        if content is None:
+            raise RemoteError(
+                f"what answers at {self.address} is no teleoperation; it says "
+                f"{answer[:60].decode(errors='replace')!r}"
+            )
+        return content

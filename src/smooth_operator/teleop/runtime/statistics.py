@@ -1,0 +1,131 @@
+"""What a run of the loop came to: percentiles of every stage, counts, shares of modes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float32
+
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.types import Side, Status
+
+_PERCENTILES: Final = (50.0, 95.0, 99.0)
+_KEPT: Final = 200_000
+"""Frames whose times are kept, over 30 minutes at 100 Hz; older ones make room."""
+
+
+class _Times:
+    """The newest times of a stage [ms], in memory that is taken once: a run lasts for hours."""
+
+    def __init__(self) -> None:
+        self._kept = np.full(_KEPT, np.nan, np.float32)
+        self._count = 0
+
+    def append(self, ms: float) -> None:
+        self._kept[self._count % _KEPT] = ms
+        self._count += 1
+
+    def newest(self, count: int = _KEPT) -> Float32[np.ndarray, " n"]:
+        """A copy, in no order."""
+        there = min(self._count, count, _KEPT)
+        return self._kept[np.arange(self._count - there, self._count) % _KEPT]
+
+
+class LoopStatistics:
+    """Counts and times of a loop; written by the loop, read by anyone.
+
+    Args:
+        period: of the loop [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self._added = _Times()
+        self._stages: dict[str, _Times] = defaultdict(_Times)
+        self._commands: dict[Side, int] = defaultdict(int)
+        self._answered = 0
+        self._unusable: dict[str, int] = defaultdict(int)
+        self._missed = 0
+        self._due = 0
+        self._modes: dict[Mode, int] = defaultdict(int)
+        self._first: float | None = None
+        self._latest = 0.0
+
+    def add(self, tick: Tick, due: float, sent: float) -> None:
+        """A command that left.
+
+        Args:
+            tick: the command, ``send`` among its stages.
+            due: when it should have been made: at the arrival of its frame, or when the pace of
+                the loop asked for it [s].
+            sent: when all sinks had it [s].
+        """
+        self._first = sent if self._first is None else self._first
+        self._latest = sent
+        self._commands[tick.side] += 1
+        self._modes[tick.mode] += 1
+        self._due += 1
+        self._missed += sent - due > self.period
+        if tick.status is not None:
+            self._answered += tick.status == Status.OK
+            if tick.status != Status.OK:
+                self._unusable[tick.status.reason] += 1
+            self._added.append((sent - tick.arrival.received) * 1e3 if tick.arrival else np.nan)
+            for name, ms in tick.stages.items():
+                self._stages[name].append(ms)
+
+    def recent(self, count: int = 500) -> dict[str, dict[str, float]]:
+        """Percentiles of the last frames [ms]: ``total`` (received to sent) and the stages."""
+        return {
+            name: percentiles(times.newest(count))
+            for name, times in {"total": self._added, **self._stages}.items()
+        }
+
+    @property
+    def missed_share(self) -> float:
+        """Share of commands that left more than a period after they were due."""
+        return self._missed / max(self._due, 1)
+
+    @property
+    def unusable(self) -> int:
+        """Frames that the method could not use."""
+        return sum(self._unusable.copy().values())
+
+    @property
+    def rate_hz(self) -> float:
+        """Commands per second and hand, over the whole run."""
+        hands, length = len(self._commands), self._latest - (self._first or 0.0)
+        count = sum(self._commands.values()) - hands
+        return count / hands / length if hands and length > 0 else 0.0
+
+    def summary(self) -> dict[str, Any]:
+        """The whole run, JSON-serialisable; times in ms."""
+        total = sum(self._modes.values())
+        return {
+            "commands": dict(self._commands),
+            "rate_hz": self.rate_hz,
+            "frames_answered": self._answered,
+            "frames_unusable": self.unusable,
+            "frames_unusable_by_reason": dict(self._unusable),
+            "deadlines_missed": self._missed,
+            "deadlines_missed_share": self.missed_share,
+            "added_latency_ms": percentiles(self._added.newest()),
+            "stages_ms": {name: percentiles(t.newest()) for name, t in self._stages.items()},
+            "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},
+        }
+
+
+def percentiles(values: Any) -> dict[str, float]:
+    """p50, p95, p99 and the largest; empty of nothing."""
+    array = np.asarray(values, float)
+    array = array[np.isfinite(array)]
+    if not len(array):
+        return {}
+    found = np.percentile(array, _PERCENTILES)
+    named: Mapping[str, float] = {
+        f"p{p:g}": float(v) for p, v in zip(_PERCENTILES, found, strict=True)
+    }
+    return {**named, "max": float(array.max())}

@@ -1,0 +1,210 @@
+"""What messages of other programs do to a running loop; the words are those of
+``smooth_operator.teleop.runtime.remote``, which hears them."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.io.documents import json_object
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+
+Word: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+"""What is done for a word: from the message's fields to the answer's; errors of the family are
+answered, too."""
+Reply: TypeAlias = Callable[[bytes], None]
+"""Takes an answer, from any thread."""
+
+_PATIENCE_S: Final = 0.5
+"""How long an answer waits for the loop to have done what it was asked for [s]."""
+_AT_ONCE: Final = 16
+"""Words that may be under way; more are refused."""
+_QUEUED: Final = 4096
+"""Messages that may wait; more are refused."""
+_SILENT: Final = {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
+_TOO_MUCH: Final = {"ok": False, "error": "too many messages wait or are under way"}
+_ENDED: Final = {"ok": False, "error": "the run has ended"}
+_OVERTAKEN: Final = {"ok": False, "error": "an emergency stop came meanwhile; release it again"}
+
+
+@dataclass(frozen=True)
+class _Message:
+    """A message that waits for its turn."""
+
+    word: str
+    fields: Mapping[str, Any]
+    reply: Reply
+
+
+@dataclass(frozen=True)
+class _Switched:
+    """A switch that the loop has not confirmed yet."""
+
+    done: threading.Event
+    until: float
+    reply: Reply
+
+
+class Switchboard:
+    """Does what messages say. For one thread; replies may come from others.
+
+    A stop is done as soon as it is heard, before all messages that wait; a release that waits
+    while a stop comes is refused, since it was meant for an earlier one.
+
+    Args:
+        loop: what is switched.
+        words: more words than the loop's own.
+        status: more fields of the status; must be quick.
+    """
+
+    def __init__(
+        self,
+        loop: TeleopLoop,
+        words: Mapping[str, Word] = {},
+        status: Callable[[], Mapping[str, Any]] = dict,
+    ) -> None:
+        controls = loop.controls
+        self._loop, self._more, self._status = loop, dict(words), status
+        self._switches: dict[str, Callable[[], None]] = {
+            "stop": controls.stop,
+            "release": controls.release,
+            "pause": controls.pause,
+            "resume": controls.resume,
+        }
+        self._waiting: deque[_Message] = deque()
+        self._unconfirmed: list[_Switched] = []
+        self._under_way: list[str] = []
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """All words that it answers."""
+        return (*self._switches, "quit", "status", *self._more)
+
+    @property
+    def queued(self) -> bool:
+        """Whether a message waits for its ``turn``."""
+        return bool(self._waiting)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing waits, neither a message nor the answer to a switch."""
+        return not self._waiting and not self._unconfirmed
+
+    def hear(self, message: bytes, reply: Reply) -> None:
+        """Take a message: a stop is done now, others wait for ``turn``.
+
+        Args:
+            message: a word, or a JSON object with ``do``.
+            reply: called once with the answer, from this thread or from another, now or later.
+        """
+        read = _read(message)
+        if read is None or read[0] not in self.words:
+            shown = message[:60].decode(errors="replace")
+            error = f"can't do {shown!r}; expected one of {', '.join(self.words)}"
+            reply(_encoded({"ok": False, "error": error}))
+            return
+        heard = _Message(*read, reply)
+        if heard.word == "stop":
+            self._switch(heard)
+            for late in [waiting for waiting in self._waiting if waiting.word == "release"]:
+                self._waiting.remove(late)
+                late.reply(_encoded(_OVERTAKEN))
+        elif len(self._waiting) >= _QUEUED:
+            reply(_encoded(_TOO_MUCH))
+        else:
+            self._waiting.append(heard)
+
+    def turn(self) -> None:
+        """Do what the message says that waits longest, and answer switches that are confirmed."""
+        if self._waiting:
+            message = self._waiting.popleft()
+            try:
+                self._do(message)
+            except Exception as error:  # whatever it was, the next message may be a stop
+                message.reply(_encoded(_failed(message.word, error)))
+        self._confirm(time.monotonic())
+
+    def finish(self) -> None:
+        """The run has ended: answer all that still wait."""
+        while self._waiting:
+            self._waiting.popleft().reply(_encoded(_ENDED))
+        self._confirm(math.inf)
+
+    def _confirm(self, now: float) -> None:
+        for switched in list(self._unconfirmed):
+            if switched.done.is_set() or now > switched.until:
+                self._unconfirmed.remove(switched)
+                switched.reply(_encoded(self._modes() if switched.done.is_set() else _SILENT))
+
+    def _do(self, message: _Message) -> None:
+        if message.word in self._switches:
+            self._switch(message)
+        elif message.word == "quit":
+            self._loop.controls.quit()
+            message.reply(_encoded(self._modes()))
+        elif message.word == "status":
+            # The loop is not asked: each question would make it send a command.
+            silent = self._loop.silent_s > max(_PATIENCE_S, 3 * self._loop.config.period)
+            message.reply(_encoded(_SILENT if silent else self._whole_status()))
+        elif len(self._under_way) >= _AT_ONCE:
+            message.reply(_encoded(_TOO_MUCH))
+        else:
+            self._under_way.append(message.word)
+            threading.Thread(
+                target=lambda: message.reply(self._done(message)),
+                name=f"remote {message.word}",
+                daemon=True,
+            ).start()
+
+    def _switch(self, message: _Message) -> None:
+        """One of the switches, which the loop does first in, first out, but for a stop."""
+        self._switches[message.word]()
+        done = threading.Event()
+        self._loop.controls.change(lambda hand: done.set())
+        until = time.monotonic() + _PATIENCE_S
+        self._unconfirmed.append(_Switched(done, until, message.reply))
+
+    def _modes(self) -> dict[str, Any]:
+        modes = {side: hand.mode_now.value for side, hand in self._loop.pipelines.items()}
+        return {"ok": True, "modes": modes, "rate_hz": self._loop.statistics.rate_hz}
+
+    def _whole_status(self) -> dict[str, Any]:
+        return {**self._modes(), **self._status(), "busy": list(self._under_way)}
+
+    def _done(self, message: _Message) -> bytes:
+        """One of the others, on a thread of its own."""
+        try:
+            return _encoded({"ok": True, **self._more[message.word](message.fields)})
+        except SmoothOperatorError as error:
+            return _encoded({"ok": False, "error": str(error)})
+        except Exception as error:  # a word that goes wrong must not leave its caller waiting
+            return _encoded(_failed(message.word, error))
+        finally:
+            self._under_way.remove(message.word)
+
+
+def _read(message: bytes) -> tuple[str, Mapping[str, Any]] | None:
+    """(word, fields) of a message; None if it can't be read."""
+    try:
+        text = message.decode().strip()
+    except UnicodeDecodeError:
+        return None
+    fields = json_object(text) if text.startswith("{") else {"do": text}
+    if fields is None or not isinstance(word := fields.get("do"), str):
+        return None
+    return word, fields
+
+
+def _failed(word: str, error: Exception) -> dict[str, Any]:
+    return {"ok": False, "error": f"{word}: {type(error).__name__}: {error}"}
+
+
+def _encoded(answer: Mapping[str, Any]) -> bytes:
+    return to_json(answer).encode()

@@ -1,0 +1,297 @@
+"""The sinks of a running loop: each gets every tick, and none can harm the others.
+
+A sink that raises is closed, its error kept for the report at the end, and opened again after a
+while. Closing and opening may take long (a model to compile, a file to finish), so both happen on a
+thread of their own, and the loop never waits for them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sources.live import Clock
+from smooth_operator.types import Side
+
+SinkState: TypeAlias = Literal["closed", "open", "failed"]
+"""``failed``: it raised, and is opened again after a while."""
+
+_PATIENCE: Final = 1.0
+"""How long closing waits for a call that is still inside the sink [s]."""
+
+
+@dataclass(frozen=True)
+class SinkHealth:
+    """How a sink is, or was.
+
+    Attributes:
+        label: what it is.
+        state: see ``SinkState``.
+        detail: the last error, or what else a person should know; empty if all is well.
+        sent: ticks that it took.
+        failed: how often it raised, opening again included.
+        missed: ticks that went by while it was not open.
+    """
+
+    label: str
+    state: SinkState
+    detail: str = ""
+    sent: int = 0
+    failed: int = 0
+    missed: int = 0
+
+
+class SinkRunner:
+    """Several sinks as one.
+
+    ``send`` is for one thread, the loop's; all else may be called from any.
+
+    Args:
+        sinks: where ticks go; opened by ``open``.
+        retry_s: how long after a failure a sink is opened again [s].
+        clock: what the time is measured by [s].
+
+    Raises:
+        ConfigError: ``retry_s`` is not positive.
+    """
+
+    def __init__(
+        self,
+        sinks: Iterable[Sink] = (),
+        retry_s: float = 1.0,
+        clock: Clock = time.perf_counter,
+    ) -> None:
+        if not retry_s > 0.0:
+            raise ConfigError(f"retry_s must be positive, not {retry_s}")
+        self.retry_s = retry_s
+        self._clock = clock
+        self._entries = tuple(self._entry(sink) for sink in sinks)
+        self._gone: list[_Entry] = []
+        self._opened: tuple[Mapping[Side, Hand], Mapping[str, Any]] | None = None
+        self._changed = threading.Condition()
+        self._mender: threading.Thread | None = None
+
+    def check(self, hands: Mapping[Side, Hand]) -> None:
+        """Find out what would keep a sink from opening, before anything slow is done.
+
+        A sink that has a method ``check`` with the argument of this one is asked; nothing stays
+        open.
+
+        Raises:
+            SmoothOperatorError: as ``open``.
+        """
+        for entry in self._entries:
+            check = getattr(entry.sink, "check", None)
+            if check is not None:
+                check(hands)
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Open all sinks, or none.
+
+        Raises:
+            SmoothOperatorError: as ``Sink.open``; those that were open already are closed.
+        """
+        if self._opened is not None:
+            raise ConfigError("the sinks are open already; close them first")
+        done: list[_Entry] = []
+        try:
+            for entry in self._entries:
+                entry.open(hands, config)
+                done.append(entry)
+        except BaseException:
+            for entry in done:
+                entry.end()
+            raise
+        self._opened = (hands, config)
+        self._mender = threading.Thread(target=self._mend, name="sinks", daemon=True)
+        self._mender.start()
+
+    def send(self, tick: Tick) -> None:
+        """Hand a tick to every open sink that acts; never raises what a sink raises."""
+        self._hand_over(tick, observing=False)
+
+    def observe(self, tick: Tick) -> None:
+        """The same for the sinks that only look on (``Sink.observes``), afterwards.
+
+        They get the tick with how long sending took among its stages.
+        """
+        self._hand_over(tick, observing=True)
+
+    def _hand_over(self, tick: Tick, observing: bool) -> None:
+        for entry in self._entries:
+            if getattr(entry.sink, "observes", False) != observing:
+                continue
+            if entry.call(lambda sink: sink.send(tick)):
+                entry.sent += 1
+            else:
+                entry.missed += 1
+
+    def stalled(self, seconds: float) -> None:
+        """Tell every sink that is open that no command has come for so long.
+
+        It does not wait for a ``send`` that hangs.
+        """
+        for entry in self._entries:
+            entry.call(lambda sink: sink.stalled(seconds))
+
+    def add(self, sink: Sink) -> None:
+        """Take in another sink; it is opened here and now if the others are open.
+
+        Raises:
+            SmoothOperatorError: as ``Sink.open``; then it is not taken in.
+        """
+        entry = self._entry(sink)
+        if self._opened is not None:
+            entry.open(*self._opened)
+        with self._changed:
+            self._entries = (*self._entries, entry)
+
+    def remove(self, sink: Sink) -> None:
+        """Close a sink and let it go; its errors stay in ``report``. No such sink: nothing."""
+        with self._changed:
+            found = [entry for entry in self._entries if entry.sink is sink]
+            self._entries = tuple(entry for entry in self._entries if entry.sink is not sink)
+            self._gone += found
+        for entry in found:
+            entry.end()
+
+    def close(self) -> None:
+        """Close all of them, even when one fails in closing; a second call does nothing."""
+        with self._changed:
+            self._opened = None
+            self._changed.notify_all()
+        mender, self._mender = self._mender, None
+        if mender is not None:
+            mender.join(_PATIENCE + self.retry_s)
+        for entry in self._entries:
+            entry.end()
+
+    def health(self) -> list[SinkHealth]:
+        """How each of the sinks is now, in their order."""
+        return [entry.health() for entry in self._entries]
+
+    def report(self) -> list[SinkHealth]:
+        """The same with the sinks that were removed, which come first: for the end of a run."""
+        return [entry.health() for entry in (*self._gone, *self._entries)]
+
+    def _entry(self, sink: Sink) -> _Entry:
+        return _Entry(sink, self.retry_s, self._clock)
+
+    def _mend(self) -> None:
+        """Close what failed, and open it again when its time has come."""
+        step = min(0.05, self.retry_s / 4)
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._opened is None, step)
+                opened, entries = self._opened, self._entries
+            if opened is None:
+                return
+            for entry in entries:
+                entry.mend(*opened)
+
+
+class _Entry:
+    """A sink, and how it fares."""
+
+    def __init__(self, sink: Sink, retry_s: float, clock: Clock) -> None:
+        self.sink = sink
+        self.state: SinkState = "closed"
+        self.sent = self.failed = self.missed = 0
+        self._retry_s, self._clock = retry_s, clock
+        self._error = ""
+        self._closed = True
+        self._retry_at = 0.0
+        self._inside = 0
+        self._change = threading.Condition()  # of the fields; never held while in the sink
+        self._moving = threading.Lock()  # one closing or opening at a time
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Open it; errors reach the caller."""
+        self.sink.open(hands, config)
+        with self._change:
+            self.state, self._closed = "open", False
+
+    def call(self, action: Callable[[Sink], None]) -> bool:
+        """Do something with the sink if it is open.
+
+        Returns:
+            whether it was done.
+        """
+        with self._change:
+            if self.state != "open":
+                return False
+            self._inside += 1
+        try:
+            action(self.sink)
+        except Exception as error:  # anything: the loop and the other sinks go on
+            self._fail(error)
+            return False
+        finally:
+            with self._change:
+                self._inside -= 1
+                self._change.notify_all()
+        return True
+
+    def end(self) -> None:
+        """Close it for good; an error in closing is kept."""
+        with self._change:
+            self.state = "closed"
+        self._shut()
+
+    def mend(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Close what has failed, and open it again if it is time."""
+        if not self._has_failed():
+            return
+        self._shut()
+        if self._clock() < self._retry_at:
+            return
+        with self._moving:
+            if not self._has_failed():  # it was let go meanwhile
+                return
+            try:
+                self.sink.open(hands, config)
+            except Exception as error:
+                self._fail(error)
+                return
+            with self._change:
+                self._closed = False
+                if self._has_failed():  # else it was let go meanwhile, and is closed next
+                    self.state = "open"
+
+    def health(self) -> SinkHealth:
+        """How it is; what the sink itself has to say comes first."""
+        note = str(getattr(self.sink, "note", ""))
+        detail = "; ".join(part for part in (note, self._error) if part)
+        return SinkHealth(self.sink.label, self.state, detail, self.sent, self.failed, self.missed)
+
+    def _has_failed(self) -> bool:
+        return self.state == "failed"
+
+    def _shut(self) -> None:
+        """Close it, once nobody is inside."""
+        with self._moving:
+            with self._change:
+                self._change.wait_for(lambda: self._inside == 0, _PATIENCE)
+                if self._closed:
+                    return
+                self._closed = True
+            try:
+                self.sink.close()
+            except Exception as error:
+                self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        known = isinstance(error, SmoothOperatorError)
+        with self._change:
+            self._error = str(error) if known else f"{type(error).__name__}: {error}"
+            self._retry_at = self._clock() + self._retry_s
+            self.failed += 1
+            if self.state == "open":
+                self.state = "failed"

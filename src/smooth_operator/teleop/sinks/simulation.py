@@ -1,0 +1,329 @@
+"""A simulated robot hand that follows the commands: MuJoCo physics in real time."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.live import Watcher
+from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.types import Side
+
+_WAKE_S: Final = 0.004
+"""How often the thread wakes for some steps at once; waking costs more than a step."""
+
+_SLICE_S: Final = 0.01
+"""Longest that the physics goes on without a look at commands, and at what happened [s]."""
+
+_BEHIND_S: Final = 0.1
+"""Time that is given up, rather than made up for, when the machine is too slow [s]."""
+
+_NUMBERS: Final = itertools.count(1)
+
+
+class SimulatedHand(NamedTuple):
+    """Where a simulated hand is.
+
+    Attributes:
+        positions: (n,) positions of all joints [rad], in the order of ``hand.joint_names``.
+        time: for which moment, by the loop's clock [s].
+    """
+
+    positions: Float[np.ndarray, " n"]
+    time: float
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Each hand on a fixture in MuJoCo, its joints driven by position servos, in real time.
+
+    The physics runs on a thread of its own. When commands stop, the hands stay where they are. The
+    page draws ``state`` beside the command.
+
+    Attributes:
+        rate: steps of the physics per second [Hz].
+        bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
+        gravity: pull along -z of the model's world, wherever that points in it.
+        task: what the hands work on, each on its own; gravity is on then.
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    rate: float = 500.0
+    """Steps of the physics per second [Hz]."""
+    bandwidth: float = 20.0
+    """Bandwidth of the servos [Hz]; higher follows faster and pushes harder."""
+    gravity: bool = False
+    """Pull along -z of the model's world, wherever that points in it."""
+    task: Literal["none", "card", "cube", "screwdriver"] = "none"
+    """What the hands work on, each on its own: a task of the study, or nothing."""
+    _world: _World | None = field(default=None, init=False, repr=False, compare=False)
+    _task: str | None = field(default=None, init=False, repr=False, compare=False)
+    _swapping: threading.Lock = field(
+        default_factory=threading.Lock, init=False, repr=False, compare=False
+    )
+    _events: list[str] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 200.0 <= self.rate <= 2000.0:
+            raise ConfigError(f"mujoco: rate must be 200 to 2000 Hz, not {self.rate}")
+        if not 0.5 <= self.bandwidth <= 0.05 * self.rate:
+            raise ConfigError(
+                f"mujoco: bandwidth must be 0.5 Hz to a twentieth of the rate, "
+                f"{0.05 * self.rate:g} Hz, not {self.bandwidth}"
+            )
+
+    @property
+    def label(self) -> str:
+        """``mujoco``."""
+        return "mujoco"
+
+    @property
+    def note(self) -> str:
+        """What went wrong in the physics, if anything did."""
+        return "; ".join(self._events)
+
+    @property
+    def task_now(self) -> str:
+        """What the hands work on now; ``none`` for nothing."""
+        return self.task if self._task is None else self._task
+
+    @property
+    def world_number(self) -> int:
+        """Changes with every scene that is built, and is 0 while there is none."""
+        world = self._world
+        return 0 if world is None else world.number
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Build the models and start; see ``Sink``."""
+        if self._world is not None:
+            raise SinkError("mujoco: it is open already")
+        physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
+        self._set("_world", _World(physics, self._events))
+
+    def change_task(self, task: str) -> None:
+        """Go on with another scene, or with none, once it is built; commands go on meanwhile.
+
+        Whoever watched the scene before sees no more of it.
+
+        Args:
+            task: as ``task``.
+
+        Raises:
+            UnknownNameError: there is no such task.
+            HandModelError: a hand's size does not allow it; then nothing changes.
+            SinkError: the simulation is closed, or was meanwhile.
+        """
+        before = self._world
+        if before is None:
+            raise SinkError("mujoco: it is not open")
+        physics = {side: self._built(old.hand, task) for side, old in before.physics.items()}
+        with self._swapping:
+            if self._world is not before:
+                raise SinkError("mujoco: it was closed, or another task was asked for meanwhile")
+            self._set("_task", task)
+            self._set("_world", _World(physics, self._events))
+        before.end()
+
+    def send(self, tick: Tick) -> None:
+        """Set the targets of the servos.
+
+        Raises:
+            SinkError: the simulation has ended.
+        """
+        if self._world is None:
+            raise SinkError("mujoco: it is not open")
+        self._world.command(tick.side, tick.command.positions)
+
+    def stalled(self, seconds: float) -> None:
+        """Have the hands stay where they are."""
+        if self._world is not None:
+            self._world.hold()
+
+    def state(self, side: Side) -> SimulatedHand | None:
+        """Where a hand is now; safe from any thread.
+
+        Returns:
+            None while the simulation is closed, or if it has no such hand.
+        """
+        world = self._world
+        return None if world is None else world.seen.get(side)
+
+    def scene_of(self, side: Side) -> Scene:
+        """What is around a hand.
+
+        Raises:
+            SinkError: the simulation is closed, has no such hand, or no task.
+        """
+        return self._scene(side).scene
+
+    def hand_of(self, side: Side) -> Hand:
+        """The hand that works there; raises as ``scene_of``."""
+        return self._scene(side).hand
+
+    def parts_of(self, side: Side) -> list[ScenePart]:
+        """Shapes of platform and object, to draw; raises as ``scene_of``."""
+        return self._scene(side).parts()
+
+    def scene_state(self, side: Side) -> SceneState | None:
+        """Where the object is now; safe from any thread.
+
+        Returns:
+            None while the simulation is closed, or without a task or such a hand.
+        """
+        world = self._world
+        return None if world is None else world.scenes.get(side)
+
+    def watch(self, side: Side, watcher: Watcher | None) -> None:
+        """Have every new state of a scene given to one watcher; None takes it away.
+
+        Raises:
+            SinkError: as ``scene_of``.
+        """
+        self._scene(side)
+        assert self._world is not None  # it has a scene
+        self._world.watch(side, watcher)
+
+    def reset_object(self, side: Side) -> int:
+        """Have the object put back to its start, with the next step; raises as ``scene_of``.
+
+        Returns:
+            ``SceneState.starts`` of the states that come after it.
+        """
+        physics = self._scene(side)
+        assert self._world is not None  # it has a scene
+        return self._world.reset_object(side, physics)
+
+    def _built(self, hand: Hand, task: str) -> HandPhysics:
+        if task == "none":
+            return HandPhysics(hand, 1.0 / self.rate, self.bandwidth, self.gravity)
+        return ScenePhysics(hand, scene_for(task, hand), 1.0 / self.rate, self.bandwidth)
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _scene(self, side: Side) -> ScenePhysics:
+        world = self._world
+        found = None if world is None else world.physics.get(side)
+        if not isinstance(found, ScenePhysics):
+            raise SinkError(
+                f"mujoco: there is no scene around a {side} hand: "
+                + ("it is not open" if world is None else "ask for one with mujoco:task=card")
+            )
+        return found
+
+    def close(self) -> None:
+        """Stop; a second call does nothing."""
+        with self._swapping:
+            world = self._world
+            self._set("_world", None)
+        if world is not None:
+            world.end()
+
+
+class _World:
+    """The thread that steps the physics of all hands."""
+
+    def __init__(self, physics: Mapping[Side, HandPhysics], events: list[str]) -> None:
+        now = time.perf_counter()
+        self.number = next(_NUMBERS)
+        self.seen = {side: SimulatedHand(p.positions, now) for side, p in physics.items()}
+        self.physics, self._events = physics, events
+        self.scenes: dict[Side, SceneState] = {
+            side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
+        }
+        self._watchers: dict[Side, Watcher] = {}
+        self._put_back: set[Side] = set()
+        self._targets: dict[Side, Float[np.ndarray, " n"] | None] = {}
+        self._changed = threading.Lock()
+        self._error: Exception | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mujoco", daemon=True)
+        self._thread.start()
+
+    def command(self, side: Side, positions: Float[np.ndarray, " n"]) -> None:
+        if self._error is not None:
+            raise SinkError(f"mujoco: the simulation ended: {self._error}") from self._error
+        with self._changed:
+            self._targets[side] = positions
+
+    def hold(self) -> None:
+        with self._changed:
+            for side in self.physics:
+                self._targets[side] = None  # stands for: where it is
+
+    def watch(self, side: Side, watcher: Watcher | None) -> None:
+        with self._changed:
+            if watcher is None:
+                self._watchers.pop(side, None)
+            else:
+                self._watchers[side] = watcher
+
+    def reset_object(self, side: Side, physics: ScenePhysics) -> int:
+        with self._changed:
+            self._put_back.add(side)
+            return physics.starts + 1
+
+    def end(self) -> None:
+        self._ending.set()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        try:
+            last = time.perf_counter()
+            held: set[Side] = set()
+            while not self._ending.wait(_WAKE_S):
+                now = time.perf_counter()
+                due, last = min(now - last, _BEHIND_S), now
+                while due > 0.0:
+                    self._take(held)
+                    self._step(min(due, _SLICE_S), now)
+                    due -= _SLICE_S
+        except Exception as error:  # reaches the loop with its next command
+            self._error = error
+
+    def _take(self, held: set[Side]) -> None:
+        """The newest commands; ``held`` are the hands that stay where they are."""
+        with self._changed:
+            targets, self._targets = self._targets, {}
+        for side, target in targets.items():
+            if target is not None:
+                self.physics[side].command(target)
+                held.discard(side)
+            elif side not in held:  # once: a hand that is held again and again would creep
+                self.physics[side].hold()
+                held.add(side)
+
+    def _step(self, seconds: float, now: float) -> None:
+        for side, physics in self.physics.items():
+            if not physics.advance(seconds):
+                text = f"the physics of the {side} hand came apart and was set back"
+                resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
+                self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
+            self.seen[side] = SimulatedHand(physics.positions, now)
+            if isinstance(physics, ScenePhysics):
+                self._show(side, physics)
+
+    def _show(self, side: Side, physics: ScenePhysics) -> None:
+        """The scene's new state, to whom it concerns; resets that were asked for."""
+        with self._changed:
+            watcher = self._watchers.get(side)
+            put_back = side in self._put_back
+            self._put_back.discard(side)
+        if put_back:
+            physics.reset_object()
+        state = self.scenes[side] = physics.observe()
+        if watcher is not None:
+            watcher(state, physics.positions)

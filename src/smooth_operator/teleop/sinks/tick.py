@@ -1,0 +1,93 @@
+"""What leaves the loop: a command, and all that led to it."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.types import JointCommand, Side, Status
+
+
+@dataclass(frozen=True)
+class Driver:
+    """What a hand is driven by.
+
+    Attributes:
+        method: its name.
+        preset: that of its preset.
+        config: the configuration, all that was changed and the operator included.
+    """
+
+    method: str
+    preset: str
+    config: Any
+
+
+class Mode(enum.Enum):
+    """What the loop is doing with a hand."""
+
+    WAITING = "waiting"
+    """No frame has come yet: the robot stays where it starts."""
+    TRACKING = "tracking"
+    """The robot follows the operator."""
+    BLENDING = "blending"
+    """The operator is back, or takes over: the robot goes over to them smoothly."""
+    HOLDING = "holding"
+    """The tracker is late, or its frames are no use: the last command is held."""
+    EASING = "easing"
+    """The tracker is lost: the robot goes to its safe pose, and stays there."""
+    PAUSED = "paused"
+    """The operator let go of the clutch: the last command is held."""
+    STOPPED = "stopped"
+    """Emergency stop: the robot brakes and stands until it is released by hand."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether the operator moves the robot."""
+        return self in (Mode.TRACKING, Mode.BLENDING)
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """One command to one robot hand.
+
+    Attributes:
+        side: which hand.
+        hand: name of the robot hand.
+        command: within all limits; its stamp is that of the frame that it answers, by the
+            tracker's clock, or the time of the tick where no frame is answered.
+        velocity: (n,) velocity of all joints [rad/s], for drivers that feed it forward.
+        mode: what the loop is doing.
+        time: of the command, by the loop's clock [s]; the limits hold from one such time to the
+            next.
+        number: of the tick, counted from 0 for each hand.
+        status: of the frame that it answers; None where it answers none.
+        arrival: that frame.
+        stages: name -> how long it took [ms], in order; empty where no frame is answered.
+        tracking_loss: of the frame; NaN where none is answered.
+        scale: robot size over human size in the frame; NaN where none is answered.
+        events: what happened at this tick, a sentence each: a mode that changed, frames refused.
+        driver: what the hand is driven by, where the loop was told; the same object until it
+            changes.
+    """
+
+    side: Side
+    hand: str
+    command: JointCommand
+    velocity: Float[np.ndarray, " n"]
+    mode: Mode
+    time: float
+    number: int
+    status: Status | None = None
+    arrival: Arrival | None = None
+    stages: Mapping[str, float] = field(default_factory=dict)
+    tracking_loss: float = float("nan")
+    scale: float = float("nan")
+    events: tuple[str, ...] = ()
+    driver: Driver | None = None

@@ -1,0 +1,140 @@
+"""Commands over ZeroMQ: one JSON message for each command, for a robot's driver to subscribe to."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.courier import CourierSink, Link
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.types import Side
+
+FORMAT: Final = 1
+"""Version of the messages."""
+
+_WAITING_MESSAGES: Final = 4
+"""Messages that wait for a subscriber that does not keep up; older ones would do it no good."""
+
+
+@dataclass(frozen=True)
+class ZmqSink(CourierSink):
+    """Publishes commands on a ZeroMQ socket (PUB); see ``docs/teleop/robot-driver.md``.
+
+    Nobody need listen, and a subscriber may come and go. Each message says how long it is valid:
+    a driver that hears nothing for longer than that stops its robot.
+
+    Attributes:
+        address: where to listen for subscribers; the default is reached from this machine only.
+        valid_for_s: how long a command may be acted upon [s].
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    address: str = "tcp://127.0.0.1:5556"
+    """Where to listen for subscribers; the default is reached from this machine only."""
+    valid_for_s: float = 0.2
+    """How long a command may be acted upon [s]."""
+
+    def __post_init__(self) -> None:
+        if "://" not in self.address:
+            raise ConfigError(
+                f"zmq: {self.address!r} is no ZeroMQ address; expected one such as "
+                "tcp://127.0.0.1:5556 or ipc:///run/hand"
+            )
+        if not 0.0 < self.valid_for_s <= 10.0:
+            raise ConfigError(f"zmq: valid_for_s must be over 0 to 10 s, not {self.valid_for_s}")
+
+    @property
+    def label(self) -> str:
+        """``zmq`` and the address."""
+        return f"zmq {self.address}"
+
+    def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
+        """Open the socket."""
+        try:
+            import zmq
+        except ImportError as error:
+            raise MissingExtraError("sending commands over ZeroMQ", "zmq") from error
+        context = zmq.Context()
+        socket = context.socket(zmq.PUB)
+        socket.setsockopt(zmq.LINGER, 200)
+        socket.setsockopt(zmq.SNDHWM, _WAITING_MESSAGES)
+        try:
+            socket.bind(self.address)
+        except zmq.ZMQError as error:
+            socket.close(0)
+            context.term()
+            raise SinkError(
+                f"can't publish commands at {self.address}: {error}; choose another address, or "
+                "end the program that has this one"
+            ) from error
+        names = {side: hand.name for side, hand in hands.items()}
+        return _Publisher(context, socket, names, self.valid_for_s)
+
+
+def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
+    """A command as the far side gets it; ``side`` is first, so that it can be filtered for."""
+    return {
+        "side": tick.side,
+        "type": "command",
+        "format": FORMAT,
+        "hand": tick.hand,
+        "number": tick.number,
+        "mode": tick.mode.value,
+        "names": list(tick.command.names),
+        "positions": _finite(tick.command.positions.tolist()),
+        "velocities": _finite(tick.velocity.tolist()),
+        "stamp": tick.command.stamp,
+        "time": tick.time,
+        "unix_time": time.time(),
+        "valid_for_s": valid_for_s,
+    }
+
+
+def encode(message: Mapping[str, Any]) -> bytes:
+    """JSON without blanks; it has no word for NaN and gets none."""
+    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _finite(values: list[float]) -> list[float]:
+    if not all(map(math.isfinite, values)):
+        raise SinkError(f"a command that is not finite is not sent: {values}")
+    return values
+
+
+class _Publisher:
+    """The open socket; only the sink's own thread touches it."""
+
+    def __init__(
+        self, context: Any, socket: Any, hands: Mapping[Side, str], valid_for_s: float
+    ) -> None:
+        self._context, self._socket = context, socket
+        self._hands, self._valid_for_s = hands, valid_for_s
+
+    def deliver(self, tick: Tick) -> None:
+        """Publish a command."""
+        self._socket.send(encode(command_message(tick, self._valid_for_s)))
+
+    def stalled(self, seconds: float) -> None:
+        """Publish, for each hand, that no command comes."""
+        self._tell("stalled", seconds=seconds)
+
+    def close(self) -> None:
+        """Say that this was the last command, and close the socket."""
+        try:
+            self._tell("end")
+        finally:
+            self._socket.close()
+            self._context.term()
+
+    def _tell(self, what: str, **more: float) -> None:
+        for side, hand in self._hands.items():
+            head = {"side": side, "type": what, "format": FORMAT, "hand": hand}
+            self._socket.send(encode({**head, "unix_time": time.time(), **more}))

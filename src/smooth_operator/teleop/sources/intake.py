@@ -1,0 +1,119 @@
+"""From messages to the mailbox: counts, sessions, health; the same for every stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from typing import Final, TypeAlias
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.teleop.sources.live import Running, SourceHealth
+from smooth_operator.teleop.sources.payload import Reading
+from smooth_operator.types import Side
+
+Message: TypeAlias = tuple[bytes, ...]
+"""A message as it came, in one part or several."""
+Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
+"""The hands of a message that came at a time by the loop's clock [s]."""
+
+SILENCE_S: Final = 1.0
+"""Without a message for so long, a source waits for its tracker again [s]."""
+
+_MAX_REASON = 300
+
+
+class Intake:
+    """Reads messages and posts what is in them.
+
+    A message that can't be read is counted, and the last reason told in the health; it never ends
+    the source. A hand's session goes up by one when its tracker was started again: it says a new
+    ``session``, or it begins or ceases to stamp. The mailbox finds jumps of the stamps, and the
+    loop refuses stamps that repeat or go back a little.
+
+    Args:
+        running: the started source.
+        where: what it listens to, for the health.
+        sides: the hands that are wanted.
+        read: reads a message.
+    """
+
+    def __init__(self, running: Running, where: str, sides: Collection[Side], read: Reader) -> None:
+        self.messages = 0
+        self.unreadable = 0
+        self._running = running
+        self._where = where
+        self._sides = frozenset(sides)
+        self._read = read
+        self._reason = ""
+        self._accepted = 0
+        self._other_side = 0
+        self._last: float | None = None
+        self._trackers: dict[Side, _Tracker] = {}
+        running.health = SourceHealth("waiting", f"listening on {where}")
+
+    def take(self, message: Message, received: float) -> None:
+        """Read a message and post its hands.
+
+        Args:
+            message: as it came.
+            received: when, by the loop's clock [s].
+        """
+        self.messages += 1
+        self._last = received
+        try:
+            readings = self._read(message, received)
+        except SmoothOperatorError as error:
+            self.unreadable += 1
+            self._reason = str(error)[:_MAX_REASON]
+        else:
+            for reading in readings:
+                self._post(reading, received)
+        self._running.health = SourceHealth(
+            "running" if self._accepted else "waiting", self._detail()
+        )
+
+    def silent(self) -> None:
+        """Say so if no message has come for a while."""
+        if self._last is None:
+            return
+        silence = self._running.mailbox.clock() - self._last
+        if silence > SILENCE_S:
+            text = f"no message on {self._where} for {silence:.0f} s"
+            self._running.health = SourceHealth("waiting", text)
+
+    def _post(self, reading: Reading, received: float) -> None:
+        side = reading.frame.side
+        if side not in self._sides:
+            self._other_side += 1
+            return
+        tracker = self._trackers.setdefault(side, _Tracker())
+        session = tracker.session_of(reading)
+        self._accepted += 1
+        self._running.mailbox.post(reading.frame, received=received, session=session)
+
+    def _detail(self) -> str:
+        told = []
+        if self.unreadable:
+            told.append(
+                f"{self.unreadable} of {self.messages} messages could not be read: {self._reason}"
+            )
+        if self._other_side and not self._accepted:
+            told.append(
+                f"{self._other_side} frames were of the other hand, this source takes the "
+                f"{' and '.join(sorted(self._sides))}"
+            )
+        return "; ".join(told) or f"receiving on {self._where}"
+
+
+class _Tracker:
+    """What is known of the tracker of one hand."""
+
+    def __init__(self) -> None:
+        self._session = 0
+        self._start: tuple[bool, str | None] | None = None
+
+    def session_of(self, reading: Reading) -> int:
+        start = (reading.stamped, reading.session)
+        if self._start is not None and start != self._start:
+            self._session += 1
+        self._start = start
+        return self._session

@@ -1,0 +1,332 @@
+"""What every live source is to the loop: frames with stamps, the newest one only.
+
+A source runs on a thread of its own and posts what it receives into a mailbox with one place per
+hand. A frame that nobody has taken when the next one comes is overwritten, so nothing ever queues
+up, and the loop always answers the newest.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Final, Literal, Protocol, TypeAlias
+
+import numpy as np
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.types import HandFrame, Side
+
+Clock: TypeAlias = Callable[[], float]
+"""Seconds that never go back: ``time.perf_counter``."""
+
+LATEST_STAMP_S: Final = 1e11
+"""Stamps are seconds and below this, the year 5138 of Unix time [s]; larger ones are of another
+unit."""
+JUMP_S: Final = 1.0
+"""Stamps that jump by more than this are of a tracker that was started again, or set its clock [s]:
+back from the newest one, or ahead of the time that went by since that one was received."""
+
+
+_GAPS: Final = 5
+"""Times between frames of which the median is a tracker's period; few, since trackers change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """A frame that has come in.
+
+    Attributes:
+        frame: the hand; its stamp is by the tracker's clock, or ``received`` where it had none.
+        received: when its last byte was here, by the loop's clock [s].
+        session: which start of the tracker it belongs to; stamps of another session may begin anew.
+            It goes up by one with each start that the source knows of, and with each jump of the
+            stamps (``JUMP_S``).
+        speed: seconds of its stamps in a second of the loop's clock; a recording may be played
+            slower or faster than it was made.
+    """
+
+    frame: HandFrame
+    received: float
+    session: int = 0
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.frame.stamp is None:
+            object.__setattr__(self, "frame", replace(self.frame, stamp=self.received))
+
+    @property
+    def stamp(self) -> float:
+        """The frame's stamp [s]."""
+        return self.frame.time
+
+
+class Mailbox:
+    """The newest frame of each hand; safe for several threads.
+
+    Attributes:
+        received: frames that were posted.
+        received_of: the same, of each hand.
+        overwritten: those among them that a newer one replaced before they were taken.
+    """
+
+    def __init__(self, clock: Clock = time.perf_counter) -> None:
+        self.clock = clock
+        self.received = 0
+        self.received_of: Counter[Side] = Counter()
+        self.overwritten = 0
+        self._newest: dict[Side, Arrival] = {}
+        self._latest: dict[Side, float] = {}
+        self._gaps: dict[Side, deque[float]] = {}
+        self._sessions: dict[Side, _Sessions] = {}
+        self._woken = False
+        self._arrived = threading.Condition()
+
+    def post(
+        self,
+        frame: HandFrame,
+        *,
+        received: float | None = None,
+        session: int = 0,
+        speed: float = 1.0,
+    ) -> Arrival:
+        """Put in a frame.
+
+        Args:
+            frame: the hand.
+            received: when it was received; now if left out.
+            session: which start of the tracker, as far as the source knows.
+            speed: see ``Arrival``.
+
+        Returns:
+            it, as it waits now.
+        """
+        at = self.clock() if received is None else received
+        with self._arrived:
+            self.received += 1
+            self.received_of[frame.side] += 1
+            self.overwritten += frame.side in self._newest
+            sessions = self._sessions.setdefault(frame.side, _Sessions())
+            stamp = at if frame.stamp is None else frame.stamp
+            arrival = Arrival(frame, at, sessions.of(stamp, at, session), speed)
+            self._newest[frame.side] = arrival
+            if frame.side in self._latest:
+                gaps = self._gaps.setdefault(frame.side, deque(maxlen=_GAPS))
+                gaps.append(at - self._latest[frame.side])
+            self._latest[frame.side] = at
+            self._arrived.notify_all()
+        return arrival
+
+    def take(self, side: Side) -> Arrival | None:
+        """The newest frame of a hand, once; None if none came since the last call."""
+        with self._arrived:
+            return self._newest.pop(side, None)
+
+    def newest(self, side: Side) -> Arrival | None:
+        """What ``take`` would give, left where it is."""
+        with self._arrived:
+            return self._newest.get(side)
+
+    def following(self, side: Side) -> float | None:
+        """When the next frame of a hand is expected, by the last few [s]; None before there are
+        two."""
+        with self._arrived:
+            gaps = self._gaps.get(side)
+            return self._latest[side] + median(gaps) if gaps else None
+
+    def sleep(self, timeout: float, seen: int | None = None) -> None:
+        """Sleep for so many seconds at most, until ``wake``, or until a frame is posted.
+
+        Args:
+            timeout: [s].
+            seen: ``received`` at a time from which on frames end it; None if none does.
+        """
+        with self._arrived:
+            self._arrived.wait_for(
+                lambda: self._woken or (seen is not None and self.received != seen),
+                max(timeout, 0.0),
+            )
+            self._woken = False
+
+    def wait(self, sides: Collection[Side], timeout: float) -> bool:
+        """Sleep until a frame of one of these hands is here, or for so many seconds at most.
+
+        Returns:
+            whether one is here.
+        """
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._woken or self._has(sides), timeout)
+            self._woken = False
+            return self._has(sides)
+
+    def wake(self) -> None:
+        """End a ``wait`` or ``sleep``, or the next one, though no frame is here."""
+        with self._arrived:
+            self._woken = True
+            self._arrived.notify_all()
+
+    def _has(self, sides: Collection[Side]) -> bool:
+        return any(side in self._newest for side in sides)
+
+
+class _Sessions:
+    """Starts of the tracker of one hand: those that its source reports, and jumps of the stamps."""
+
+    def __init__(self) -> None:
+        self._reported: int | None = None
+        self._jumps = 0
+        # The newest, so that one late frame does not make the next one look like a restart.
+        self._stamp = self._received = 0.0
+
+    def of(self, stamp: float, received: float, reported: int) -> int:
+        """The session of a frame."""
+        if not abs(stamp) < LATEST_STAMP_S:
+            return reported + self._jumps  # it is refused, and nothing follows from it
+        ahead = stamp - self._stamp
+        jumped = ahead < -JUMP_S or ahead - (received - self._received) > JUMP_S
+        if reported != self._reported:
+            self._reported = reported
+        elif jumped:
+            self._jumps += 1
+        elif ahead < 0:
+            return reported + self._jumps
+        self._stamp, self._received = stamp, received
+        return reported + self._jumps
+
+
+@dataclass(frozen=True)
+class SourceHealth:
+    """How a source is.
+
+    Attributes:
+        state: ``waiting`` for its tracker; ``running``; ``ended``, there is nothing more to come;
+            ``failed``, it gave up.
+        detail: a sentence for a person: the address that it listens on, what went wrong.
+    """
+
+    state: Literal["waiting", "running", "ended", "failed"]
+    detail: str = ""
+
+
+class LiveSource(Protocol):
+    """A source of frames."""
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+
+    def prepare(self) -> None:
+        """Get hold of all that ``start`` needs, before anything slow is done; may be left out.
+
+        Raises:
+            SourceError, RecordingError, MissingExtraError, ConfigError: as ``start``.
+        """
+
+    def start(self, mailbox: Mailbox) -> None:
+        """Begin to post frames, and return at once.
+
+        Raises:
+            SourceError: it can't be opened: no such camera, a port that is taken.
+            MissingExtraError: a library that it needs is not installed.
+        """
+
+    def stop(self) -> None:
+        """Post nothing more and give everything back; a second call does nothing."""
+
+    def health(self) -> SourceHealth:
+        """How it is; may be asked at any time, from any thread."""
+
+
+class ThreadedSource(ABC):
+    """A source with a thread of its own; subclasses say what runs on it.
+
+    Subclasses are frozen dataclasses of settings, and keep what changes in ``Running``.
+    """
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """What it is, in a few words."""
+
+    @abstractmethod
+    def run(self, running: Running) -> None:
+        """Post frames until ``running.stopping`` is set, or there are no more.
+
+        Whatever it raises becomes the health ``failed``, with the error as the detail.
+        """
+
+    def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
+        """Get hold of what is needed, before the thread starts; errors reach the caller."""
+
+    def prepare(self) -> None:
+        """Open it ahead of ``start``; see ``LiveSource``."""
+        self.open()
+        object.__setattr__(self, "_prepared", True)
+
+    def start(self, mailbox: Mailbox) -> None:
+        """Begin; see ``LiveSource``."""
+        if not self.__dict__.pop("_prepared", False):
+            self.open()
+        running = Running(mailbox, self.label)
+        # The settings are frozen, but a source that runs is not its settings alone.
+        object.__setattr__(self, "_running", running)
+        running.begin(self.run)
+
+    def stop(self) -> None:
+        """Stop; see ``LiveSource``."""
+        running: Running | None = getattr(self, "_running", None)
+        if running is not None:
+            running.end()
+
+    def health(self) -> SourceHealth:
+        """How it is; see ``LiveSource``."""
+        running: Running | None = getattr(self, "_running", None)
+        return SourceHealth("waiting", "not started") if running is None else running.health
+
+
+class Running:
+    """A started source: its thread, its mailbox, its health.
+
+    Attributes:
+        mailbox: where frames go.
+        stopping: set when it is to end; ``stopping.wait(seconds)`` is the way to sleep.
+        health: may be replaced by the thread at any time.
+    """
+
+    def __init__(self, mailbox: Mailbox, label: str) -> None:
+        self.mailbox = mailbox
+        self.stopping = threading.Event()
+        self.health = SourceHealth("waiting")
+        self._label = label
+        self._thread: threading.Thread | None = None
+
+    def begin(self, run: Callable[[Running], None]) -> None:
+        """Run on a thread."""
+
+        def guarded() -> None:
+            try:
+                # What a message holds may be of any size; what overflows is refused, without a word
+                # of NumPy's on the terminal.
+                with np.errstate(all="ignore"):
+                    run(self)
+            except SmoothOperatorError as error:
+                self.health = SourceHealth("failed", str(error))
+            except Exception as error:  # a library's: the loop must go on, and say what happened
+                self.health = SourceHealth("failed", f"{type(error).__name__}: {error}")
+            else:
+                if self.health.state != "failed":
+                    self.health = SourceHealth("ended", self.health.detail)
+            self.mailbox.wake()
+
+        self._thread = threading.Thread(target=guarded, name=f"source {self._label}", daemon=True)
+        self._thread.start()
+
+    def end(self, timeout: float = 5.0) -> None:
+        """Ask it to end, and wait for that a while."""
+        self.stopping.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout)

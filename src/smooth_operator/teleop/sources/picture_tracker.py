@@ -1,0 +1,136 @@
+"""Pictures in, hand frames out: what camera and video have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.human.one_euro import OneEuroConfig, OneEuroState, one_euro
+from smooth_operator.teleop.sources.camera import opencv
+from smooth_operator.teleop.sources.hand_labels import SeenHand, Tracks, assign_sides
+from smooth_operator.teleop.sources.mediapipe_hands import HandLandmarker
+from smooth_operator.teleop.sources.model_file import hand_model
+from smooth_operator.teleop.sources.seen_picture import SeenPicture
+from smooth_operator.types import HandFrame, Side
+
+Points: TypeAlias = Literal["world", "picture"]
+
+
+@dataclass(frozen=True)
+class PictureConfig:
+    """How hands are found in pictures.
+
+    Attributes:
+        mirrored: the pictures are mirrored, as selfie views are; they are turned back first.
+        max_hands: how many hands are looked for, 1 or 2.
+        confidence: how sure the tracker must be that there is a hand, 0 to 1.
+        points: ``world``, the tracker's own positions in metres; ``picture``, what it sees in the
+            picture, brought to the size of those.
+        smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing. It follows a hand
+            that moves, see ``smooth_operator.human.one_euro``.
+        model: the hand-landmarker file; None for the published one, fetched once.
+    """
+
+    mirrored: bool = False
+    max_hands: int = 2
+    confidence: float = 0.5
+    points: Points = "world"
+    smoothing: float = 0.0
+    model: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_hands not in (1, 2):
+            raise ConfigError(f"max_hands must be 1 or 2, not {self.max_hands}")
+        if not 0.0 < self.confidence < 1.0:
+            raise ConfigError(f"confidence must be between 0 and 1, not {self.confidence}")
+        if self.points not in ("world", "picture"):
+            raise ConfigError(f"points must be world or picture, not {self.points!r}")
+        if self.smoothing != 0.0 and not 0.1 <= self.smoothing <= 100.0:  # NaN too
+            raise ConfigError(
+                f"smoothing must be 0 for none, or 0.1 to 100 Hz, not {self.smoothing}"
+            )
+
+
+class PictureTracker:
+    """Finds the hands in one picture after the other.
+
+    Args:
+        config: how.
+
+    Raises:
+        MissingExtraError: MediaPipe is not installed.
+        SourceError: the model can't be had or loaded.
+
+    Attributes:
+        seen: the last picture, with the hands that were found; None before there is one.
+    """
+
+    def __init__(self, config: PictureConfig) -> None:
+        self._config = config
+        self._cv2 = opencv()
+        self._landmarker = HandLandmarker(
+            hand_model(config.model), max_hands=config.max_hands, confidence=config.confidence
+        )
+        self._tracks = Tracks()
+        self._filter = OneEuroConfig(config.smoothing) if config.smoothing else None
+        self._filtered: dict[Side, OneEuroState] = {}
+        self._count = 0
+        self.seen: SeenPicture | None = None
+
+    def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
+        """The hands of a picture, at most one of each side.
+
+        Args:
+            pixels: blue, green, red.
+            time: of the picture [s]; becomes the stamp.
+
+        Raises:
+            SourceError: MediaPipe failed.
+        """
+        colours = self._cv2.cvtColor(pixels, self._cv2.COLOR_BGR2RGB)
+        turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
+        seen = self._landmarker.find(turned, time)
+        hands, self._tracks = assign_sides(seen, self._tracks, time)
+        self._count += 1
+        self.seen = SeenPicture(
+            self._count, turned, {side: hand.picture[:, :2] for side, hand in hands.items()}
+        )
+        return [
+            HandFrame(self._landmarks(side, hand, time), time, side, valid=hand.inside)
+            for side, hand in hands.items()
+        ]
+
+    def _landmarks(self, side: Side, hand: SeenHand, time: float) -> Float[np.ndarray, "21 3"]:
+        landmarks = landmarks_of(hand, self._config.points)
+        if self._filter is None:
+            return landmarks
+        state = one_euro(self._filtered.get(side), landmarks, time, self._filter)
+        self._filtered[side] = state
+        return state.points
+
+    def close(self) -> None:
+        """Give everything back; a second call does nothing."""
+        self._landmarker.close()
+
+
+def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
+    """A hand's landmarks [m], about its centre, in a right-handed frame.
+
+    x points to the right in the picture, y down and z away from the camera.
+
+    Args:
+        hand: as the tracker has it.
+        points: see ``PictureConfig``. In the picture fingertips are placed more finely, so
+            touching ones come closer; but depth is flattened, so bones change their length more.
+    """
+    if points == "world":
+        return hand.world
+    centred = hand.picture - hand.picture.mean(axis=0)
+    wanted = np.linalg.norm(hand.world - hand.world.mean(axis=0))
+    scaled: np.ndarray = centred * (wanted / max(float(np.linalg.norm(centred)), 1e-9))
+    return scaled

@@ -1,0 +1,95 @@
+"""The built-in operator as a live source: ``synthetic``."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from smooth_operator.synthetic.gestures import GESTURES
+from smooth_operator.synthetic.operator import SyntheticOperator
+from smooth_operator.synthetic.settings import check_range
+from smooth_operator.synthetic.tracker import TrackerModel
+from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
+from smooth_operator.teleop.sources.pacing import on_time
+from smooth_operator.teleop.sources.stream import Hands, sides_of
+from smooth_operator.types import HandFrame, Side
+
+
+@dataclass(frozen=True)
+class SyntheticSource(ThreadedSource):
+    """A person in front of a tracker, without either.
+
+    Both hands are those of one person and mirror each other; what their trackers lose differs.
+
+    Attributes:
+        seed: the person, what they do and what the tracker loses.
+        rate: frames a second of each hand [Hz].
+        side: ``right``, ``left`` or ``both``.
+        gestures: names joined by ``+``, as ``pinch_index+spread``; all of them if left out.
+        speed: tempo of the operator, 1 is natural.
+        noise: standard deviation of each coordinate [mm].
+        frame_loss: share of frames that never come, in bursts.
+        landmark_loss: share of landmarks that are missing, in bursts.
+        rate_jitter: standard deviation of a frame's time over the period.
+        duration: how long it moves [s]; None for ever.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+        UnknownNameError: there is no gesture of a name.
+    """
+
+    seed: int = 0
+    rate: float = 100.0
+    side: Hands = "right"
+    gestures: str | None = None
+    speed: float = 1.0
+    noise: float = 0.0
+    frame_loss: float = 0.0
+    landmark_loss: float = 0.0
+    rate_jitter: float = 0.0
+    duration: float | None = None
+
+    def __post_init__(self) -> None:
+        sides_of(self.side)
+        self._operators()  # which check the rest
+        if self.duration is not None:
+            check_range("duration", self.duration, 1.0 / self.rate, 1e9, "s")
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+        return "the built-in operator"
+
+    def run(self, running: Running) -> None:
+        """Post the frames when they are due."""
+        hands = " and ".join(sides_of(self.side))
+        running.health = SourceHealth("running", f"{hands} hand at {self.rate:g} Hz")
+        clock = running.mailbox.clock
+        for _, frame in on_time(self._due(), clock, running.stopping):
+            running.mailbox.post(frame)
+
+    def _due(self) -> Iterator[tuple[float, HandFrame]]:
+        streams = [operator.frames(self.duration) for operator in self._operators()]
+        for frame in heapq.merge(*streams, key=lambda frame: frame.time):
+            yield frame.time, frame
+
+    def _operators(self) -> list[SyntheticOperator]:
+        names = tuple(self.gestures.split("+")) if self.gestures else GESTURES
+        return [self._operator(side, names, k) for k, side in enumerate(sides_of(self.side))]
+
+    def _operator(self, side: Side, gestures: tuple[str, ...], number: int) -> SyntheticOperator:
+        return SyntheticOperator(
+            seed=self.seed,
+            side=side,
+            rate_hz=self.rate,
+            gestures=gestures,
+            speed=self.speed,
+            tracker=TrackerModel(
+                noise=self.noise * 1e-3,
+                rate_jitter=self.rate_jitter,
+                frame_loss=self.frame_loss,
+                landmark_loss=self.landmark_loss,
+                seed=self.seed + number,
+            ),
+        )

@@ -1,0 +1,250 @@
+"""The sources ``webcam`` and ``video``: bare hands, seen by a camera."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.teleop.sources.camera import Camera, CameraMode
+from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
+from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker, Points
+from smooth_operator.teleop.sources.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.video_file import VideoFile
+from smooth_operator.types import HandFrame
+
+
+class _Pictures(ThreadedSource):
+    """What a camera and a video share: how hands are looked for, and how it ends.
+
+    Both are dataclasses with the fields of ``PictureConfig``.
+    """
+
+    mirrored: bool
+    max_hands: int
+    confidence: float
+    points: Points
+    smoothing: float
+    model: Path | None
+
+    def stop(self) -> None:
+        """Stop; see ``LiveSource``."""
+        super().stop()
+        atexit.unregister(self.stop)
+
+    def picture(self) -> SeenPicture | None:
+        """The newest picture, with the hands found in it; None before there is one. Any thread."""
+        tracker: PictureTracker | None = self.__dict__.get("_tracker")
+        return None if tracker is None else tracker.seen
+
+    def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
+        """Keep what was opened for the thread."""
+        # the settings are frozen, these are none
+        object.__setattr__(self, "_opened", (pictures, tracker))
+        object.__setattr__(self, "_tracker", tracker)
+        atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
+
+    def _config(self) -> PictureConfig:
+        return PictureConfig(
+            mirrored=self.mirrored,
+            max_hands=self.max_hands,
+            confidence=self.confidence,
+            points=self.points,
+            smoothing=self.smoothing,
+            model=self.model,
+        )
+
+
+@dataclass(frozen=True)
+class Webcam(_Pictures):
+    """A camera.
+
+    A stamp is the time when its picture was read, by the clock of the loop; a frame counts as
+    received when its hand is found.
+
+    Attributes:
+        camera: its number, counted from 0; or a device, or an address such as ``rtsp://...``.
+        mirrored: its pictures are mirrored, as those of some virtual cameras are.
+        max_hands: how many hands are looked for, 1 or 2; one is found in less time.
+        confidence: how sure the tracker must be that there is a hand, 0 to 1.
+        points: ``world`` or ``picture``, see ``PictureConfig``.
+        smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing, 4 is mild.
+        width: of the picture that is asked for [pixels].
+        height: of the picture that is asked for [pixels].
+        rate: pictures per second that are asked for [Hz].
+        model: the hand-landmarker file; fetched once if left out.
+    """
+
+    camera: int | str = 0
+    mirrored: bool = False
+    max_hands: int = 2
+    confidence: float = 0.5
+    points: Points = "world"
+    smoothing: float = 0.0
+    width: int = 640
+    height: int = 480
+    rate: float = 30.0
+    model: Path | None = None
+
+    def __post_init__(self) -> None:
+        self._config()  # checks
+        if isinstance(self.camera, int) and self.camera < 0:
+            raise ConfigError(f"camera must not be negative, but is {self.camera}")
+        for name in ("width", "height", "rate"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+        return f"camera {self.camera}"
+
+    def open(self) -> None:
+        """Load the model and open the camera; errors reach the caller."""
+        tracker = PictureTracker(self._config())
+        try:
+            camera = Camera(self.camera, CameraMode(self.width, self.height, self.rate))
+        except BaseException:
+            tracker.close()
+            raise
+        self._hold(camera, tracker)
+
+    def run(self, running: Running) -> None:
+        """Post the hands of the newest picture, again and again."""
+        camera, tracker = self.__dict__.pop("_opened")
+        with contextlib.closing(tracker), contextlib.closing(camera):
+            while not running.stopping.is_set():
+                picture = camera.newest(timeout=0.1)
+                if picture is None:
+                    if camera.lost:
+                        detail = "it is gone; trying to open it again"
+                        running.health = SourceHealth("waiting", detail)
+                    continue
+                frames = tracker.frames(picture.pixels, picture.time)
+                for frame in frames:
+                    running.mailbox.post(frame, session=picture.session)
+                _say(running, frames)
+
+
+@dataclass(frozen=True)
+class Video(_Pictures):
+    """A video file, as if it were a camera.
+
+    A stamp is the time of its picture in the video. A picture that is due before the last one is
+    done with is left out, as with a camera.
+
+    Attributes:
+        path: the file.
+        speed: how many times as fast as it was taken.
+        every: leave no picture out, and rather fall behind.
+        loop: begin again at the end.
+        mirrored: it is mirrored, as selfie views are.
+        max_hands: how many hands are looked for, 1 or 2; one is found in less time.
+        confidence: how sure the tracker must be that there is a hand, 0 to 1.
+        points: ``world`` or ``picture``, see ``PictureConfig``.
+        smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing, 4 is mild.
+        model: the hand-landmarker file; fetched once if left out.
+    """
+
+    path: Path
+    speed: float = 1.0
+    every: bool = False
+    loop: bool = False
+    mirrored: bool = False
+    max_hands: int = 2
+    confidence: float = 0.5
+    points: Points = "world"
+    smoothing: float = 0.0
+    model: Path | None = None
+
+    def __post_init__(self) -> None:
+        self._config()  # checks
+        if not 0.01 <= self.speed <= 100.0:
+            raise ConfigError(f"speed must be between 0.01 and 100, not {self.speed}")
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+        return f"video {self.path.name}"
+
+    def open(self) -> None:
+        """Open the file and load the model; errors reach the caller."""
+        video = VideoFile(self.path)
+        try:
+            tracker = PictureTracker(self._config())
+        except BaseException:
+            video.close()
+            raise
+        self._hold(video, tracker)
+
+    def run(self, running: Running) -> None:
+        """Post the hands of each picture when it is due."""
+        video, tracker = self.__dict__.pop("_opened")
+        with contextlib.closing(tracker):
+            session, counts = 0, Counts()
+            while True:
+                with contextlib.closing(video):
+                    self._play(video, tracker, running, session, counts)
+                if not self.loop or running.stopping.is_set():
+                    break
+                video, session = VideoFile(self.path), session + 1
+        running.health = SourceHealth("running", str(counts))
+
+    def _play(
+        self,
+        video: VideoFile,
+        tracker: PictureTracker,
+        running: Running,
+        session: int,
+        counts: Counts,
+    ) -> None:
+        clock = running.mailbox.clock
+        began = clock()
+        while not running.stopping.is_set() and (time := video.advance()) is not None:
+            counts.pictures += 1
+            early = began + time / self.speed - clock()
+            if early > 0:
+                running.stopping.wait(early)
+            elif self.every:
+                began -= early
+            elif -early > 1.0 / (video.rate * self.speed):  # the next one is due already
+                counts.late += 1
+                continue
+            pixels = video.picture()
+            if pixels is None:
+                continue
+            frames = tracker.frames(pixels, time)
+            for frame in frames:
+                running.mailbox.post(frame, session=session, speed=self.speed)
+            counts.hands += bool(frames)
+            _say(running, frames)
+
+
+@dataclass
+class Counts:
+    """What became of a video's pictures.
+
+    Attributes:
+        pictures: how many there were.
+        late: left out, since they were late.
+        hands: on how many there was a hand.
+    """
+
+    pictures: int = 0
+    late: int = 0
+    hands: int = 0
+
+    def __str__(self) -> str:
+        seen = self.pictures - self.late
+        late = f", {self.late} left out since they were late" if self.late else ""
+        return f"a hand on {self.hands} of {seen} pictures{late}"
+
+
+def _say(running: Running, frames: list[HandFrame]) -> None:
+    """Keep the health up to date; who shows it names the source."""
+    sides = " and ".join(sorted(frame.side for frame in frames))
+    detail = f"{sides} hand in the picture" if sides else "no hand in the picture"
+    if running.health.detail != detail or running.health.state != "running":
+        running.health = SourceHealth("running", detail)

@@ -1,0 +1,227 @@
+"""What is said over the WebSocket: pairing, hands, and how the link is.
+
+Text messages are JSON objects with a ``type``; hands are binary (``.packet``).
+
+===========  ========================================================================  ============
+from page    holds                                                                     answered by
+===========  ========================================================================  ============
+``hello``    ``protocol``: 1; ``code``                                                 ``welcome``
+``ping``     ``at``: by the page's clock [s]; ``round_trip`` and ``offset`` [s] as it  ``pong``
+             estimates them so far, or null; ``tracking``: whether the headset tracks
+===========  ========================================================================  ============
+
+``welcome`` has the ``session``; ``pong`` brings ``at`` back with ``host``, the time by the clock of
+this side [s], and ``rate``, the moments with a hand that arrive here [Hz]. ``offset`` is host clock
+minus page clock, taken from the fastest of the last rounds (as NTP does: RFC 5905, 8 and 10):
+``stamp + offset`` is the time of a frame by the host's clock, to within half the round trip.
+
+The first message must be ``hello``. What is refused is closed with one of the codes below.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.io.documents import json_object
+from smooth_operator.teleop.sources.live import Mailbox
+from smooth_operator.teleop.sources.webxr.packet import read_packet
+from smooth_operator.teleop.sources.webxr.pairing import Pairing
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+
+PROTOCOL: Final = 1
+NOT_UNDERSTOOD: Final = 4400
+WRONG_CODE: Final = 4401
+REPLACED: Final = 4409
+LOCKED: Final = 4429
+
+_HELLO_WITHIN: Final = 5.0
+_BAD_IN_A_ROW: Final = 50  # then it is no page of ours, or one of another version
+_RATE_OVER: Final = 1.0
+
+
+@dataclass(frozen=True)
+class LinkState:
+    """How the link to the headset is.
+
+    Attributes:
+        address: of the headset; None if none is connected.
+        session: number of this connection, from 1 on; 0 before the first.
+        tracking: whether the headset's page says that it tracks.
+        frames: hand frames received since the source was started.
+        bad: messages that could not be read.
+        skipped: moments that the page did not send, since the link was behind.
+        refused: wrong pairing codes.
+        rate_hz: moments received in the last second in which a hand was seen.
+        round_trip_s: there and back, as the page measures it; NaN if unknown.
+        clock_offset_s: this machine's clock minus the page's; NaN if unknown. A frame's stamp
+            plus this is its time by this machine's clock, to within half a round trip.
+    """
+
+    address: str | None = None
+    session: int = 0
+    tracking: bool = False
+    frames: int = 0
+    bad: int = 0
+    skipped: int = 0
+    refused: int = 0
+    rate_hz: float = 0.0
+    round_trip_s: float = float("nan")
+    clock_offset_s: float = float("nan")
+
+
+class Link:
+    """The one headset that is listened to; a newer one takes its place.
+
+    Args:
+        mailbox: where frames go.
+        pairing: who may come in.
+    """
+
+    def __init__(self, mailbox: Mailbox, pairing: Pairing) -> None:
+        self._mailbox = mailbox
+        self._pairing = pairing
+        self._clock = mailbox.clock
+        self._current: ServerConnection | None = None
+        self._address: str | None = None
+        self._session = 0
+        self._frames = self._bad = self._bad_in_a_row = self._skipped = 0
+        self._next: int | None = None
+        self._received: deque[float] = deque(maxlen=512)
+        self._tracking = False
+        self._round_trip = self._offset = float("nan")
+        self._farewells: set[asyncio.Task[None]] = set()
+
+    @property
+    def state(self) -> LinkState:
+        """How it is; may be asked from any thread."""
+        return LinkState(
+            self._address,
+            self._session,
+            self._tracking,
+            self._frames,
+            self._bad,
+            self._skipped,
+            self._pairing.refused,
+            self._rate(),
+            self._round_trip,
+            self._offset,
+        )
+
+    async def serve(self, connection: ServerConnection) -> None:
+        """Talk to one page until it leaves or is sent away."""
+        from websockets.exceptions import ConnectionClosed
+
+        address = str((connection.remote_address or ("unknown",))[0])
+        try:
+            if not await self._paired(connection, address):
+                return
+            self._take_over(connection, address)
+            await connection.send(json.dumps({"type": "welcome", "session": self._session}))
+            async for message in connection:
+                received = self._clock()
+                if self._current is not connection:
+                    break
+                if isinstance(message, bytes):
+                    self._hands(message, received)
+                else:
+                    await self._talk(connection, message, received)
+                if self._bad_in_a_row >= _BAD_IN_A_ROW:
+                    await connection.close(NOT_UNDERSTOOD, "messages that can't be read")
+        except ConnectionClosed as closed:
+            if self._current is connection and closed.sent is not None and closed.sent.code == 1009:
+                self._bad += 1  # longer than any message of the page
+        finally:
+            if self._current is connection:
+                self._current = self._address = None
+                self._tracking = False
+                self._round_trip = self._offset = float("nan")
+                self._received.clear()
+
+    async def _paired(self, connection: ServerConnection, address: str) -> bool:
+        """Whether the first message is a greeting with the right code; if not, it is closed."""
+        try:
+            hello = await asyncio.wait_for(connection.recv(), _HELLO_WITHIN)
+        except TimeoutError:
+            await connection.close(NOT_UNDERSTOOD, "no greeting came")
+            return False
+        said = json_object(hello) or {}
+        code = said.get("code")
+        if said.get("type") != "hello" or not isinstance(code, str):
+            await connection.close(NOT_UNDERSTOOD, "expected a greeting with the pairing code")
+            return False
+        if said.get("protocol") != PROTOCOL:
+            await connection.close(NOT_UNDERSTOOD, "the page is of another version: reload it")
+            return False
+        verdict = self._pairing.check(code, address)
+        if verdict == "wrong":
+            await connection.close(WRONG_CODE, "wrong pairing code")
+        elif verdict == "locked":
+            await connection.close(LOCKED, "too many wrong pairing codes: wait a minute")
+        return verdict == "paired"
+
+    def _take_over(self, connection: ServerConnection, address: str) -> None:
+        old, self._current = self._current, connection
+        self._address = address
+        self._session += 1
+        self._bad_in_a_row = 0
+        self._next = None
+        self._tracking = False
+        self._round_trip = self._offset = float("nan")
+        self._received.clear()
+        if old is not None:
+            # On its own: a headset that is asleep must not keep the new one waiting.
+            farewell = asyncio.create_task(old.close(REPLACED, "another headset took over"))
+            self._farewells.add(farewell)
+            farewell.add_done_callback(self._farewells.discard)
+
+    def _hands(self, message: bytes, received: float) -> None:
+        try:
+            packet = read_packet(message)
+        except RecordingError:
+            self._count_bad()
+            return
+        self._bad_in_a_row = 0
+        if self._next is not None and packet.number > self._next:
+            self._skipped += packet.number - self._next
+        self._next = packet.number + 1
+        if any(frame.valid is not None and frame.valid.any() for frame in packet.frames):
+            self._received.append(received)
+        for frame in packet.frames:
+            self._frames += 1
+            self._mailbox.post(frame, received=received, session=self._session)
+
+    async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
+        said = json_object(message) or {}
+        at = said.get("at")
+        if said.get("type") != "ping" or not isinstance(at, int | float):
+            self._count_bad()
+            return
+        self._bad_in_a_row = 0
+        self._tracking = said.get("tracking") is True
+        self._round_trip = _number(said.get("round_trip"))
+        self._offset = _number(said.get("offset"))
+        answer = {"type": "pong", "at": at, "host": received, "rate": round(self._rate(), 1)}
+        await connection.send(json.dumps(answer))
+
+    def _count_bad(self) -> None:
+        self._bad += 1
+        self._bad_in_a_row += 1
+
+    def _rate(self) -> float:
+        """Moments with a hand that came within the last second [Hz]."""
+        with contextlib.suppress(RuntimeError):  # one came in while they were counted
+            since = self._clock() - _RATE_OVER
+            return sum(at > since for at in self._received) / _RATE_OVER
+        return float(len(self._received))
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
