@@ -26,7 +26,7 @@ from smooth_operator.types import Side
 # What a command or a metric depends on; pages, plots and the command line are not in it.
 _CODE: Final = (
     "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
-    "retargeters", "metrics", "offline",
+    "methods", "metrics", "lab/offline", "io",
 )  # fmt: skip
 
 
