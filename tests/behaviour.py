@@ -112,7 +112,8 @@ def write(output: Path) -> None:
             np.save(stem.with_name(stem.name + ".npy"), values)
             print(stem.name, flush=True)
         for ending in ("mcap", "hdf5", "lerobot", "npz"):
-            converted = Path(folder) / f"converted.{ending}"
+            suffix = "" if ending == "lerobot" else f".{ending}"  # a folder
+            converted = Path(folder) / f"converted-{ending}{suffix}"
             command("convert", files["synthetic"], "--commands", out, "--output", converted)
             plain = Path(folder) / f"from.{ending}.npz"
             command("convert", converted, "--output", plain)
