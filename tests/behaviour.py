@@ -111,6 +111,9 @@ def write(output: Path) -> None:
             stem.with_name(stem.name + ".json").write_text(json.dumps(metrics, indent=1))
             np.save(stem.with_name(stem.name + ".npy"), values)
             print(stem.name, flush=True)
+        out = Path(folder) / "converted.out.npz"
+        words = ["retarget", files["synthetic"], "--output", out, "--method", "sbr", "--quiet"]
+        command(*words)
         for ending in ("mcap", "hdf5", "lerobot", "npz"):
             suffix = "" if ending == "lerobot" else f".{ending}"  # a folder
             converted = Path(folder) / f"converted-{ending}{suffix}"
