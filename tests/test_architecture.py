@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -117,6 +119,35 @@ def level_violations(source: Path) -> list[str]:
     return found
 
 
+def module_graph(source: Path) -> dict[str, set[str]]:
+    """Module -> the modules of the package that it names in an import, wherever that stands.
+
+    Imports inside functions and below ``TYPE_CHECKING`` count: a reader has to follow them too.
+    The packages around an imported module do not: their ``__init__`` only re-exports.
+    """
+    graph: dict[str, set[str]] = {}
+    files = {}
+    for path in modules(source):
+        parts = path.relative_to(source.parent).with_suffix("").parts
+        files[".".join(parts[:-1] if parts[-1] == ROOT else parts)] = path
+    for module, path in files.items():
+        graph[module] = set()
+        for _, name in imported_modules(source, path):
+            while name and name not in files:
+                name = name.rpartition(".")[0]  # a name in a module, or of another distribution
+            graph[module] |= {name} - {"", module}
+    return graph
+
+
+def cycle(source: Path) -> list[str]:
+    """Modules that import each other in a circle, the first one again at the end; else none."""
+    try:
+        TopologicalSorter(module_graph(source)).prepare()
+    except CycleError as error:
+        return list(error.args[1])[::-1]
+    return []
+
+
 def unpickling(source: Path) -> list[str]:
     found = []
     for path in modules(source):
@@ -152,6 +183,10 @@ def test_source_is_where_the_tests_look() -> None:
 
 def test_modules_import_only_from_their_own_level_or_below() -> None:
     assert not level_violations(SOURCE), "\n".join(level_violations(SOURCE))
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert not cycle(SOURCE), " imports ".join(cycle(SOURCE))
 
 
 def test_the_core_is_small() -> None:
@@ -229,6 +264,43 @@ def test_a_downward_import_passes(tmp_path: Path, importer: str, statement: str)
     files = {"types.py": "", "human/filters.py": "", "methods/sbr.py": "", "hands/spec.py": ""}
     files |= {"hands/__init__.py": "", "hands/limits.py": "", "teleop/runtime.py": ""}
     assert level_violations(package(tmp_path, files | {importer: statement})) == []
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "from smooth_operator.hands.spec import HandSpec",
+        "from smooth_operator.hands import spec",
+        "from .spec import HandSpec",
+        "import smooth_operator.hands.spec as s",
+        "def f():\n    from smooth_operator.hands.spec import HandSpec",
+        "if TYPE_CHECKING:\n    from smooth_operator.hands.spec import HandSpec",
+        "importlib.import_module('smooth_operator.hands.spec')",
+    ],
+)
+def test_a_circle_of_imports_is_found(tmp_path: Path, statement: str) -> None:
+    files = {
+        "hands/spec.py": "from smooth_operator.hands import limits",
+        "hands/limits.py": "from smooth_operator.hands.load import Loaded",
+        "hands/load.py": statement,
+    }
+    names = [f"{PACKAGE}.hands.{name}" for name in ("spec", "limits", "load")]
+    found = cycle(package(tmp_path, files))
+    assert found[0] == found[-1]
+    assert sorted(found[1:]) == sorted(names)
+    edges = set(pairwise(found))
+    assert edges == set(zip(names, [*names[1:], names[0]], strict=True))
+
+
+def test_a_package_that_re_exports_its_modules_is_no_circle(tmp_path: Path) -> None:
+    files = {
+        "hands/__init__.py": "from smooth_operator.hands.spec import HandSpec as HandSpec",
+        "hands/spec.py": "from smooth_operator.hands import limits",
+        "hands/limits.py": "",
+    }
+    assert cycle(package(tmp_path, files)) == []
+    files["hands/limits.py"] = "from smooth_operator.hands import HandSpec"
+    assert len(cycle(package(tmp_path / "face", files))) == 4
 
 
 def test_a_module_without_a_level_is_named(tmp_path: Path) -> None:

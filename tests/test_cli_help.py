@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import re
 import sys
@@ -14,9 +15,11 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.cli.grammar import option_names, subcommands
+from smooth_operator.cli.hands_options import List
 from smooth_operator.cli.help_text import unwrapped
 from smooth_operator.cli.options import _COMMANDS
 from smooth_operator.cli.subcommands import Group
+from smooth_operator.plugins import Entry
 
 EDGES = " ╭╰│"
 
@@ -55,6 +58,22 @@ def ragged(text: str, width: int) -> Iterator[str]:
         written = words[:1] == ["smooth-operator"] or "  " in after.strip() or nested
         if words and not written and len(line) + 1 + len(words[0]) < room:
             yield f"{line} | {words[0]}"
+
+
+def test_every_command_names_the_function_that_takes_its_options() -> None:
+    for words, kind in commands():
+        if issubclass(kind, Group):
+            continue
+        work = Entry(kind.work).load()
+        (options,) = inspect.signature(work).parameters.values()
+        assert issubclass(kind, inspect.get_annotations(work, eval_str=True)[options.name]), words
+
+
+def test_a_command_runs_the_function_with_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    monkeypatch.setattr("smooth_operator.cli.hands.list_hands", seen.append)
+    assert main(["hands", "list", "--json"]) == 0
+    assert [(type(options), options.json) for options in seen] == [(List, True)]
 
 
 @pytest.mark.parametrize("width", [80, 120])

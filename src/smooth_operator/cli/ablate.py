@@ -11,11 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from smooth_operator.cli.ablate_options import Experimenting
+from smooth_operator.cli.ablate_options import Ablate, Experimenting, Paper
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.lab.paper.catalogue import EXPERIMENTS
 from smooth_operator.lab.paper.experiment import Outcome
 from smooth_operator.lab.paper.report import REPORT, verdict_lines
 from smooth_operator.lab.paper.sizes import trial_note
@@ -29,7 +30,17 @@ from smooth_operator.terminal import open_console
 _WIDTH_OF_A_FILE = 160
 
 
-def ablate(options: Experimenting, names: Sequence[str], recordings: Sequence[str]) -> None:
+def ablate(options: Ablate) -> None:
+    """Runs one experiment."""
+    _run(options, (options.name,), options.recordings)
+
+
+def paper(options: Paper) -> None:
+    """Runs all experiments."""
+    _run(options, tuple(EXPERIMENTS), options.recordings)
+
+
+def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]) -> None:
     """Looks everything up, computes, writes, prints.
 
     Raises:

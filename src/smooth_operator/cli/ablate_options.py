@@ -44,6 +44,7 @@ class Experimenting(Common):
 class Ablate(Experimenting):
     """Re-run one of the paper's experiments on your own machine and recordings."""
 
+    work: ClassVar[str] = "smooth_operator.cli.ablate:ablate"
     details: ClassVar[str] = """Experiments:
   fk        libraries of forward kinematics over the size of the batch
   compute   tracking loss over samples N and cycles L, along contours of equal compute
@@ -72,17 +73,12 @@ Examples:
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="[RECORDING ...]")] = ()
     """Files, folders or `synthetic:SEED`, each with settings after an @ if need be."""
 
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.ablate import ablate
-
-        ablate(self, (self.name,), self.recordings)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Paper(Experimenting):
     """Re-run all of the paper's experiments, and say claim by claim what held."""
 
+    work: ClassVar[str] = "smooth_operator.cli.ablate:paper"
     details: ClassVar[str] = """FOLDER gets a folder for each experiment (results.json and figures),
 and report.html with all of them. Run the same command again to go on where it was stopped.
 
@@ -94,10 +90,3 @@ Examples:
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="[RECORDING ...]")] = ()
     """Files, folders or `synthetic:SEED`, each with settings after an @ if need be."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.ablate import ablate
-        from smooth_operator.lab.paper.catalogue import EXPERIMENTS
-
-        ablate(self, tuple(EXPERIMENTS), self.recordings)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered
 class Bench(Ordered, Common):
     """Measure methods on recordings and hands, side by side, and report which is how good."""
 
+    work: ClassVar[str] = "smooth_operator.cli.bench:bench"
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and
 method), report.html (everything in one file: tables, plots, clips), plots/, and cells/
 (the commands of each). Run the same command again to go on where it was stopped; what is
@@ -95,9 +96,3 @@ Examples:
 
     quiet: bool = False
     """No progress on standard error, no table on standard output."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.bench import bench
-
-        bench(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered
 class Calibrate(Ordered, Common):
     """Fit a robot hand to its operator: poses found in a recording, into a file for --operator."""
 
+    work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
         str
     ] = """With --source the operator is asked for the poses, one after the other.
@@ -73,9 +74,3 @@ Examples:
 
     quiet: bool = False
     """No progress on standard error."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.calibrate import calibrate_recording
-
-        calibrate_recording(self)

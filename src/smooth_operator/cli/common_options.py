@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from tyro.conf import arg
 
 from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.plugins import Entry
 
 HandSide: TypeAlias = Literal["right", "left"]
 # Spelt out again: the module that owns it imports JAX, and `--help` needs none.
@@ -17,10 +18,23 @@ Scale: TypeAlias = float | Literal["frame", "calibrate"]
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
-    """Options of every command."""
+    """Options of every command, and the function that does its work.
+
+    Attributes:
+        work: ``package.module:function``, called with the options. It is imported when the command
+            runs, so that ``--help`` loads none of it.
+        details: help below the first line of the class's docstring.
+    """
+
+    work: ClassVar[str]
+    details: ClassVar[str]
 
     debug: bool = False
     """Show the traceback of an error (also: SMOOTH_OPERATOR_DEBUG=1)."""
+
+    def run(self) -> None:
+        """Imports the function that ``work`` names, and calls it with these options."""
+        Entry(self.work).load()(self)
 
 
 @dataclass(frozen=True, kw_only=True)

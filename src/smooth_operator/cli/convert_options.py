@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered
 class Convert(Ordered, Common):
     """Turn recordings and their commands into another file format, and back."""
 
+    work: ClassVar[str] = "smooth_operator.cli.convert:convert"
     details: ClassVar[str] = """Formats, of inputs by what they hold and of the output by its name:
   .mcap        this program's log, opens in Foxglove
   .npz         plain arrays, for NumPy
@@ -79,9 +80,3 @@ Examples:
 
     quiet: bool = False
     """Only say what matters."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.convert import convert
-
-        convert(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, Meshes, Page, Retargeting
 class Demo(Common, Page, Meshes, Retargeting, Synthetic):
     """Retarget a built-in operator, print what was measured, and play it in the browser."""
 
+    work: ClassVar[str] = "smooth_operator.cli.demo:demo"
     details: ClassVar[str] = """The folder holds commands.npz and commands.json (the resolved
 configuration), log.mcap (operator and commands), metrics.json, config.json, plots/.
 
@@ -31,9 +32,3 @@ Examples:
 
     no_view: bool = False
     """Don't serve the page: for machines without a browser."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.demo import demo
-
-        demo(self)

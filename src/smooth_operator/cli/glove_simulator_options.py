@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 class GloveSimulate(Common):
     """Publish a moving hand as a MANUS glove bridge does, for trying out without a glove."""
 
+    work: ClassVar[str] = "smooth_operator.cli.glove_simulator:simulate"
     details: ClassVar[str] = """Needs the extra zmq. A second terminal receives it:
   smooth-operator teleop --source manus
 
@@ -75,9 +76,3 @@ Examples:
 
     quiet: bool = False
     """Print nothing but errors."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.glove_simulator import simulate
-
-        simulate(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Page
 class Add(Common, Page):
     """Your own hand: reads any URDF or MJCF, finds out how it is a hand, writes a spec file."""
 
+    work: ClassVar[str] = "smooth_operator.cli.hands_add:add_hand"
     details: ClassVar[str] = """Found are palm, fingers, thumb, order, fingertips, side, coupled
 joints, wrist and a neutral pose, from how the joints move and not from names. What is printed says
 how sure each is, why, and how to overrule it; run it again with those options. The model and its
@@ -63,9 +64,3 @@ Examples:
 
     no_view: bool = False
     """Open no page to look at the hand."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.hands_add import add_hand
-
-        add_hand(self)

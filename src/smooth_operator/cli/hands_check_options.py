@@ -14,6 +14,7 @@ from smooth_operator.cli.common_options import Common, HandSide
 class Check(Common):
     """Is a hand's description right? Limits, axes, tips, pinches, and a round trip."""
 
+    work: ClassVar[str] = "smooth_operator.cli.hands_check:check_hand_command"
     details: ClassVar[str] = """Each check says what was measured and what to do. In the round trip
 random poses of the hand are retargeted from their own landmarks: they should come back. The exit
 status is 0 if all is well, 1 if a check failed, 2 if the hand can't be loaded.
@@ -43,9 +44,3 @@ Examples:
 
     quiet: bool = False
     """No progress on standard error."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.hands_check import check_hand_command
-
-        check_hand_command(self)

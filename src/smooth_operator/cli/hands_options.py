@@ -24,17 +24,12 @@ from smooth_operator.cli.subcommands import Group, described
 class List(Common):
     """The hands that can be named: the built-in ones and your own."""
 
+    work: ClassVar[str] = "smooth_operator.cli.hands:list_hands"
     details: ClassVar[str] = """Your own are spec files NAME.right.toml and NAME.left.toml in the
 folder that is named below the table (SMOOTH_OPERATOR_HANDS names another)."""
 
     json: bool = False
     """One JSON object on standard output instead of the table."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.hands import list_hands
-
-        list_hands(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +47,7 @@ class _OneHand(Common, Meshes):
 class Show(_OneHand, Page):
     """Joints, limits and couplings of a hand, and the hand in the browser with a slider a joint."""
 
+    work: ClassVar[str] = "smooth_operator.cli.hands_show:show_hand"
     details: ClassVar[str] = """Examples:
   smooth-operator hands show shadow_hand
   smooth-operator hands show ability_hand --side left --no-view
@@ -64,34 +60,24 @@ class Show(_OneHand, Page):
     json: bool = False
     """One JSON object on standard output, and no page."""
 
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.hands_show import show_hand
-
-        show_hand(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Render(_OneHand):
     """A picture of a hand: shape, landmarks, palm frame, joint ranges. Needs no display."""
 
+    work: ClassVar[str] = "smooth_operator.cli.hands_show:render_hand"
     details: ClassVar[str] = """Example:
   smooth-operator hands render leap_hand --output leap.png"""
 
     output: Annotated[Path | None, arg(metavar="PNG")] = None
     """The picture; NAME_SIDE.png in the current folder if left out."""
 
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.hands_show import render_hand
-
-        render_hand(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Remove(Common):
     """Takes one of your own hands out of the list: its spec files and the copies of its model."""
 
+    work: ClassVar[str] = "smooth_operator.cli.hands_remove:remove_hand_command"
     details: ClassVar[str] = """The model that you added stays where it is. Built-in hands can't be
 removed.
 
@@ -107,12 +93,6 @@ Examples:
 
     yes: bool = False
     """Don't ask."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.hands_remove import remove_hand_command
-
-        remove_hand_command(self)
 
 
 What: TypeAlias = (

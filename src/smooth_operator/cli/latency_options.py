@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 class Latency(Common):
     """Read back how long every stage took, from a log that teleop recorded."""
 
+    work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:
   tracker  how much later it came than the fastest of the last seconds; the clocks of tracker and
            computer are not compared, so a delay that never changes can't be seen
@@ -38,9 +39,3 @@ Examples:
 
     json: bool = False
     """Print one JSON object on standard output, by log, and nothing else there."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.latency import latency
-
-        latency(self)

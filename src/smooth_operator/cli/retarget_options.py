@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered, Retarg
 class Retarget(Common, Ordered, Retargeting):
     """Turn a recording of a human hand, or a folder of them, into joint commands."""
 
+    work: ClassVar[str] = "smooth_operator.cli.retarget:retarget"
     details: ClassVar[str] = """OUT.npz holds joint_positions (T, n) [rad], joint_names (n,),
 timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration is
 written beside it, as OUT.json.
@@ -65,9 +66,3 @@ Examples:
     json: bool = False
     """Print the metrics (of a folder: the summary) as one JSON object on standard output, and
     nothing else there."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.retarget import retarget
-
-        retarget(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, Synthetic
 class Sample(Common, Synthetic):
     """Write a recording of the built-in operator, to try the other commands on."""
 
+    work: ClassVar[str] = "smooth_operator.cli.sample:sample"
     details: ClassVar[str] = """The hand opens, closes, pinches, spreads and gaits its fingers. Its
 proportions and its motion come from --seed: the same seed is the same file.
 
@@ -35,9 +36,3 @@ Examples:
 
     quiet: bool = False
     """No word on standard error."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.sample import sample
-
-        sample(self)

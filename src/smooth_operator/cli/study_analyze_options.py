@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 class Analyze(Common):
     """Success, time and workload of a study: models, comparisons, learning, a report."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_analyze:analyze_command"
     details: ClassVar[
         str
     ] = """STUDY is the folder of a study that was run, its study.db, or the URL
@@ -64,9 +65,3 @@ Examples:
 
     quiet: bool = False
     """No progress on standard error, no tables on standard output."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_analyze import analyze_command
-
-        analyze_command(self)

@@ -26,6 +26,7 @@ class _Stored(Common):
 class Export(_Stored):
     """What was stored, as trials.csv, tlx.csv and one study.json with the whole log."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_data:export_data"
     details: ClassVar[str] = """Examples:
   smooth-operator study export my-study --output data
   smooth-operator study export my-study --operator P07 --output data-of-P07
@@ -37,17 +38,12 @@ class Export(_Stored):
     operator: Annotated[tuple[str, ...], arg(metavar="CODE ...")] = ()
     """Only of these operators; all if left out."""
 
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_data import export_data
-
-        export_data(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Erase(_Stored):
     """Deletes all that is stored of one operator, for good."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_data:erase_data"
     details: ClassVar[str] = """The code stays taken, and the operator is taken off the plan. Copies
 that were exported are not touched.
 
@@ -59,9 +55,3 @@ Example:
 
     yes: bool = False
     """Don't ask."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_data import erase_data
-
-        erase_data(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 class New(Common):
     """A plan: conditions, tasks, balanced orders, who does what when. Asks, in a terminal."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_new:new_study"
     details: ClassVar[str] = """Written are study.toml (the plan, to read and mend), schedule.csv
 (with the conditions, for the experimenter) and schedule.txt (with labels only, for the wall).
 Without options a terminal asks; elsewhere, and with --no-wizard, what is left out is as in the
@@ -73,17 +74,12 @@ Examples:
     overwrite: bool = False
     """Replace the plan of a study of which nothing is stored yet."""
 
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_new import new_study
-
-        new_study(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Enrol(Common):
     """One operator more, or further tasks for one: gets the row that is used least."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_new:enrol_operator"
     details: ClassVar[str] = """Examples:
   smooth-operator study enrol my-study P19
   smooth-operator study enrol my-study P03 --tasks C"""
@@ -96,9 +92,3 @@ class Enrol(Common):
 
     tasks: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """What the operator does; all tasks if left out."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_new import enrol_operator
-
-        enrol_operator(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 class Power(Common):
     """How many operators are enough? Simulates studies of a plan and analyses each."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_power:simulate_power"
     details: ClassVar[str] = """For each number of operators, studies with the assumed differences
 (power) and with none (family-wise error), analysed in both modes. Assumed is what the paper
 reports, for its four methods; others need --success, --time and --workload. The same command again
@@ -75,9 +76,3 @@ Examples:
 
     json: bool = False
     """One JSON object on standard output instead of the tables."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_power import simulate_power
-
-        simulate_power(self)

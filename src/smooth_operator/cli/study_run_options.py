@@ -14,6 +14,7 @@ from smooth_operator.cli.common_options import Common
 class Run(Common):
     """The study in a browser: a page for the experimenter, one for the operator's tablet."""
 
+    work: ClassVar[str] = "smooth_operator.cli.study_run:run_study"
     details: ClassVar[str] = """The experimenter's page walks the protocol, the operator's shows the
 questionnaires. Every event is on the disk before a page says so: server and browsers may be killed
 at any time, and go on where they were. Ctrl-C ends.
@@ -50,9 +51,3 @@ Examples:
 
     open: bool = False
     """Open the experimenter's page in the browser."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.study_run import run_study
-
-        run_study(self)

@@ -20,6 +20,7 @@ from smooth_operator.teleop.sources.catalogue import SOURCES
 class Teleop(Common, Meshes, Page):
     """Drive a robot hand from a live source: a tracker, a headset, a webcam, a recording."""
 
+    work: ClassVar[str] = "smooth_operator.cli.teleop:teleop"
     details: ClassVar[str] = f"""Sources and sinks are named by a word, with an argument and
 settings after it: replay:glove.npz,speed=2 or record:take.mcap.
 
@@ -122,9 +123,3 @@ Examples:
 
     quiet: bool = False
     """Nothing on standard error but what matters."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.teleop import teleop
-
-        teleop(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered
 class Train(Ordered, Common):
     """Train a learning-based method for a robot hand: geort."""
 
+    work: ClassVar[str] = "smooth_operator.cli.train:train"
     details: ClassVar[str] = """Needs the extra: pip install "smooth-retargeting[train]".
 
 DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv, losses.png and
@@ -70,9 +71,3 @@ Examples:
 
     quiet: bool = False
     """No progress on standard error."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.train import train
-
-        train(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 class Tune(Common):
     """Search the numbers of a method's preset on recordings that will not be judged."""
 
+    work: ClassVar[str] = "smooth_operator.cli.tune:tune"
     details: ClassVar[str] = """FOLDER gets preset.toml (for --preset, wherever there is one),
 result.json (figures of the start and of the best, recording by recording), pareto.png (what was
 traded for what) and trials.jsonl, the log. Ctrl-C keeps all of it; the same command goes on from
@@ -86,9 +87,3 @@ Examples:
 
     quiet: bool = False
     """No progress on standard error, no table on standard output."""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.tune import tune
-
-        tune(self)

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Meshes, Ordered
 class View(Common, Page, Ordered, Meshes):
     """Play joint commands beside the hand that they came from, in the browser."""
 
+    work: ClassVar[str] = "smooth_operator.cli.view:view"
     details: ClassVar[
         str
     ] = """Commands and frames are matched by their time stamps. Several files of
@@ -50,9 +51,3 @@ Examples:
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of the commands, as a Python slice: :500, 2600:3100"""
-
-    def run(self) -> None:
-        """Runs the command."""
-        from smooth_operator.cli.view import view
-
-        view(self)
