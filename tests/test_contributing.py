@@ -1,0 +1,195 @@
+"""What contributors are told is true: paths exist, commands run, workflows parse."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+PROJECT = Path(__file__).resolve().parents[1]
+PARTS = (
+    "method", "term", "hand", "source", "sink", "reader", "metric", "command", "experiment",
+    "doc page",
+)  # fmt: skip
+YAML_FILES = sorted({*PROJECT.glob(".github/**/*.yml"), PROJECT / ".pre-commit-config.yaml"})
+
+
+def read(name: str) -> str:
+    return (PROJECT / name).read_text(encoding="utf-8")
+
+
+def parsed(name: str) -> Any:
+    return yaml.safe_load(read(name))
+
+
+def table(text: str, first: str) -> list[dict[str, str]]:
+    """Rows of the Markdown table whose first heading is ``first``, by heading."""
+    lines = text.splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(f"| {first} |"))
+    rows = []
+    for line in lines[start:]:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
+
+
+def to_add() -> dict[str, dict[str, str]]:
+    return {row["to add a"]: row for row in table(read("CONTRIBUTING.md"), "to add a")}
+
+
+def missing_paths(cells: list[str]) -> list[str]:
+    """Paths in backticks that do not exist; ``folder/*`` asks for the folder."""
+    paths = [path for cell in cells for path in re.findall(r"`([^`]+)`", cell)]
+    return [path for path in paths if not (PROJECT / path.removesuffix("*")).exists()]
+
+
+def test_every_kind_of_part_has_a_row() -> None:
+    assert tuple(to_add()) == PARTS
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_paths_of_a_row_exist(part: str) -> None:
+    row = to_add()[part]
+    assert "`" in row["write"]
+    assert "`tests/" in row["test in"]
+    assert missing_paths([row[c] for c in ("write", "register in", "test in", "document in")]) == []
+
+
+def test_a_missing_path_is_found() -> None:
+    cells = ["`src/smooth_operator/methods/*`", "`tests/no_such_test.py`, `docs/no_such/*`"]
+    assert missing_paths(cells) == ["tests/no_such_test.py", "docs/no_such/*"]
+
+
+def test_entry_point_groups_are_those_of_the_registries() -> None:
+    """A registry of the package has its group in the table."""
+    kinds = {
+        kind
+        for path in (PROJECT / "src").rglob("*.py")
+        for kind in re.findall(r'= Registry\(\s*"(\w+)"', path.read_text(encoding="utf-8"))
+    }
+    assert kinds
+    groups = {row["entry point group"].strip("`") for row in to_add().values()} - {"none"}
+    assert {f"smooth_operator.{kind}s" for kind in kinds} <= groups
+
+
+def targets() -> set[str]:
+    return set(re.findall(r"^([a-z]+):", read("Makefile"), re.MULTILINE))
+
+
+def test_the_make_targets_that_are_named_exist() -> None:
+    named = {
+        target
+        for name in ("CONTRIBUTING.md", ".github/PULL_REQUEST_TEMPLATE.md")
+        for target in re.findall(r"\bmake ([a-z]+)", read(name))
+    } - {"install"}
+    assert {"check", "test", "docs", "bench"} <= named <= targets()
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
+def test_make_check_is_what_ci_runs() -> None:
+    done = subprocess.run(
+        ["make", "-n", *sorted(targets())], cwd=PROJECT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "bash .ci/run" in done.stdout.splitlines()
+
+
+def test_files_that_make_runs_exist() -> None:
+    files = re.findall(r"(?:bash|PYTHON\)|pytest) ([\w./]+\.py|\.ci/\w+)", read("Makefile"))
+    assert len(files) >= 3
+    assert [name for name in files if not (PROJECT / name).is_file()] == []
+
+
+def test_the_test_command_of_make_is_that_of_ci() -> None:
+    (arguments,) = re.findall(r"-m (pytest -n .*)", read("Makefile"))
+    assert f"-m {arguments} || exit" in read(".ci/run")
+
+
+@pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: path.name)
+def test_yaml_parses(path: Path) -> None:
+    assert isinstance(yaml.safe_load(path.read_text(encoding="utf-8")), dict)
+
+
+@pytest.mark.parametrize("name", ["ci", "release"])
+def test_a_workflow_is_whole(name: str) -> None:
+    """Jobs have an end, name jobs that exist, and run scripts that exist."""
+    workflow = parsed(f".github/workflows/{name}.yml")
+    assert workflow["permissions"] == {"contents": "read"}
+    for job in workflow["jobs"].values():
+        assert job["timeout-minutes"] <= 30
+        assert job.get("needs", name) in {name, *workflow["jobs"]}
+        for step in job["steps"]:
+            assert ("uses" in step) != ("run" in step)
+            assert re.fullmatch(r"[\w-]+/[\w-]+@[\w./]+", step.get("uses", "a/b@v1"))
+            for script in re.findall(r"\.ci/\w+", step.get("run", "")):
+                assert (PROJECT / script).is_file(), script
+
+
+def test_ci_runs_the_one_script() -> None:
+    steps = parsed(".github/workflows/ci.yml")["jobs"]["test"]["steps"]
+    assert "bash .ci/run" in [step.get("run") for step in steps]
+
+
+def test_only_what_was_tried_is_published() -> None:
+    """The job that publishes has the identity, no secret, and files that were used before."""
+    jobs = parsed(".github/workflows/release.yml")["jobs"]
+    assert jobs["smoke"]["needs"] == "build"
+    assert jobs["publish"]["needs"] == "smoke"
+    assert "tag" in jobs["publish"]["if"]
+    assert [name for name in jobs if "permissions" in jobs[name]] == ["publish"]
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+    assert {"ubuntu-latest", "macos-latest", "windows-latest"} == set(
+        jobs["smoke"]["strategy"]["matrix"]["os"]
+    )
+    names = {
+        step["with"]["name"]
+        for job in jobs.values()
+        for step in job["steps"]
+        if "artifact" in step.get("uses", "")
+    }
+    assert names == {"dist"}
+    assert jobs["publish"]["steps"][-1] == {"uses": "pypa/gh-action-pypi-publish@release/v1"}
+    assert "secrets." not in read(".github/workflows/release.yml")
+
+
+def test_the_published_distribution_is_ours() -> None:
+    project = tomllib.loads(read("pyproject.toml"))["project"]
+    publish = parsed(".github/workflows/release.yml")["jobs"]["publish"]
+    assert publish["environment"]["url"].rstrip("/").endswith(f"/{project['name']}")
+    assert f"version: {project['version']}\n" in read("CITATION.cff")
+
+
+def test_hooks_are_the_tools_of_ci() -> None:
+    """Local hooks: the versions are those of the environment, as in CI."""
+    (repository,) = parsed(".pre-commit-config.yaml")["repos"]
+    assert repository["repo"] == "local"
+    entries = [hook["entry"].split() for hook in repository["hooks"]]
+    assert {entry[2] for entry in entries} == {"ruff", "mypy"}
+    script = read(".ci/run")
+    for entry in entries:
+        command = [word for word in entry[2:] if not word.startswith("-")]
+        assert f"-m {' '.join(command)}" in script, entry
+
+
+def test_issue_forms_ask_for_what_a_report_needs() -> None:
+    for name in ("bug", "feature"):
+        form = parsed(f".github/ISSUE_TEMPLATE/{name}.yml")
+        assert {"name", "description", "body"} <= form.keys()
+        ids = [field["id"] for field in form["body"]]
+        assert len(set(ids)) == len(ids)
+        assert all(field["attributes"]["label"] for field in form["body"])
+
+
+def test_links_of_the_pages_for_contributors_exist() -> None:
+    for name in ("CONTRIBUTING.md", "SECURITY.md"):
+        links = re.findall(r"\]\(([^)\s#]+)[^)]*\)", read(name))
+        paths = [link for link in links if not link.startswith("https:")]
+        assert paths
+        assert [path for path in paths if not (PROJECT / path).exists()] == [], name
