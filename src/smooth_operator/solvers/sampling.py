@@ -1,4 +1,9 @@
-"""Algorithm 1: MPOPI with iCEM's elites as its adaptive importance sampler."""
+"""Algorithm 1 of the paper: MPOPI with iCEM's elites as its adaptive importance sampler.
+
+``sample_minimise`` follows the printed algorithm from top to bottom, in its letters: mean mu',
+covariance Sigma' (kept as its Cholesky factor ``chol``), elites and weights w. Comments "line n"
+give the line number of the printed algorithm.
+"""
 
 from __future__ import annotations
 
@@ -83,11 +88,14 @@ def sample_minimise(
 ) -> Float[Array, " m"]:
     """Minimise a cost within bounds by Algorithm 1.
 
-    The last cycle of the algorithm as printed draws and scores candidates that nothing reads (its
-    update is skipped by ``if l < L``). It is left out here; the result is the same.
+    In the last cycle of the printed algorithm, candidates are drawn and scored that nothing reads
+    (``if l < L`` skips the update). That cycle is left out; the result is the same.
+
+    Candidates are clipped to the bounds before they are scored, as in the authors' released code,
+    so mean and covariance are those of clipped elites. The printed algorithm clips in line 14 only.
 
     Args:
-        cost: the cost, over batch-last candidates, only ever asked within the limits.
+        cost: the cost of batch-last candidates; it is called within the bounds only.
         start: (m,) initial mean.
         limits: (m, 2) bounds.
         key: two random words; unused when the base normals are fixed.
@@ -100,63 +108,83 @@ def sample_minimise(
     """
     size, dtype = len(limits), jnp.float32
     low, high = (jnp.asarray(limits[:, i], dtype) for i in (0, 1))
-    everyone = jnp.arange(config.samples, dtype=jnp.uint32)
-    base = (
-        None
-        if config.draws == "fresh"
-        else jnp.asarray(fixed_normals(size, config.samples, config.draws, config.base_seed))
-    )
-
-    def normals_of(index: Array, words: UInt32[Array, "2"]) -> Array:
-        if base is None:
-            return counter_normal_matrix(index.astype(jnp.uint32), words, size)
-        return base if index is everyone else base[:, index]
-
-    # Line 4: u_n ~ N(mu', Sigma'), within the limits.
-    def draw(index: Array, words: UInt32[Array, "2"], mean: Array, factor: Array) -> Array:
-        spread = factor @ normals_of(index, words)
-        return jnp.clip(mean[:, None] + spread, low[:, None], high[:, None])
-
-    # The same for all candidates, written out, so that drawing, kinematics and cost fuse into one
-    # loop that stores nothing; the elite are drawn again from their indices. Where the normals are
-    # stored anyway, a matrix product is as good and compiles faster.
-    def draw_all(words: UInt32[Array, "2"], mean: Array, factor: Array) -> list[Array]:
-        if base is not None:
-            return list(draw(everyone, words, mean, factor))
-        normals = counter_normals(everyone, words, size)
-        rows = []
-        for i in range(size):
-            row = mean[i] + factor[i, 0] * normals[0]
-            for j in range(1, i + 1):
-                row = row + factor[i, j] * normals[j]
-            rows.append(lax.clamp(low[i], row, high[i]))
-        return rows
-
-    def cycle(carry: tuple[Array, Array], words: Array) -> tuple[tuple[Array, Array], None]:
-        mean, factor = carry
-        costs = cost(draw_all(words, mean, factor))  # lines 4-5
-        # Line 7, best first. Behind a barrier: if XLA sees best[0], it sorts all candidates.
-        chosen = lax.top_k(-costs, config.elites)
-        best, index = lax.optimization_barrier(chosen)  # type: ignore[no-untyped-call]
-        elite = draw(index, words, mean, factor)
-        # Lines 8-9. J_min is the first; the sum of the weights divides last, where it is cheap.
-        weights = jnp.exp((best - best[0]) / config.temperature)
-        sums = jnp.concatenate([elite, ones]) @ weights
-        mean = sums[:-1] / sums[-1]  # line 10
-        spread = (elite - mean[:, None]) * jnp.sqrt(weights / sums[-1])
-        cov = spread @ spread.T + epsilon  # line 11
-        return (mean, lax.linalg.cholesky(cov, symmetrize_input=False)), None
-
+    gaussian = _ClippedGaussian(low, high, config)
+    cycle_keys = random_words(key, config.cycles - 1)
     ones = jnp.ones((1, config.elites), dtype)
+
+    # Lines 1-2: mu' = q and Sigma' = diag(sigma^2) + epsilon I
+    deviation = config.sigma if sigma is None else sigma
+    mean = start.astype(dtype)
+    chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
-    mean = start.astype(dtype)  # lines 1-2
-    width = config.sigma if sigma is None else sigma
-    factor = jnp.sqrt(width**2 + config.jitter) * jnp.eye(size, dtype=dtype)
-    words = random_words(key, config.cycles - 1)
+
+    def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
+        # Line 4: draw the candidates. Line 5: compute their costs
+        costs = cost(gaussian.draw_all(mean, chol, cycle_key))
+        # Line 7: the M elites, best first. The barrier keeps XLA from sorting all candidates,
+        # which it does when it sees that the first element is read
+        rewards, index = lax.optimization_barrier(  # type: ignore[no-untyped-call]
+            lax.top_k(-costs, config.elites)
+        )
+        elites = gaussian.draw(mean, chol, cycle_key, index)
+        # Line 8: J_min is the cost of the first elite. Line 9: w_m, not yet divided by their sum,
+        # which is cheaper after the next sum
+        weights = jnp.exp((rewards - rewards[0]) / config.temperature)
+        sums = jnp.concatenate([elites, ones]) @ weights
+        # Line 10: the new mean
+        mean = sums[:-1] / sums[-1]
+        # Line 11: the covariance about the new mean
+        centred = (elites - mean[:, None]) * jnp.sqrt(weights / sums[-1])
+        covariance = centred @ centred.T + epsilon
+        return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
+
+    # Lines 3-13: L - 1 cycles
     if cycles is None:
-        (mean, _), _ = lax.scan(cycle, (mean, factor), words)
+        (mean, _), _ = lax.scan(lambda carry, k: (cycle(*carry, k), None), (mean, chol), cycle_keys)
     else:
         mean, _ = lax.fori_loop(
-            0, cycles - 1, lambda i, carry: cycle(carry, words[i])[0], (mean, factor)
+            0, cycles - 1, lambda i, carry: cycle(carry[0], carry[1], cycle_keys[i]), (mean, chol)
         )
-    return jnp.clip(mean, low, high)  # line 14
+    # Line 14: clip to the joint limits
+    return jnp.clip(mean, low, high)
+
+
+class _ClippedGaussian:
+    """Draws from N(mean, chol chol^T) that are clipped to bounds; a draw is known by its index."""
+
+    def __init__(self, low: Array, high: Array, config: SamplingConfig) -> None:
+        self.low, self.high, self.size = low, high, len(low)
+        self.everyone = jnp.arange(config.samples, dtype=jnp.uint32)
+        self.base = (
+            None
+            if config.draws == "fresh"
+            else jnp.asarray(
+                fixed_normals(self.size, config.samples, config.draws, config.base_seed)
+            )
+        )
+
+    def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
+        """(m, len(index)) the draws with these indices."""
+        if self.base is None:
+            normals = counter_normal_matrix(index.astype(jnp.uint32), words, self.size)
+        else:
+            normals = self.base if index is self.everyone else self.base[:, index]
+        return jnp.clip(mean[:, None] + chol @ normals, self.low[:, None], self.high[:, None])
+
+    def draw_all(self, mean: Array, chol: Array, words: Array) -> list[Array]:
+        """All N draws, as m arrays (N,).
+
+        The product with ``chol`` is written out, so that drawing, kinematics and cost fuse into one
+        loop that stores nothing; the elites are drawn again from their indices. Where the normals
+        are stored anyway, a matrix product is as fast and compiles faster.
+        """
+        if self.base is not None:
+            return list(self.draw(mean, chol, words, self.everyone))
+        normals = counter_normals(self.everyone, words, self.size)
+        rows = []
+        for i in range(self.size):
+            row = mean[i] + chol[i, 0] * normals[0]
+            for j in range(1, i + 1):
+                row = row + chol[i, j] * normals[j]
+            rows.append(lax.clamp(self.low[i], row, self.high[i]))
+        return rows
