@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from smooth_operator import Retargeter, load_hand
+from smooth_operator.calibration.estimate import calibrate
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.calibration.estimate import calibrate
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, OperatorProfile
 from smooth_operator.io import to_json
 from smooth_operator.io.environment import environment

@@ -34,7 +34,15 @@ CORE = {
 }
 """Core: module -> level. It imports nothing of what follows."""
 
-SHARED = {"parallel": 3, "web": 3, "simulation": 4, "synthetic": 5, ROOT: 7, "reporting": 7}
+SHARED = {
+    "parallel": 3,
+    "web": 3,
+    "simulation": 4,
+    "calibration": 5,
+    "synthetic": 5,
+    ROOT: 7,
+    "reporting": 7,
+}
 """What several wings use: module -> level. It imports no wing."""
 
 WINGS = {"teleop": 8, "lab": 8, "study": 8}
@@ -43,7 +51,7 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level. A new one needs a line here and in ``docs/architecture.md``."""
 
-CORE_LINES = 17_000
+CORE_LINES = 16_000
 """Lines that everyone needs at most: the core grows only on purpose."""
 
 MAX_LINES = 400

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
+from smooth_operator.calibration.estimate import MARGIN, Calibration, _project, calibrate
+from smooth_operator.calibration.features import measure_features
+from smooth_operator.calibration.prompts import Prompt, prompted, prompts
+from smooth_operator.calibration.report import closed_gaps, report
+from smooth_operator.calibration.robot import straight_pose
+from smooth_operator.calibration.segments import poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.calibration.estimate import MARGIN, Calibration, _project, calibrate
-from smooth_operator.human.calibration.features import measure_features
-from smooth_operator.human.calibration.prompts import Prompt, prompted, prompts
-from smooth_operator.human.calibration.report import closed_gaps, report
-from smooth_operator.human.calibration.robot import straight_pose
-from smooth_operator.human.calibration.segments import poses
 from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.human.operator_file import read_operator
@@ -524,7 +524,7 @@ def test_the_demo_drives_some_fingers_and_says_so(tmp_path: Path, run: Run) -> N
 
 
 def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held() -> None:
-    from smooth_operator.human.calibration.prompts import Prompt
+    from smooth_operator.calibration.prompts import Prompt
     from smooth_operator.teleop.runtime.calibration_session import CalibrationSession
     from smooth_operator.teleop.sources.live import Arrival
     from smooth_operator.types import HandFrame
@@ -560,8 +560,8 @@ def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held() -> Non
 def test_calibrate_asks_a_live_operator(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from smooth_operator.calibration.prompts import Prompt
     from smooth_operator.cli import main, prompting
-    from smooth_operator.human.calibration.prompts import Prompt
 
     monkeypatch.setattr(
         prompting, "prompts", lambda fingers: (Prompt("flat", "hold it flat", 0.2, 1.0),)

@@ -8,6 +8,9 @@ from typing import Any, cast
 from rich import box
 from rich.table import Table
 
+from smooth_operator.calibration.estimate import calibrate
+from smooth_operator.calibration.report import report
+from smooth_operator.calibration.segments import Segment
 from smooth_operator.cli.calibrate_options import Calibrate
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
@@ -15,9 +18,6 @@ from smooth_operator.cli.prompting import ask
 from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
-from smooth_operator.human.calibration.estimate import calibrate
-from smooth_operator.human.calibration.report import report
-from smooth_operator.human.calibration.segments import Segment
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
 from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.io import atomic_write, frame_slice, read_recording, reading_notes, to_json

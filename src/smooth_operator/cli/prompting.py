@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from smooth_operator.calibration.prompts import prompts
+from smooth_operator.calibration.segments import Segment
 from smooth_operator.cli.console import Progressing
 from smooth_operator.errors import SourceError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.calibration.prompts import prompts
-from smooth_operator.human.calibration.segments import Segment
 from smooth_operator.teleop.runtime.calibration_session import CalibrationSession, Moment
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import HandRecording

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.renderer import open_renderer
 from smooth_operator.io.atomic import atomic_write
 from smooth_operator.landmarks import BASES, BONES
+from smooth_operator.simulation.renderer import open_renderer
 from smooth_operator.teleop.pages.layout import FOV, camera_for, view_axes
 from smooth_operator.teleop.pages.palette import HIGHLIGHT, PALM, Rgb, finger_colors
 from smooth_operator.teleop.pages.playback import Playback, check_runs

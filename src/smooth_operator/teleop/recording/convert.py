@@ -11,7 +11,6 @@ from typing import Final, Literal, TypeAlias, get_args
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.io.checks import reading_notes
 from smooth_operator.io.episode import Episode
-from smooth_operator.io.npz import is_own_npz, read_npz_episode, write_npz_episode
 from smooth_operator.io.readers import read_recording
 from smooth_operator.io.results import config_path
 from smooth_operator.io.sniff import file_kind, is_dataset
@@ -28,6 +27,7 @@ from smooth_operator.teleop.recording.log_episode import (
     read_log_episode,
     write_log_episode,
 )
+from smooth_operator.teleop.recording.npz import is_own_npz, read_npz_episode, write_npz_episode
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.calibration.estimate import Calibration
+from smooth_operator.calibration.estimate import Calibration
 from smooth_operator.types import HandRecording
 
 FEWEST: Final = 10

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.calibration.segments import Segment
+from smooth_operator.calibration.segments import Segment
 from smooth_operator.landmarks import FINGERS
 
 

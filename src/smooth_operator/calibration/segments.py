@@ -1,7 +1,7 @@
 """Poses found in a recording: flat, spread, fist, and a pinch per finger.
 
 The finder and the estimator share nothing but ``Segment``: frames that prompts mark go to
-the estimator in the same way (``smooth_operator.human.calibration.prompts``).
+the estimator in the same way (``smooth_operator.calibration.prompts``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.human.calibration.features import Features
+from smooth_operator.calibration.features import Features
 from smooth_operator.landmarks import FINGERS
 
 FLAT: Final = 0.97
