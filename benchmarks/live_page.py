@@ -28,7 +28,7 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sources.catalogue import build_source
+from smooth_operator.teleop.sources.registry import build_source
 
 _VISIT = """
 import shutil, sys, time

@@ -14,8 +14,8 @@ from smooth_operator.io.anatomy import FEWEST_FRAMES, Doubt, HandCheck, chiralit
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_episode
-from smooth_operator.teleop.sources.catalogue import build_source
 from smooth_operator.teleop.sources.payload import read_payload
+from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

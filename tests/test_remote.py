@@ -52,7 +52,7 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
-from smooth_operator.teleop.sources.catalogue import build_source
+from smooth_operator.teleop.sources.registry import build_source
 
 zmq = pytest.importorskip("zmq")
 

@@ -21,7 +21,7 @@ from ticks import make_tick
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.sinks.catalogue import SINKS, build_sink
+from smooth_operator.teleop.sinks.registry import SINKS, build_sink
 from smooth_operator.teleop.sinks.ros2 import Ros2Sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink

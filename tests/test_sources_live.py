@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from live_time import Kept, Waits, started, until
 
-from smooth_operator.components import Component, build_component, describe_components
+from smooth_operator.components import build_component
 from smooth_operator.errors import (
     ConfigError,
     RecordingError,
@@ -21,12 +21,13 @@ from smooth_operator.errors import (
     SourceError,
     UnknownNameError,
 )
+from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.sources.catalogue import SOURCES, build_source
 from smooth_operator.teleop.sources.intake import Intake
 from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource
 from smooth_operator.teleop.sources.pacing import on_time
 from smooth_operator.teleop.sources.payload import Reading
+from smooth_operator.teleop.sources.registry import SOURCES, build_source
 from smooth_operator.teleop.sources.replay import Replay
 from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
 from smooth_operator.types import HandFrame, Side
@@ -144,19 +145,38 @@ class Part:
     side: Literal["right", "left"] = "right"
 
 
-PARTS = {"part": Component(__name__, "Part", "a part"), "other": Component(__name__, "Told", "-")}
+PARTS = Registry(
+    "source", {"part": Entry(f"{__name__}:Part", "a part"), "other": Entry(f"{__name__}:Told", "-")}
+)
 
 
 def test_a_word_with_settings_makes_its_part() -> None:
-    made = build_component("source", "part:in/a=b.npz,speed=2,loop=yes,many=none,side=left", PARTS)
+    made = build_component(PARTS, "part:in/a=b.npz,speed=2,loop=yes,many=none,side=left")
     assert made == Part(Path("in/a=b.npz"), 2.0, True, None, "left")
-    assert build_component("source", "part:where=x,many=3", PARTS) == Part(Path("x"), many=3)
-    assert "part" in describe_components(PARTS)
+    assert build_component(PARTS, "part:where=x,many=3") == Part(Path("x"), many=3)
+    assert "part" in PARTS.describe()
+
+
+def test_a_class_of_ones_own_is_named_by_its_module() -> None:
+    own = f"{__name__}:Part"
+    assert build_component(PARTS, f"{own}:in/a=b.npz,speed=2") == Part(Path("in/a=b.npz"), 2.0)
+    assert build_component(PARTS, f"{own},where=x,many=3") == Part(Path("x"), many=3)
+    assert build_component(PARTS, "part:pathlib.py") == Part(Path("pathlib.py"))
+    assert PARTS.split("part:a:b") == ("part", "a:b")
+    assert PARTS.split("my.lab:Sink:tcp://127.0.0.1:5,x=1") == (
+        "my.lab:Sink",
+        "tcp://127.0.0.1:5,x=1",
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "error", "says"),
     [
+        (f"{__name__}:Prat", ConfigError, "has no 'Prat'"),
+        (f"{__name__}:frame", ConfigError, "it must be a dataclass"),
+        (__name__, UnknownNameError, "unknown source"),
+        ("no.such.module:Part", ConfigError, "there is no module 'no'"),
+        ("relay:glove.npz", UnknownNameError, "Available: other, part"),
         ("prat:x", UnknownNameError, "Did you mean 'part'?"),
         ("", UnknownNameError, "Available: other, part"),
         ("part", ConfigError, "write part:WHERE"),
@@ -173,8 +193,13 @@ def test_a_bad_word_says_what_is_wrong(
     text: str, error: type[SmoothOperatorError], says: str
 ) -> None:
     with pytest.raises(error) as caught:
-        build_component("source", text, PARTS)
+        build_component(PARTS, text)
     assert says in str(caught.value)
+
+
+def test_a_class_that_is_no_source_is_refused() -> None:
+    with pytest.raises(ConfigError, match="can't be a source: it lacks label, start, stop, health"):
+        build_source(f"{__name__}:Part:x")
 
 
 def test_the_sources_of_this_page_are_in_the_catalogue() -> None:

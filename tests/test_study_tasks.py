@@ -39,7 +39,7 @@ from smooth_operator.simulation.tasks import (
     write_trial,
 )
 from smooth_operator.simulation.tasks.demonstration import load_demonstration, play
-from smooth_operator.teleop.sinks.catalogue import build_sink
+from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 

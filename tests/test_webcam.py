@@ -22,12 +22,12 @@ from smooth_operator.landmarks import TIPS
 from smooth_operator.teleop.sources import camera as camera_module
 from smooth_operator.teleop.sources import picture_tracker
 from smooth_operator.teleop.sources.camera import Camera, CameraMode
-from smooth_operator.teleop.sources.catalogue import build_source
 from smooth_operator.teleop.sources.hand_labels import SeenHand
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.teleop.sources.mediapipe_hands import HandLandmarker
 from smooth_operator.teleop.sources.model_file import SWITCH
 from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker
+from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.video_recording import track_video
 from smooth_operator.teleop.sources.webcam import Video, Webcam
 

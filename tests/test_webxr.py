@@ -23,8 +23,8 @@ from emulated_headset import NoEmulator, fetch_emulator, new_headset
 from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
 from smooth_operator.io.checks import check_units
 from smooth_operator.landmarks import BONES, FROM_WEBXR_25, METACARPALS_WEBXR_25
-from smooth_operator.teleop.sources.catalogue import build_source
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
+from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.webxr import WebXr, server
 from smooth_operator.teleop.sources.webxr.certificate import SWITCH, VALID, get_certificate
 from smooth_operator.teleop.sources.webxr.link import LinkState

@@ -1,61 +1,45 @@
 """Parts that a user names in one word with settings: ``replay:glove.npz,speed=2``.
 
-Sources and sinks are frozen dataclasses of settings in modules of their own; a table says which
-word means which. Nothing is imported before it is asked for, so an absent extra costs nothing.
+Sources and sinks are frozen dataclasses of settings in modules of their own; a registry says which
+word means which.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import types
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.plugins import Registry
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
-@dataclass(frozen=True)
-class Component:
-    """One word of a table.
-
-    Attributes:
-        module: where its class is.
-        name: the class, a dataclass whose first field is the argument after the colon.
-        summary: one line for ``--help``.
-    """
-
-    module: str
-    name: str
-    summary: str
-
-    def load(self) -> type:
-        """The class; imports its module."""
-        found: type = getattr(importlib.import_module(self.module), self.name)
-        return found
-
-
-def build_component(kind: str, text: str, table: Mapping[str, Component]) -> Any:
+def build_component(registry: Registry, text: str) -> Any:
     """Make what a text asks for.
 
     Args:
-        kind: what the table holds, for messages: ``source`` or ``sink``.
+        registry: the parts by name, dataclasses whose first field is the argument.
         text: ``NAME``, ``NAME:ARGUMENT`` or ``NAME:ARGUMENT,setting=value,...``; the argument is
             the value of the class's first field, and may be left out where that has a default.
-        table: word -> class.
+            In place of a name, ``package.module:Class``; settings alone may follow it after a
+            comma.
 
     Raises:
-        UnknownNameError: the table has no such word, or the class no such setting.
-        ConfigError: a value can't be read as its field's type, or one that is needed is missing.
+        UnknownNameError: there is no such name, or the class has no such setting.
+        ConfigError: the class can't be imported or is no such part, a value can't be read as its
+            field's type, or one that is needed is missing.
     """
-    word, _, rest = text.partition(":")
-    if word not in table:
-        raise UnknownNameError(kind, word, table)
-    made = table[word].load()
+    kind = registry.kind
+    word, rest = registry.split(text)
+    made = registry.load(word)
+    if not (isinstance(made, type) and dataclasses.is_dataclass(made)):
+        raise ConfigError(
+            f"{registry.find(word).target} can't be a {kind}: it must be a dataclass, whose fields "
+            "are the settings"
+        )
     hints = get_type_hints(made)
     fields = {f.name: f for f in dataclasses.fields(made) if f.init}
     values: dict[str, Any] = {}
@@ -80,13 +64,9 @@ def build_component(kind: str, text: str, table: Mapping[str, Component]) -> Any
             f"{kind} {word!r} needs {', '.join(needed)}: write {word}:{needed[0].upper()}"
             + "".join(f",{name}=..." for name in needed[1:])
         )
-    return made(**values)
-
-
-def describe_components(table: Mapping[str, Component]) -> str:
-    """The words of a table with their summaries, a line each."""
-    width = max(map(len, table), default=0)
-    return "\n".join(f"  {word:{width}}  {part.summary}" for word, part in table.items())
+    component = made(**values)
+    registry.check(word, component)
+    return component
 
 
 def _read(text: str, hint: Any, what: str) -> Any:

@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.util
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 
-_SIGN: Final = ":"
+PREFIX: Final = "smooth_operator."
+"""What the entry point groups of plugins begin with."""
+
+_TARGET: Final = re.compile(r"(?P<module>[^\W\d]\w*(\.[^\W\d]\w*)*):(?P<attribute>[^\W\d][\w.]*)")
 
 
 @dataclass(frozen=True)
@@ -26,43 +31,56 @@ class Entry:
     Attributes:
         target: where it is: ``package.module:attribute``.
         summary: one line for ``--help``.
+        distribution: the installed distribution that offers it; empty for a built-in part.
     """
 
     target: str
     summary: str = ""
+    distribution: str = ""
 
     def load(self) -> Any:
         """The object; imports its module.
 
         Raises:
             ConfigError: there is no such module or attribute, or its module can't be imported.
+            SmoothOperatorError: its module needs an extra that is not installed.
         """
-        module, sign, attribute = self.target.partition(_SIGN)
+        module, sign, attribute = self.target.partition(":")
+        where = f"{self.target} (of {self.distribution})" if self.distribution else self.target
         if not (sign and module and attribute):
-            raise ConfigError(f"{self.target!r} must be package.module:attribute")
+            raise ConfigError(f"{where} must be package.module:attribute")
         try:
             found: Any = importlib.import_module(module)
+        except SmoothOperatorError:
+            raise
         except ModuleNotFoundError as error:
             if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-                raise  # a module that it needs, not the module itself
+                raise _broken(where, error) from error  # a module that it needs
             raise ConfigError(
-                f"{self.target}: there is no module {error.name!r}: install the distribution that "
+                f"{where}: there is no module {error.name!r}: install the distribution that "
                 "has it, or start where Python finds it (PYTHONPATH)"
             ) from error
+        except Exception as error:  # of somebody's code: anything
+            raise _broken(where, error) from error
         for part in attribute.split("."):
             if not hasattr(found, part):
-                raise ConfigError(f"{self.target}: {module} has no {attribute!r}")
+                raise ConfigError(f"{where}: module {module} has no {attribute!r}")
             found = getattr(found, part)
         return found
 
 
+def _broken(where: str, error: Exception) -> ConfigError:
+    said = " ".join(str(error).split())
+    return ConfigError(f"{where} can't be imported: {type(error).__name__}: {said}")
+
+
 @functools.cache
 def _installed(group: str) -> dict[str, Entry]:
-    """Parts that installed distributions offer, by name."""
+    """What installed distributions offer: name -> part. Read once in a process."""
     found: dict[str, Entry] = {}
     for point in entry_points(group=group):
         owner = point.dist.name if point.dist is not None else "an installed distribution"
-        found.setdefault(point.name, Entry(point.value, f"from {owner}"))
+        found.setdefault(point.name, Entry(point.value, f"from {owner}", owner))
     return found
 
 
@@ -74,16 +92,20 @@ class Registry(Mapping[str, Entry]):
     Args:
         kind: what a part is, in one word, for messages: ``sink``.
         built_in: name -> part.
+        needs: names of the attributes that every part has.
     """
 
-    def __init__(self, kind: str, built_in: Mapping[str, Entry]) -> None:
+    def __init__(
+        self, kind: str, built_in: Mapping[str, Entry], needs: tuple[str, ...] = ()
+    ) -> None:
         self.kind = kind
         self.built_in = dict(built_in)
+        self.needs = needs
 
     @property
     def group(self) -> str:
         """The entry point group in which a distribution offers parts of this kind."""
-        return f"smooth_operator.{self.kind}s"
+        return f"{PREFIX}{self.kind}s"
 
     @property
     def plugins(self) -> dict[str, Entry]:
@@ -100,6 +122,24 @@ class Registry(Mapping[str, Entry]):
 
     def __len__(self) -> int:
         return len(self.built_in) + len(self.plugins)
+
+    def split(self, text: str) -> tuple[str, str]:
+        """A name and what follows it.
+
+        Args:
+            text: ``NAME``, ``NAME:REST``, ``package.module:attribute``, or this with ``:REST`` or
+                ``,REST`` after it.
+
+        Returns:
+            The name, which may be ``package.module:attribute``, and the rest, without the sign
+            between them. A name that is in the registry goes before a module that is called so.
+        """
+        name, _, rest = text.partition(":")
+        target = _TARGET.match(text)
+        if name in self or target is None or not is_target(target[0]):
+            return name, rest
+        after = text[target.end() :]
+        return (target[0], after[1:]) if not after or after[0] in ":," else (name, rest)
 
     def find(self, name: str) -> Entry:
         """The part of a name, or of ``package.module:attribute``.
@@ -118,9 +158,27 @@ class Registry(Mapping[str, Entry]):
 
         Raises:
             UnknownNameError: there is no such name.
-            ConfigError: its module can't be found, or lacks the attribute.
+            ConfigError: its module can't be imported, or lacks the attribute.
         """
-        return self.find(name).load()
+        entry = self.find(name)
+        if name in self:
+            return entry.load()
+        try:
+            return entry.load()
+        except ConfigError as error:  # perhaps a name was meant, and misspelt
+            raise ConfigError(f"{error}. {self.kind}s by name: {', '.join(self)}") from error
+
+    def check(self, name: str, part: object) -> None:
+        """Refuses an object that lacks what a part of this kind needs.
+
+        Raises:
+            ConfigError: an attribute in ``needs`` is absent.
+        """
+        missing = [each for each in self.needs if not hasattr(part, each)]
+        if missing:
+            raise ConfigError(
+                f"{self.find(name).target} can't be a {self.kind}: it lacks {', '.join(missing)}"
+            )
 
     def describe(self) -> str:
         """The names with their summaries, a line each."""
@@ -129,8 +187,12 @@ class Registry(Mapping[str, Entry]):
 
 
 def is_target(text: str) -> bool:
-    """Whether a text has the form ``package.module:attribute``."""
-    module, sign, attribute = text.partition(_SIGN)
-    return bool(sign) and all(
-        part.isidentifier() for part in (*module.split("."), *attribute.split("."))
-    )
+    """Whether a text is ``package.module:attribute``; a module without a dot must exist.
+
+    So a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module.
+    """
+    found = _TARGET.fullmatch(text)
+    if found is None:
+        return False
+    module = found["module"]
+    return "." in module or importlib.util.find_spec(module) is not None

@@ -34,12 +34,12 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import going_first
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.sinks.catalogue import build_sink
+from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver
-from smooth_operator.teleop.sources.catalogue import build_source
 from smooth_operator.teleop.sources.live import LiveSource
+from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:

@@ -9,11 +9,10 @@ from typing import Annotated, ClassVar, Literal
 from tyro.conf import arg
 
 from smooth_operator.cli.common_options import Common, Meshes, Page
-from smooth_operator.components import describe_components
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig
-from smooth_operator.teleop.sinks.catalogue import SINKS
-from smooth_operator.teleop.sources.catalogue import SOURCES
+from smooth_operator.teleop.sinks.registry import SINKS
+from smooth_operator.teleop.sources.registry import SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,13 +21,14 @@ class Teleop(Common, Meshes, Page):
 
     work: ClassVar[str] = "smooth_operator.cli.teleop:teleop"
     details: ClassVar[str] = f"""Sources and sinks are named by a word, with an argument and
-settings after it: replay:glove.npz,speed=2 or record:take.mcap.
+settings after it: replay:glove.npz,speed=2 or record:take.mcap. Your own class is named
+package.module:Class in the same way: mylab.driver:MySink,port=7 (docs/plugins.md).
 
 Sources:
-{describe_components(SOURCES)}
+{SOURCES.describe()}
 
 Sinks, several at once:
-{describe_components(SINKS)}
+{SINKS.describe()}
 
 When the tracker falls silent the hand is held, then goes to its neutral pose; when the operator
 is back it goes over to them smoothly. Joint ranges, velocities and accelerations are limited

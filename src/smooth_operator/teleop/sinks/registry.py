@@ -1,0 +1,36 @@
+"""The sinks, by the name that a user writes."""
+
+from __future__ import annotations
+
+from typing import Final, cast
+
+from smooth_operator.components import build_component
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.teleop.sinks.sink import Sink
+
+_HERE: Final = "smooth_operator.teleop.sinks"
+
+SINKS: Final = Registry(
+    "sink",
+    {
+        "mujoco": Entry(
+            f"{_HERE}.simulation:Simulation", "physics with position actuators, seen in the page"
+        ),
+        "zmq": Entry(f"{_HERE}.zmq_sink:ZmqSink", "commands over ZeroMQ (extra zmq)"),
+        "ros2": Entry(f"{_HERE}.ros2:Ros2Sink", "sensor_msgs/JointState, where rclpy is"),
+        "record": Entry(f"{_HERE}.record:RecordSink", "an MCAP log: record:FILE"),
+        "table": Entry(f"{_HERE}.table:TableSink", "a table in the terminal"),
+    },
+    needs=("label", "open", "send", "stalled", "close"),
+)
+"""Name -> sink, a dataclass of its settings (``Sink``)."""
+
+
+def build_sink(text: str) -> Sink:
+    """A sink from its text, such as ``zmq:tcp://127.0.0.1:5556`` or ``mylab.driver:MySink,port=7``.
+
+    Raises:
+        UnknownNameError: there is no such sink or setting.
+        ConfigError: a setting can't be read, or the class can't be imported or is no sink.
+    """
+    return cast(Sink, build_component(SINKS, text))

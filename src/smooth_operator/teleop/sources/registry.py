@@ -1,0 +1,72 @@
+"""The live sources, by the name that a user writes."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Final, cast, get_type_hints
+
+from smooth_operator.components import build_component
+from smooth_operator.errors import ConfigError
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.teleop.sources.live import LiveSource
+from smooth_operator.teleop.sources.stream import Hands
+from smooth_operator.teleop.sources.video_file import is_video
+
+_HERE: Final = "smooth_operator.teleop.sources"
+
+SOURCES: Final = Registry(
+    "source",
+    {
+        "replay": Entry(f"{_HERE}.replay:Replay", "a recording at its own rate: replay:FILE"),
+        "synthetic": Entry(
+            f"{_HERE}.synthetic_live:SyntheticSource", "the built-in operator; needs no tracker"
+        ),
+        "webcam": Entry(f"{_HERE}.webcam:Webcam", "a camera, by MediaPipe (extra webcam)"),
+        "video": Entry(f"{_HERE}.webcam:Video", "a video file, by MediaPipe: video:FILE"),
+        "webxr": Entry(
+            f"{_HERE}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
+        ),
+        "manus": Entry(
+            f"{_HERE}.manus_stream:ManusStream", "the ZeroMQ stream of glove bridges (extra zmq)"
+        ),
+        "zmq": Entry(f"{_HERE}.zmq_stream:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
+        "udp": Entry(f"{_HERE}.udp:UdpSource", "landmarks over UDP: udp:PORT"),
+    },
+    needs=("label", "start", "stop", "health"),
+)
+"""Name -> source, a dataclass of its settings (``LiveSource``)."""
+
+
+def build_source(text: str, hands: Hands | None = None) -> LiveSource:
+    """A source from its text, such as ``replay:glove.npz,speed=2``.
+
+    Args:
+        text: name and settings.
+        hands: which hands are wanted, for a source that has a setting for it which the text
+            leaves out.
+
+    Raises:
+        UnknownNameError: there is no such source or setting.
+        ConfigError: a setting can't be read, the text is the name of a file, or the class can't
+            be imported or is no source.
+    """
+    if text.partition(":")[0] not in SOURCES:
+        word = _word_for(Path(text.partition(",")[0]))
+        if word is not None:
+            raise ConfigError(
+                f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
+            )
+    made = build_component(SOURCES, text)
+    if hands is not None and get_type_hints(type(made)).get("side") == Hands:
+        settings = SOURCES.split(text)[1].split(",")
+        if not any(part.startswith("side=") for part in settings):
+            made = dataclasses.replace(made, side=hands)
+    return cast(LiveSource, made)
+
+
+def _word_for(path: Path) -> str | None:
+    """The source that a file is for, by its name."""
+    if is_video(path):
+        return "video"
+    return "replay" if path.suffix.lower() in (".npz", ".npy", ".mcap", ".h5", ".hdf5") else None
