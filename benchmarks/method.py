@@ -1,4 +1,4 @@
-"""What each part of ``smooth`` is worth, and what can't be had together: docs/method.md's tables.
+"""Tables of docs/explanation/smooth.md: what each part of ``smooth`` is worth, and what conflicts.
 
     python benchmarks/method.py --data RECORDINGS
     python benchmarks/method.py without fronts --data RECORDINGS --rows clearance lag

@@ -1,4 +1,4 @@
-"""Writes the tables of docs/paper.md from the results of `smooth-operator paper`.
+"""Writes the tables of docs/reference/paper.md from the results of `smooth-operator paper`.
 
 Each table stands between a line `<!-- table: NAME -->` and a line `<!-- end -->`; what stands
 between
@@ -7,7 +7,7 @@ of coverage.
 
     smooth-operator paper --output build/paper
     smooth-operator paper RECORDING ... --output build/paper-real
-    python benchmarks/paper_tables.py build/paper build/paper-real --docs docs/paper.md
+    python benchmarks/paper_tables.py build/paper build/paper-real --docs docs/reference/paper.md
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ BLOCK: Final = re.compile(r"<!-- table: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOT
 
 @dataclass(frozen=True)
 class Settings:
-    """The tables of docs/paper.md."""
+    """The tables of docs/reference/paper.md."""
 
     built_in: Annotated[Path, tyro.conf.Positional]
     """Folder of `paper` on the built-in operators."""

@@ -1,4 +1,4 @@
-"""Methods side by side: the tables of docs/benchmarks.md, and what SLSQP evaluates.
+"""Methods side by side: the tables of docs/reference/benchmarks.md, and what SLSQP evaluates.
 
     smooth-operator bench RECORDING ... --methods all,sbr:paper,dexpilot:published --output FOLDER
     python benchmarks/side_by_side.py FOLDER

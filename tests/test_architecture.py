@@ -1,4 +1,4 @@
-"""Data flows one way: the imports of the package hold the levels of ``docs/architecture.md``."""
+"""Imports of the package follow the levels of ``docs/explanation/architecture.md``."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 """Wings: each imports the core, what is shared, and itself."""
 
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
-"""Top-level module -> level. A new one needs a line here and in ``docs/architecture.md``."""
+"""Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
 CORE_LINES = 16_000
 """Lines that everyone needs at most: the core grows only on purpose."""
@@ -108,7 +108,7 @@ def level_violations(source: Path) -> list[str]:
         if module not in LEVELS:
             found.append(
                 f"{where}: no level for the new top-level module {module!r}; "
-                "give it one in LEVELS here and in docs/architecture.md"
+                "give it one in LEVELS here and in docs/explanation/architecture.md"
             )
             continue
         limit = LEVELS[module]

@@ -76,8 +76,8 @@ def test_links_into_the_project_exist(page: Path) -> None:
 
 
 def test_landmark_table_is_the_code() -> None:
-    """Index, name and indices in each tracker, as ``docs/conventions.md`` tabulates them."""
-    text = (PROJECT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    """Index, name and indices in each tracker, as in ``docs/reference/conventions.md``."""
+    text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (\d+) \| (\d+) \| (\d+) \|", text, re.MULTILINE)
     maps = (landmarks.FROM_MANUS_25, landmarks.FROM_WEBXR_25, landmarks.FROM_OPENXR_26)
     expected = zip(range(landmarks.NUM_LANDMARKS), landmarks.LANDMARKS, *maps, strict=True)
@@ -94,7 +94,7 @@ def test_landmark_table_is_the_code() -> None:
 
 
 def test_status_table_is_the_code() -> None:
-    text = (PROJECT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `([A-Z_]+)` \| (.+?) \|$", text, re.MULTILINE)
     assert rows == [(str(int(status)), status.name, status.reason) for status in Status]
 

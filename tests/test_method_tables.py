@@ -1,4 +1,4 @@
-"""The program that makes the tables of docs/method.md, on a moment of the built-in operator."""
+"""The program that makes the tables of docs/explanation/smooth.md, on a few synthetic frames."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.reporting.drawing import name_points
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "method.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "smooth.md"
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HAND = "shadow_dexee"
 """Three fingers, which are compiled soonest."""

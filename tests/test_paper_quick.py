@@ -21,13 +21,13 @@ def quickly(folder: Path, *words: str) -> tuple[str, str]:
 
 
 def _check_tables_of_the_page(folder: Path) -> None:
-    """Every table of docs/paper.md has the columns and rows that its program makes."""
+    """Every table of docs/reference/paper.md has the columns and rows that its program makes."""
     sys.path.insert(0, str(ROOT / "benchmarks"))
     try:
         import paper_tables
     finally:
         sys.path.remove(str(ROOT / "benchmarks"))
-    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "paper.md").read_text(encoding="utf-8")
     blocks = {found[1]: found[2] for found in paper_tables.BLOCK.finditer(page)}
     assert len(blocks) >= 12
     loose = paper_tables.BLOCK.sub("", page)

@@ -99,7 +99,7 @@ def test_on_a_glove_each_has_the_figures_of_its_authors_code(
 def test_where_the_operator_pinches(
     shared: Path, hand: Hand, score: Scorer, method: str, cosine: float | None, gap: float
 ) -> None:
-    """Figures of the authors' code on these frames, as published in docs/benchmarks.md."""
+    """Figures of the authors' code on these frames, as in docs/reference/benchmarks.md."""
     found = score(commands(shared, published(hand, method), PINCHING), hand.joint_names, PINCHING)
     if cosine is not None:
         assert found["cosine_thumb"] == pytest.approx(cosine, abs=2e-3)

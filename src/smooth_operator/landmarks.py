@@ -1,8 +1,8 @@
 """The one landmark schema of a human hand (21 points) and the maps onto it.
 
 Order: wrist, then per finger from base to tip. It is the order of MediaPipe's hand landmarker, and
-``docs/conventions.md`` draws it. Trackers with more nodes (MANUS 25, WebXR 25, OpenXR 26) are
-mapped by index; what the maps leave out are the metacarpal bases of the long fingers, which
+``docs/reference/conventions.md`` draws it. Trackers with more nodes (MANUS 25, WebXR 25, OpenXR
+26) are mapped by index; what the maps leave out are the metacarpal bases of the long fingers, which
 ``METACARPALS_MANUS_25`` and its siblings pick.
 """
 

@@ -43,8 +43,8 @@ class Ordered:
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
     """Order of the 21 points in a plain .npy or .npz, where it is not MediaPipe's: mano,
-    minimal_ik, mano_fingers, rhd, interhand, fpha or pinky_first (docs/conventions.md). Other
-    files' order is known."""
+    minimal_ik, mano_fingers, rhd, interhand, fpha or pinky_first
+    (docs/reference/conventions.md). Other files' order is known."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,7 +104,7 @@ Examples:
 
     priority: Literal["high", "normal"] = "high"
     """Whether the loop goes before other programs, where the system lets it: what it got is in
-    the summary (docs/teleop.md)."""
+    the summary (docs/how-to/teleoperate.md)."""
 
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Take words from other programs on this ZeroMQ address, such as tcp://127.0.0.1:5558 (extra

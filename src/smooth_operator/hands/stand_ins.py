@@ -79,8 +79,8 @@ def stand_ins(hand: Hand) -> StandIns:
     Those are the links that lost shapes because mesh files can't be read, where their other shapes
     leave the bone bare. Where half of the fingers or more have such a link, all finger links get a
     stand-in in place of what shapes they have: estimates of one kind measure better than a mix
-    (docs/hands.md). A hand without any shape that collides gets them for the palm and all links
-    from it to a fingertip.
+    (docs/how-to/hands.md). A hand without any shape that collides gets them for the palm and all
+    links from it to a fingertip.
 
     Args:
         hand: the robot hand.

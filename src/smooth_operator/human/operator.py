@@ -2,7 +2,7 @@
 
 The correction comes after the alignment to the palm, in the palm frame, and is the same for every
 method. It has parts that are switched one by one (``COMPONENTS``); which are on is a field of
-the profile, and docs/calibration.md says what each did where it was measured.
+the profile, and docs/how-to/calibrate.md says what each did where it was measured.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COMPONENTS: Final[tuple[Component, ...]] = get_args(Component)
 is left in pinches is closed, and latches close and open at the operator's distances. ``fingers``:
 each finger's reach to the robot's. ``palm``: the flat hand's direction to the robot's."""
 DEFAULT_COMPONENTS: Final[tuple[Component, ...]] = ("scale", "pinch")
-"""Those that did good on recordings that they were not fitted on: docs/calibration.md."""
+"""Those that did good on recordings that they were not fitted on: docs/how-to/calibrate.md."""
 
 THUMB_FLEXES_TOWARDS: Final = (0.5, -1.0)
 """(distal, radial): where a thumb flexes to, as in ``smooth_operator.human.joint_angles``."""

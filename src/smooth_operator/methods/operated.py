@@ -24,7 +24,7 @@ def operated_by(config: MethodConfig, operator: OperatorProfile) -> MethodConfig
 
     ``smooth`` holds the thumb's vectors by direction and by length. So its pinches are closed by
     the length alone: to move landmarks would turn the directions with them, which cost it cosine
-    similarity (docs/calibration.md). It does not use the components that ``left_out`` names.
+    similarity (docs/how-to/calibrate.md). It does not use the components that ``left_out`` names.
 
     Args:
         config: of any method.
@@ -52,8 +52,8 @@ def left_out(config: MethodConfig, operator: OperatorProfile) -> tuple[Component
     """Which components of a calibration a method does not use.
 
     ``smooth`` leaves out ``scale``: one scale for all frames helped it on no recording, and on
-    video it preserved motion less (docs/calibration.md). A scale in the configuration itself is
-    used.
+    video it preserved motion less (docs/how-to/calibrate.md). A scale in the configuration
+    itself is used.
 
     Args:
         config: of any method.

@@ -44,7 +44,8 @@ SBR_REALTIME: Final = SbrConfig(
 The optimum that the paper's sampler only approaches follows fast motion more closely, jumps of
 the pinch latches included; so a latch moves over 2.5 frames, and weight goes from the
 finger-to-finger keyvectors to the thumb's. The weights were tuned on three recordings (a glove, the
-set that GeoRT trains on, the built-in operator); docs/benchmarks.md says which and shows others.
+set that GeoRT trains on, the built-in operator); docs/reference/benchmarks.md says which and
+shows others.
 """
 
 KEYVECTOR: Final = DescentConfig(

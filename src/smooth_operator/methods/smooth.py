@@ -3,8 +3,8 @@
 Eq. (1) with four ideas more, each of which a weight of 0 leaves out: fingertips move as the human's
 do while their places are corrected little by little, and most while the hand moves; the thumb's
 vectors are held by angle and length and not by distance alone; parts of the hand stay out of each
-other; landmarks are followed without leaps. docs/method.md has the equations, and what each of them
-is worth.
+other; landmarks are followed without leaps. docs/explanation/smooth.md has the equations, and
+what each of them is worth.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class AkoTargets:
             rises from 0 at ``contact`` in between.
         switch_pinch: whether each pinch vector fades away from the thumb, as the wrist vectors fade
             near it, as published. Without it pinches close further and directions are nearer to
-            the human's: docs/methods.md.
+            the human's: docs/reference/methods.md.
     """
 
     w_thumb_wrist: float = 10.0

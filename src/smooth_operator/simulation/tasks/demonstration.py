@@ -1,7 +1,7 @@
 """Trajectories that are known to do the tasks: key poses found by search, shipped as JSON.
 
 They say that a scene can be done by a hand of which only the fingers move, and hold that in the
-tests. ``docs/study.md`` says how they were found.
+tests. ``docs/how-to/user-study.md`` says how they were found.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ _WAITING_MESSAGES: Final = 4
 
 @dataclass(frozen=True)
 class ZmqSink(CourierSink):
-    """Publishes commands on a ZeroMQ socket (PUB); see ``docs/teleop/robot-driver.md``.
+    """Publishes commands on a ZeroMQ socket (PUB); see ``docs/how-to/robot-driver.md``.
 
     Nobody need listen, and a subscriber may come and go. Each message says how long it is valid:
     a driver that hears nothing for longer than that stops its robot.

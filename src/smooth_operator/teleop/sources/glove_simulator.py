@@ -290,7 +290,7 @@ class _Written:
 
 
 def _mirrored(frame: HandFrame, side: Side) -> HandFrame:
-    """The other hand: positions mirrored in y, rotations with them (docs/conventions.md)."""
+    """The other hand: positions and rotations mirrored in y (docs/reference/conventions.md)."""
     flip = np.array([1.0, -1.0, 1.0])
     return HandFrame(
         frame.landmarks * flip,

@@ -9,7 +9,7 @@ made with), with three fields more::
 Read are also, since other bridges send them: both hands in one message; nodes as 25 rows of x y z
 and a quaternion; the ROS 2 message ``ManusGlove`` as JSON (``raw_nodes`` with a ``pose`` each); and
 lines of ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, of one hand or two, as
-the Bidex bridge pushes them. ``docs/teleop/manus.md`` has an example of each.
+the Bidex bridge pushes them. ``docs/how-to/manus.md`` has an example of each.
 """
 
 from __future__ import annotations
