@@ -1,0 +1,75 @@
+"""Hook of mkdocs: lists the public names and the modules of a package on its API page.
+
+A page of ``docs/reference/api`` has the line ``{{ public smooth_operator.hands }}`` or
+``{{ modules smooth_operator.hands }}``. The first becomes one mkdocstrings block for each public
+name of the package, the second a table of its modules with the first line of their docstrings.
+Both are read from the source files: nothing is imported.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+_LINE = re.compile(r"^\{\{ (public|modules) ([\w.]+) \}\}$", re.MULTILINE)
+
+
+def _folder(package: str) -> Path:
+    return SOURCE.joinpath(*package.split("."))
+
+
+def public_names(package: str) -> dict[str, str]:
+    """Name -> the module that defines it: what a package imports as ``X as X``.
+
+    An import of a whole module (``from package import module as module``) is left out.
+    """
+    tree = ast.parse((_folder(package) / "__init__.py").read_text(encoding="utf-8"))
+    found = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                is_module = _folder(f"{node.module}.{alias.name}")
+                if is_module.is_dir() or is_module.with_suffix(".py").is_file():
+                    continue
+                if alias.asname == alias.name:
+                    found[alias.name] = _home(node.module, alias.name)
+    return found
+
+
+def _home(module: str, name: str) -> str:
+    """The module that defines a name which ``module`` may only pass on."""
+    folder = _folder(module)
+    if folder.is_dir():
+        return public_names(module).get(name, module)
+    return module
+
+
+def _modules(package: str) -> Iterator[tuple[str, str]]:
+    """(dotted name, first line of the docstring) of every module in a package."""
+    folder = _folder(package)
+    for path in sorted(folder.rglob("*.py")):
+        doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        parts = path.relative_to(SOURCE).with_suffix("").parts
+        if parts[-1] == "__init__":
+            parts = parts[:-1]
+        name = ".".join(parts)
+        if doc and name != package:
+            yield name, doc.split("\n\n")[0].replace("\n", " ").replace("|", "\\|")
+
+
+def _expanded(match: re.Match[str]) -> str:
+    kind, package = match.groups()
+    if kind == "public":
+        names = public_names(package)
+        return "\n\n".join(f"::: {home}.{name}" for name, home in sorted(names.items()))
+    rows = [f"| `{name}` | {doc} |" for name, doc in _modules(package)]
+    return "\n".join(["| module | content |", "|---|---|", *rows])
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Called by mkdocs for each page."""
+    return _LINE.sub(_expanded, markdown)

@@ -1,0 +1,72 @@
+"""The documentation site builds without a warning, needs no other host, and has an API reference."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import smooth_operator
+
+PROJECT = Path(__file__).resolve().parents[1]
+PACKAGES = ["hands", "objective", "solvers", "methods", "metrics", "io", "teleop", "lab", "study"]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; ``--strict`` turns each warning into a failure."""
+    for module in ("mkdocs", "material", "mkdocstrings"):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"{module} is not installed (extra docs)")
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
+        cwd=PROJECT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        encoding="utf-8",
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr, done.stderr
+    return folder
+
+
+def test_every_page_is_in_the_site(site: Path) -> None:
+    pages = [p.relative_to(PROJECT / "docs") for p in (PROJECT / "docs").glob("**/*.md")]
+    assert len(pages) > 20
+    for page in pages:
+        name = page.parent if page.name == "index.md" else page.with_suffix("")
+        assert (site / name / "index.html").is_file(), page
+
+
+def test_the_site_has_a_search_index(site: Path) -> None:
+    index = (site / "search" / "search_index.json").read_text(encoding="utf-8")
+    assert "smooth_operator.methods" in index
+    assert "load_hand" in index
+
+
+def test_the_site_loads_nothing_from_other_hosts(site: Path) -> None:
+    loaded = re.compile(r'<(?:script|img|iframe|link rel="(?:stylesheet|preload)")[^>]*https?://')
+    for page in site.glob("**/*.html"):
+        assert loaded.search(page.read_text(encoding="utf-8")) is None, page
+
+
+def test_the_api_reference_has_every_public_name(site: Path) -> None:
+    page = (site / "reference" / "api" / "smooth_operator" / "index.html").read_text("utf-8")
+    documented = set(re.findall(r'id="smooth_operator\.[\w.]*?(\w+)"', page))
+    assert sorted(set(smooth_operator.__all__) - documented) == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_each_package_has_a_page_of_its_modules(site: Path, package: str) -> None:
+    page = (site / "reference" / "api" / package / "index.html").read_text(encoding="utf-8")
+    folder = PROJECT / "src" / "smooth_operator" / package
+    modules = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]
+    assert [name for name in modules if f"smooth_operator.{package}.{name}<" not in page] == []
