@@ -1,4 +1,4 @@
-"""The documentation site builds without a warning, needs no other host, and has an API reference."""
+"""The documentation site builds without a warning and holds every page and public name."""
 
 from __future__ import annotations
 
