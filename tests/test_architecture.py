@@ -37,6 +37,7 @@ CORE = {
 SHARED = {
     "parallel": 3,
     "web": 3,
+    "result_cache": 4,
     "simulation": 4,
     "calibration": 5,
     "synthetic": 5,
@@ -173,6 +174,25 @@ def unpickling(source: Path) -> list[str]:
     return found
 
 
+def missing_code(source: Path) -> list[str]:
+    """Paths given to ``code_digest`` and ``imported_modules`` that do not exist (any more)."""
+    found = []
+    for path in modules(source):
+        where = path.relative_to(source.parent).as_posix()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+            name = isinstance(node, ast.Call) and getattr(node.func, "id", "")
+            if name not in ("code_digest", "imported_modules"):
+                continue
+            given = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
+            found += [
+                f"{where}:{node.lineno}: {text!r} is not in the package: results would be used "
+                "again though their code has changed; name the place that it moved to"
+                for text in given
+                if isinstance(text, str) and not (source / text).exists()
+            ]
+    return found
+
+
 def misshapen(source: Path) -> list[str]:
     found = []
     for path in modules(source):
@@ -208,6 +228,10 @@ def test_the_core_is_small() -> None:
 
 def test_nothing_unpickles() -> None:
     assert not unpickling(SOURCE), "\n".join(unpickling(SOURCE))
+
+
+def test_digests_of_code_name_files_that_exist() -> None:
+    assert not missing_code(SOURCE), "\n".join(missing_code(SOURCE))
 
 
 def test_modules_are_small_and_named_after_what_they_hold() -> None:
@@ -334,6 +358,13 @@ def test_unpickling_is_found(tmp_path: Path, statement: str) -> None:
 def test_refusing_to_unpickle_passes(tmp_path: Path) -> None:
     text = "np.load(path, allow_pickle=False)  # never import pickle"
     assert unpickling(package(tmp_path, {"recording.py": text})) == []
+
+
+def test_code_that_moved_away_is_found(tmp_path: Path) -> None:
+    text = 'code_digest("types.py", *imported_modules("moved.py"))'
+    found = missing_code(package(tmp_path, {"types.py": "", "lab/cells.py": text}))
+    assert found
+    assert all("'moved.py'" in line for line in found)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,9 @@ def simulate_power(options: Power) -> None:
             def report(done: int, total: int) -> None:
                 show(f"simulating studies ({done} of {total})", done / total)
 
-            tallies = run_power(settings, folder, workers=options.workers, report=report)
+            tallies = run_power(
+                settings, folder, workers=options.workers, report=report, note=progress.note
+            )
         files = write_power(settings, tallies, folder)
     if options.json:
         print(json.dumps(power_json(settings, tallies)))

@@ -6,22 +6,27 @@ workers, and any interruption, give the same figures.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-import smooth_operator
 from smooth_operator.errors import StudyError
-from smooth_operator.io.atomic import output_error
-from smooth_operator.io.documents import parse_json
 from smooth_operator.parallel import run_tasks
+from smooth_operator.result_cache import (
+    Job,
+    JobResult,
+    Note,
+    ResultLog,
+    code_digest,
+    compute_results,
+    find_results,
+    no_note,
+)
 from smooth_operator.study.analysis.results import POOLED
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
@@ -39,7 +44,6 @@ TRUTHS: Final[tuple[Truth, ...]] = ("effects", "null")
 LOG: Final = "studies.jsonl"
 """Counts of finished chunks, a line each."""
 _CHUNK: Final = 10
-_CODE: Final = ("study/design", "study/power", "study/analysis")
 _LEAST_OPERATORS: Final = 3
 
 Report: TypeAlias = Callable[[int, int], None]
@@ -113,12 +117,6 @@ class Chunk:
     first: int
     count: int
 
-    @property
-    def key(self) -> str:
-        """What tells whether the chunk was done before: its studies and the code."""
-        what = (self.setting, self.operators, self.truth, self.first, self.count, _code_digest())
-        return hashlib.sha256(repr(what).encode()).hexdigest()[:24]
-
 
 def run_power(
     settings: PowerSettings,
@@ -126,6 +124,7 @@ def run_power(
     *,
     workers: int | None = None,
     report: Report | None = None,
+    note: Note = no_note,
 ) -> dict[tuple[int, Truth], Tally]:
     """Simulates and analyses; goes on where an earlier run in the same folder stopped.
 
@@ -133,7 +132,8 @@ def run_power(
         settings: what to simulate.
         folder: keeps what is done; must exist.
         workers: processes; None for as many as there are cores, 0 for none.
-        report: told of every chunk that is done.
+        report: called after every chunk.
+        note: called with what is in the folder and can't be used.
 
     Returns:
         Counts for each number of operators and truth.
@@ -142,37 +142,36 @@ def run_power(
         StudyError: a study could not be simulated; says why.
         OutputError: the folder can't be written to.
     """
-    chunks = list(_chunks(settings))
-    total = sum(chunk.count for chunk in chunks)
-    log = folder / LOG
-    known = _read_log(log)
+    code = code_digest("study/design", "study/power", "study/analysis")
+    jobs = [Job("", chunk, code, chunk) for chunk in _chunks(settings)]
+    log = ResultLog(folder / LOG, note)
+    found, missing = find_results(jobs, log)
     tallies: dict[tuple[int, Truth], Tally] = {
         (n, truth): Tally() for n in settings.operators for truth in TRUTHS
     }
-    done = 0
-    for chunk in chunks:
-        if (line := known.get(chunk.key)) is not None:
-            tallies[chunk.operators, chunk.truth].merge(chunk.count, line)
-            done += chunk.count
-    left = [chunk for chunk in chunks if chunk.key not in known]
+    total, done = sum(job.task.count for job in jobs), 0
+
+    def add(result: JobResult[Chunk]) -> None:
+        nonlocal done
+        chunk = result.job.task
+        if result.value is None:
+            raise StudyError(f"simulating {chunk.operators} operators failed: {result.error}")
+        tallies[chunk.operators, chunk.truth].merge(chunk.count, result.value["counts"])
+        done += chunk.count
+
+    for result in found:
+        add(result)
     if report is not None:
         report(done, total)
-    try:
-        with log.open("a", encoding="utf-8") as file:
-            for result in run_tasks(simulate_chunk, left, workers=workers):
-                chunk = left[result.index]
-                if result.value is None:
-                    raise StudyError(
-                        f"simulating {chunk.operators} operators failed: {result.error}"
-                    )
-                file.write(json.dumps({"key": chunk.key, "counts": result.value}) + "\n")
-                file.flush()
-                tallies[chunk.operators, chunk.truth].merge(chunk.count, result.value)
-                done += chunk.count
-                if report is not None:
-                    report(done, total)
-    except OSError as error:
-        raise output_error(log, error) from error
+    for result in compute_results(
+        missing,
+        log,
+        lambda tasks: run_tasks(simulate_chunk, tasks, workers=workers),
+        lambda job, result: None if result.value is None else {"counts": result.value},
+    ):
+        add(result)
+        if report is not None:
+            report(done, total)
     return tallies
 
 
@@ -229,35 +228,3 @@ def _chunks(settings: PowerSettings) -> Iterator[Chunk]:
         for operators in settings.operators:
             for truth in TRUTHS:
                 yield Chunk(setting, operators, truth, first, count)
-
-
-def _read_log(path: Path) -> dict[str, dict[str, dict[str, int]]]:
-    """Finished chunks; a last line that a kill cut off is none."""
-    found: dict[str, dict[str, dict[str, int]]] = {}
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return found
-    except (OSError, UnicodeDecodeError) as error:
-        raise StudyError(f"can't read {path}, the studies done so far: {error}") from error
-    for line in text.splitlines():
-        try:
-            entry = parse_json(line)
-            found[entry["key"]] = entry["counts"]
-        except (ValueError, KeyError, TypeError):
-            continue
-    if text and not text.endswith("\n"):
-        with path.open("a", encoding="utf-8") as file:
-            file.write("\n")
-    return found
-
-
-@cache
-def _code_digest() -> str:
-    """Of the code that figures depend on: after a change nothing old is mixed in."""
-    home = Path(smooth_operator.__file__).parent
-    total = hashlib.sha256()
-    for name in _CODE:
-        for file in sorted((home / name).glob("*.py")):
-            total.update(os.fsencode(file.name) + b"\0" + file.read_bytes())
-    return total.hexdigest()

@@ -1,0 +1,211 @@
+"""The result cache: what is found again, what is not, and what is said about it."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import OutputError
+from smooth_operator.parallel import TaskResult, run_tasks
+from smooth_operator.result_cache import (
+    ArrayCache,
+    Job,
+    ResultCache,
+    ResultLog,
+    code_digest,
+    imported_modules,
+    run_jobs,
+)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A package whose ``a`` imports ``b`` and the package ``c``; ``d`` is nobody's."""
+    folder = tmp_path / "toy"
+    (folder / "c").mkdir(parents=True)
+    (folder / "a.py").write_text("from toy import b\ndef f():\n    import toy.c\n")
+    (folder / "b.py").write_text("")
+    (folder / "c" / "__init__.py").write_text("from toy.a import f\n")
+    (folder / "d.py").write_text("")
+    return folder
+
+
+def changed(path: Path) -> Path:
+    path.write_text(path.read_text() + "# changed\n")
+    code_digest.cache_clear()
+    return path
+
+
+def test_a_digest_changes_with_a_file_below_a_folder(home: Path) -> None:
+    before = code_digest("a.py", "c", home=home)
+    changed(home / "d.py")
+    (home / "c" / "left.pyc").write_bytes(b"compiled")
+    assert code_digest("a.py", "c", home=home) == before
+    changed(home / "c" / "__init__.py")
+    assert code_digest("a.py", "c", home=home) != before
+
+
+def test_a_digest_refuses_a_path_that_does_not_exist(home: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"'moved' is not in the package 'toy'"):
+        code_digest("a.py", "moved", home=home)
+    with pytest.raises(FileNotFoundError, match=r"moved\.py"):
+        imported_modules("moved.py", home=home)
+    with pytest.raises(FileNotFoundError, match=r"moved\.py"):
+        imported_modules("a.py", leave_out=("moved.py",), home=home)
+
+
+def test_modules_that_are_imported_in_functions_count(home: Path) -> None:
+    assert imported_modules("a.py", home=home) == ("a.py", "b.py", "c/__init__.py")
+    assert imported_modules("a.py", leave_out=("c/__init__.py",), home=home) == ("a.py", "b.py")
+
+
+VALUES: dict[type, Any] = {ResultCache: {"x": [1.5]}, ArrayCache: {"x": np.arange(3.0)}}
+
+
+@pytest.mark.parametrize("kind", [ResultCache, ArrayCache])
+def test_a_result_is_found_by_key_and_code(tmp_path: Path, kind: type[ResultCache]) -> None:
+    notes: list[str] = []
+    cache = kind(tmp_path / "results", notes.append)
+    assert cache.find("one", {"seed": 1}, "code") is None
+    cache.keep("one", {"seed": 1}, "code", VALUES[kind])
+    again = kind(tmp_path / "results", notes.append)
+    np.testing.assert_equal(again.find("one", {"seed": 1}, "code"), VALUES[kind])
+    assert again.find("one", {"seed": 2}, "code") is None
+    again.note_outdated()
+    assert notes == []
+    assert again.find("one", {"seed": 1}, "other code") is None
+    again.note_outdated()
+    (note,) = notes
+    assert note.startswith("1 result in ")
+    assert "another version of the code" in note
+    lenient = kind(tmp_path / "results", other_code=True)
+    np.testing.assert_equal(lenient.find("one", {"seed": 1}, "other code"), VALUES[kind])
+    assert lenient.found_by_other_code == {"one"}
+
+
+@pytest.mark.parametrize("kind", [ResultCache, ArrayCache])
+@pytest.mark.parametrize(
+    "damage", [lambda text: text[: len(text) // 2], lambda text: b"", lambda text: b"[1]"]
+)
+def test_a_damaged_result_is_ignored_with_a_note(
+    tmp_path: Path, kind: type[ResultCache], damage: Callable[[bytes], bytes]
+) -> None:
+    notes: list[str] = []
+    cache = kind(tmp_path, notes.append)
+    cache.keep("one", "key", "code", VALUES[kind])
+    path = cache.path("one")
+    path.write_bytes(damage(path.read_bytes()))
+    assert cache.find("one", "key", "code") is None
+    (note,) = notes
+    assert str(path) in note
+    assert "computed again" in note
+    cache.keep("one", "key", "code", VALUES[kind])
+    assert cache.find("one", "key", "code") is not None
+
+
+def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError):
+        ResultCache(tmp_path / "file")
+
+
+def _write_often(folder: Path) -> None:
+    cache = ResultCache(folder)
+    for _ in range(50):
+        cache.keep("shared", "key", "code", {"x": list(range(500))})
+
+
+def test_processes_that_share_a_folder_leave_whole_results(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    writers = [context.Process(target=_write_often, args=(tmp_path,)) for _ in range(2)]
+    for writer in writers:
+        writer.start()
+    notes: list[str] = []
+    cache = ResultCache(tmp_path, notes.append)
+    while any(writer.is_alive() for writer in writers):
+        assert cache.find("shared", "key", "code") in (None, {"x": list(range(500))})
+    for writer in writers:
+        writer.join()
+        assert writer.exitcode == 0
+    assert cache.find("shared", "key", "code") is not None
+    assert notes == []
+    assert [path.name for path in tmp_path.iterdir()] == ["shared.json"]
+
+
+# -- the log --------------------------------------------------------------------------------------
+
+
+def test_a_log_goes_on_after_half_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    log = ResultLog(path)
+    log.keep("", {"a": 1}, "code", {"x": 1})
+    with path.open("ab") as file:
+        file.write(b'{"key": "abc", "co')
+    log = ResultLog(path)
+    log.keep("", {"a": 2}, "code", {"x": 2})
+    again = ResultLog(path)
+    assert again.damaged == 0
+    assert [again.find("", {"a": n}, "code") for n in (1, 2, 3)] == [{"x": 1}, {"x": 2}, None]
+
+
+def test_a_log_says_what_it_does_not_use(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    ResultLog(path).keep("", "key", "code", {"x": 1})
+    with path.open("ab") as file:
+        file.write(b'{"search": "of an earlier version"}\nno result\n')
+    notes: list[str] = []
+    log = ResultLog(path, notes.append)
+    assert log.find("", "key", "other code") is None
+    log.note_outdated()
+    damaged, earlier, outdated = notes
+    assert "no results" in damaged
+    assert "earlier version" in earlier
+    assert "another version of the code" in outdated
+    assert log.find("", "key", "code") == {"x": 1}
+
+
+# -- jobs -----------------------------------------------------------------------------------------
+
+
+def square(number: int) -> int:
+    if number == 3:
+        raise ValueError("three")
+    return number**2
+
+
+def jobs(numbers: Sequence[int]) -> list[Job[int]]:
+    return [Job(f"n{n}", {"n": n}, "code", n, str(n), effort=n) for n in numbers]
+
+
+def test_only_missing_jobs_are_computed_and_failures_are_tried_again(tmp_path: Path) -> None:
+    begun: list[int] = []
+
+    def execute(tasks: Sequence[int]) -> Iterator[TaskResult[int]]:
+        begun.extend(tasks)
+        return run_tasks(square, tasks, workers=0)
+
+    cache = ResultCache(tmp_path)
+    first = {r.job.task: r for r in run_jobs(jobs([1, 2, 3]), cache, execute)}
+    assert begun == [3, 2, 1]  # the longest first
+    assert first[3].error == "ValueError: three"
+    assert (first[2].value, first[2].fresh) == (4, True)
+    begun.clear()
+    second = {r.job.task: r for r in run_jobs(jobs([1, 2, 3, 4]), cache, execute)}
+    assert begun == [4, 3]
+    assert (second[2].value, second[2].fresh) == (4, False)
+
+
+def test_what_is_done_is_kept_when_a_run_is_stopped(tmp_path: Path) -> None:
+    def execute(tasks: Sequence[int]) -> Iterator[TaskResult[int]]:
+        return run_tasks(square, tasks, workers=0)
+
+    results = run_jobs(jobs([1, 2]), ResultCache(tmp_path), execute)
+    assert next(results).job.task == 2
+    results.close()  # type: ignore[attr-defined]
+    assert ResultCache(tmp_path).find("n2", {"n": 2}, "code") == 4
+    assert ResultCache(tmp_path).find("n1", {"n": 1}, "code") is None
