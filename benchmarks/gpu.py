@@ -167,9 +167,9 @@ def plain(hand: Hand, config: SbrConfig) -> tuple[Any, Step]:
 
     @jax.jit
     def program(state: Any, landmarks: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-        q, latched, key = state
+        q, held, key = state
         aligned = palm_alignment(landmarks, hand, config.alignment).apply(landmarks)
-        goal = objective.targets(layout, layout.human(aligned), latched)
+        goal, held = objective.targets(held, layout, layout.human(aligned))
 
         def cost(u: jax.Array) -> jax.Array:
             pull = objective.pose_weight * ((u - neutral) ** 2).sum()
@@ -195,14 +195,13 @@ def plain(hand: Hand, config: SbrConfig) -> tuple[Any, Step]:
         # as ours, without the last draw, which changes nothing
         (mean, _), _ = jax.lax.scan(cycle, first, jax.random.split(now, sampling.cycles - 1))
         q = jnp.clip(mean, low, high)
-        return (q, goal.latched, key), q, tracking(q, goal.vectors, goal.weights)
+        return (q, held, key), q, tracking(q, goal.vectors, goal.weights)
 
     def step(state: Any, frame: HandFrame) -> tuple[Any, np.ndarray, float]:
         state, q, loss = program(state, frame.landmarks.astype(np.float32))
         return state, hand.expand(np.asarray(q, float)), float(loss)
 
-    fingers = len(hand.fingers) - 1
-    return (neutral, jnp.zeros(fingers, bool), jax.random.key(0)), step
+    return (neutral, objective.targets.init(layout), jax.random.key(0)), step
 
 
 def against_cpu(

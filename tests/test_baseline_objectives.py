@@ -143,8 +143,7 @@ def test_vectors_or_positions_of_tips_are_held_by_the_last_command(hand: Hand, p
     assert isinstance(config, DescentConfig)
     objective, human = Objective(hand, config.objective), human_pinch(hand)
     layout = objective.layout
-    open_latches = jnp.zeros(4, bool)
-    targets = config.objective.targets(layout, layout.human(jnp.asarray(human)), open_latches)
+    targets, _ = config.objective.targets((), layout, layout.human(jnp.asarray(human)))
     rng = np.random.default_rng(4)
     q, previous = rng.uniform(*hand.limits.T, (2, len(hand.limits)))
     goal = FrameGoal(

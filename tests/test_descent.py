@@ -72,7 +72,7 @@ def test_ako_has_fourteen_vectors() -> None:
 
 def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20() -> None:
     human = jnp.asarray(ako_vectors([0.005, 0.01, 0.015, 0.03]), jnp.float32)
-    targets = AkoTargets()(PinchLayout(FINGERS), human, jnp.zeros(4, bool))
+    targets, _ = AkoTargets()((), PinchLayout(FINGERS), human)
     lengths = np.linalg.norm(targets.vectors[5:9], axis=1)
     np.testing.assert_allclose(lengths, [0.0, 0.0, 0.01, 0.03], atol=1e-7)  # 2 (15 - 10) mm = 10
     np.testing.assert_array_equal(targets.vectors[:5], human[:5])
@@ -82,12 +82,12 @@ def test_ako_switches_between_wrist_and_pinch_at_20_mm() -> None:
     """Each pinch vector by its own distance, all wrist vectors by the nearest finger."""
     human = jnp.asarray(ako_vectors([0.02, 0.005, 0.12, 0.02]), jnp.float32)
     policy = AkoTargets(switch_pinch=True)
-    weights = np.asarray(policy(PinchLayout(FINGERS), human, jnp.zeros(4, bool)).weights)
+    weights = np.asarray(policy((), PinchLayout(FINGERS), human)[0].weights)
     s = 1 / (1 + np.exp(-10 * (np.array([0.02, 0.005, 0.12, 0.02]) - 0.02)))
     np.testing.assert_allclose(weights[:5], np.array([10, 1, 1, 1, 1]) * s[1], rtol=1e-6)
     np.testing.assert_allclose(weights[5:9], 10 * (1 - s), rtol=1e-6)
     np.testing.assert_allclose(weights[9:], 10)
-    held = AkoTargets()(PinchLayout(FINGERS), human, jnp.zeros(4, bool)).weights
+    held = AkoTargets()((), PinchLayout(FINGERS), human)[0].weights
     np.testing.assert_allclose(held[5:9], 10)
 
 
@@ -215,11 +215,11 @@ def test_dexpilots_latch_lives_in_the_state_and_resets(hand: Hand) -> None:
     seen = []
     for gap in (0.06, 0.04, 0.025, 0.04, 0.06, 0.04):
         state, _ = retargeter.step(state, frame(gap))
-        seen.append(bool(state.method.latched[0]))
+        seen.append(bool(state.method.targets.latched[0]))
     assert seen == [False, False, True, True, False, False]
     state, _ = retargeter.step(retargeter.init(), frame(0.025))
-    assert state.method.latched[0]
-    assert not retargeter.init().method.latched.any()
+    assert state.method.targets.latched[0]
+    assert not retargeter.init().method.targets.latched.any()
 
 
 def test_a_time_budget_ends_a_frame_early(hand: Hand) -> None:

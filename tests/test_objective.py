@@ -19,7 +19,7 @@ from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
-from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, Targets
+from smooth_operator.objective.targets import DexPilotTargets, LatchState, PlainTargets, Targets
 
 FIVE = KeyvectorLayout(FINGERS)
 
@@ -81,11 +81,17 @@ def human_vectors(distances: list[float], layout: KeyvectorLayout = FIVE) -> jax
     return jnp.asarray(layout.robot(tips, np.zeros(3)), jnp.float32)
 
 
+def first_frame(
+    policy: DexPilotTargets, human: jax.Array, layout: KeyvectorLayout = FIVE
+) -> tuple[Targets, LatchState]:
+    return policy(policy.init(layout), layout, human)
+
+
 def latches(policy: DexPilotTargets, sequence: list[list[float]]) -> list[list[bool]]:
-    latched, seen = jnp.zeros(4, bool), []
+    state, seen = policy.init(FIVE), []
     for distances in sequence:
-        latched = policy(FIVE, human_vectors(distances), latched).latched
-        seen.append([bool(one) for one in latched])
+        _, state = policy(state, FIVE, human_vectors(distances))
+        seen.append([bool(one) for one in policy.latched(state)])
     return seen
 
 
@@ -111,7 +117,7 @@ def test_fingers_latch_on_their_own() -> None:
 def test_targets_and_weights_of_open_closed_and_latched_pairs() -> None:
     policy = DexPilotTargets(eta2=0.004, w_set2=0.5, beta=1.2, w_thumb=3.0, w_between=4.0)
     human = human_vectors([0.005, 0.05, 0.008, 0.06])
-    out = policy(FIVE, human, jnp.zeros(4, bool))
+    out, _ = policy(policy.init(FIVE), FIVE, human)
     length = np.linalg.norm(human, axis=1)
     closed, both = [5, 7], [10]  # index and ring to the thumb; index to ring
     for k in range(15):
@@ -128,27 +134,27 @@ def test_targets_and_weights_of_open_closed_and_latched_pairs() -> None:
 
 
 def test_the_papers_table() -> None:
-    out = DexPilotTargets()(FIVE, human_vectors([0.005, 0.008, 0.1, 0.1]), jnp.zeros(4, bool))
+    out, _ = first_frame(DexPilotTargets(), human_vectors([0.005, 0.008, 0.1, 0.1]))
     lengths = np.linalg.norm(out.vectors, axis=1)
     np.testing.assert_allclose(lengths[[5, 6, 9]], [0.001, 0.001, 0.0], atol=1e-8)
     np.testing.assert_array_equal(out.weights, [1, 1, 1, 1, 1, 2, 2, 1, 1, 0, 1, 1, 1, 1, 1])
 
 
 def test_tips_that_coincide_have_no_direction_and_stay_finite() -> None:
-    out = DexPilotTargets()(FIVE, human_vectors([0.0, 0.1, 0.1, 0.1]), jnp.zeros(4, bool))
+    out, state = first_frame(DexPilotTargets(), human_vectors([0.0, 0.1, 0.1, 0.1]))
     assert np.isfinite(out.vectors).all()
-    assert bool(out.latched[0])
+    assert bool(state.latched[0])
 
 
 def test_blending_spreads_a_latch_over_frames() -> None:
-    policy, latched, closure = DexPilotTargets(blend=0.25), jnp.zeros(4, bool), jnp.zeros(4)
+    policy = DexPilotTargets(blend=0.25)
+    state = policy.init(FIVE)
     human = human_vectors([0.005, 0.005, 0.1, 0.1])
     away = human_vectors([0.05, 0.05, 0.1, 0.1])
     shares = []
     for seen in [human] * 6 + [away] * 5:
-        out = policy(FIVE, seen, latched, closure)
-        latched, closure = out.latched, out.closure
-        share = float(closure[0])
+        out, state = policy(state, FIVE, seen)
+        share = float(state.closure[0])
         shares.append(share)
         open_, shut = np.asarray(seen[5]), 0.001 * np.asarray(seen[5] / np.linalg.norm(seen[5]))
         np.testing.assert_allclose(out.vectors[5], (1 - share) * open_ + share * shut, atol=1e-7)
@@ -165,8 +171,8 @@ def test_blending_spreads_a_latch_over_frames() -> None:
 def test_latches_of_hands_with_fewer_fingers(fingers: int) -> None:
     layout = KeyvectorLayout(FINGERS[:fingers])
     human = human_vectors([0.005] * (fingers - 1), layout)
-    out = DexPilotTargets()(layout, human, jnp.zeros(fingers - 1, bool))
-    assert out.latched.all()
+    out, state = first_frame(DexPilotTargets(), human, layout)
+    assert state.latched.all()
     expected = (
         [1.0] * fingers + [2.0] * (fingers - 1) + [0.0] * (len(layout.pairs) - 2 * fingers + 1)
     )
@@ -174,12 +180,14 @@ def test_latches_of_hands_with_fewer_fingers(fingers: int) -> None:
 
 
 def test_plain_targets_follow_the_human() -> None:
-    human, latched = human_vectors([0.005, 0.1, 0.1, 0.1]), jnp.array([True, False, False, False])
-    out = PlainTargets(beta=0.9, w_wrist=1.0, w_thumb=2.0, w_between=3.0)(FIVE, human, latched)
+    human = human_vectors([0.005, 0.1, 0.1, 0.1])
+    policy = PlainTargets(beta=0.9, w_wrist=1.0, w_thumb=2.0, w_between=3.0)
+    out, state = policy((), FIVE, human)
     assert isinstance(out, Targets)
     np.testing.assert_allclose(out.vectors, 0.9 * human, rtol=1e-6)
     np.testing.assert_array_equal(out.weights, [1] * 5 + [2] * 4 + [3] * 6)
-    np.testing.assert_array_equal(out.latched, latched)
+    assert state == policy.init(FIVE) == ()
+    assert policy.latched(state) is None
 
 
 @pytest.mark.parametrize(("project", "escape"), [(0.02, 0.01), (0.0, 0.01), (-1.0, 0.01)])

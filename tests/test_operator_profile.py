@@ -365,9 +365,8 @@ def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand: Hand)
     human[layout.thumb] *= (
         np.array([0.004, 0.012, 0.03, 0.06]) / np.linalg.norm(human[layout.thumb], axis=1)
     )[:, None]
-    latched = np.zeros(4, bool)
-    plain = np.asarray(CloseTargets()(layout, jnp.asarray(human), latched).vectors)
-    closed = np.asarray(targets(layout, jnp.asarray(human), latched).vectors)
+    plain = np.asarray(CloseTargets()((), layout, jnp.asarray(human))[0].vectors)
+    closed = np.asarray(targets((), layout, jnp.asarray(human))[0].vectors)
     others = np.ones(len(human), bool)
     others[layout.thumb] = False
     np.testing.assert_array_equal(closed[others], plain[others])
@@ -385,9 +384,8 @@ def test_gaps_go_by_the_fingers_names() -> None:
     targets = CloseTargets(pinch_gaps=(("index", 0.0), ("ring", 0.008)))
     layout = targets.layout(("thumb", "ring"))
     human = jnp.asarray([[0.0, 0.1, 0], [0, 0.1, 0.01], [0, 0, 0.01]])[: len(layout.vectors)]
-    latched = np.zeros(1, bool)
-    closed = targets(layout, human, latched).vectors[layout.thumb]
-    plain = CloseTargets()(layout, human, latched).vectors[layout.thumb]
+    closed = targets((), layout, human)[0].vectors[layout.thumb]
+    plain = CloseTargets()((), layout, human)[0].vectors[layout.thumb]
     assert float(jnp.linalg.norm(closed)) < float(jnp.linalg.norm(plain)) - 0.004
     with pytest.raises(ConfigError, match="pinch_gaps: ring"):
         CloseTargets(pinch_gaps=(("ring", -0.001),))

@@ -125,7 +125,7 @@ def test_reset_restores_everything_and_never_recompiles(
     monkeypatch.setattr(program_module, "palm_alignment", traced_again)
     fresh.reset()
     first = [fresh(frame) for frame in frames[:15]]
-    assert np.asarray(fresh._state.method.latched).any()  # a pinch: something to forget
+    assert np.asarray(fresh._state.method.targets.latched).any()  # a pinch: something to forget
     fresh.reset()
     assert leaves_equal(fresh._state, fresh.init())
     np.testing.assert_array_equal(

@@ -225,7 +225,7 @@ def test_the_cost_never_rises() -> None:
 
 def targets_of(config: CloseTargets, human: np.ndarray):
     layout = config.layout(("thumb", "index", "middle"))
-    return layout, config(layout, jnp.asarray(human), jnp.zeros(2, bool))
+    return layout, config((), layout, jnp.asarray(human))[0]
 
 
 def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus() -> None:

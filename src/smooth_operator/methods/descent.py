@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -81,13 +81,11 @@ class DescentState(NamedTuple):
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
-        latched: (F - 1,) fingers latched to the thumb.
-        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+        targets: state of the target policy.
     """
 
     q: Float[np.ndarray, " m"]
-    latched: Bool[Array, " P"]
-    closure: Float[Array, " P"]
+    targets: Any
 
 
 class DescentProblem(NamedTuple):
@@ -98,14 +96,13 @@ class DescentProblem(NamedTuple):
         start: (m,) where SLSQP is to begin [rad].
         told: (2,) the objective there, and the largest component of its gradient that the limits
             leave free, where Newton steps came before; NaN else.
-        latched, closure: as the state has them, after this frame.
+        targets: state of the target policy after this frame.
     """
 
     goal: FrameGoal
     start: Float[Array, " m"]
     told: Float[Array, "2"]
-    latched: Bool[Array, " P"]
-    closure: Float[Array, " P"]
+    targets: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,18 +157,20 @@ class Descent:
         return evaluate
 
     def init(self, seed: int) -> DescentState:
-        """Neutral pose, open latches; nothing here is random."""
-        fingers = len(self.hand.fingers) - 1
+        """Neutral pose, the target policy's first state; nothing here is random."""
         return DescentState(
             np.asarray(self.hand.neutral, np.float32),
-            jnp.zeros(fingers, bool),
-            jnp.zeros(fingers, jnp.float32),
+            self.config.objective.targets.init(self.objective.layout),
         )
+
+    def latched(self, state: DescentState) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        return self.config.objective.targets.latched(state.targets)
 
     def prepare(self, state: DescentState, aligned: Float[Array, "21 3"]) -> DescentProblem:
         """Targets of the frame, and where SLSQP is to begin."""
         config, layout = self.config.objective, self.objective.layout
-        targets = config.targets(layout, layout.human(aligned), state.latched, state.closure)
+        targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))
         previous = jnp.asarray(state.q)
         start = previous if self.joint_angles is None else self.joint_angles.positions(aligned)
         goal = FrameGoal(
@@ -191,13 +190,7 @@ class Descent:
             )
             free = jnp.clip(start - gradient, low, high) - start
             told = jnp.stack([cost, jnp.abs(free).max()])
-        return DescentProblem(
-            goal,
-            start,
-            told,
-            targets.latched,
-            targets.closure,
-        )
+        return DescentProblem(goal, start, told, policy_state)
 
     def solve(
         self, state: DescentState, problem: DescentProblem
@@ -224,7 +217,7 @@ class Descent:
                 x, np.asarray(state.q), self.config.objective.velocity_weight
             )
         )
-        after = DescentState(q, problem.latched, problem.closure)
+        after = DescentState(q, problem.targets)
         if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
             q = np.full_like(q, np.nan)
         return after, MethodOutput(q, np.float32(value - regular))

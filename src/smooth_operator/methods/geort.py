@@ -113,6 +113,10 @@ class Geort:
         del seed
         return GeortState()
 
+    def latched(self, state: GeortState) -> None:
+        """None: the method has no latches."""
+        del state
+
     def step(
         self, state: GeortState, aligned: Float[Array, "21 3"]
     ) -> tuple[GeortState, MethodOutput]:

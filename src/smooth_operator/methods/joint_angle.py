@@ -138,13 +138,17 @@ class JointAngle:
         """Neutral pose; nothing here is random."""
         return JointAngleState(jnp.asarray(self.hand.neutral, jnp.float32))
 
+    def latched(self, state: JointAngleState) -> None:
+        """None: the method has no latches."""
+        del state
+
     def step(
         self, state: JointAngleState, aligned: Float[Array, "21 3"]
     ) -> tuple[JointAngleState, MethodOutput]:
         """One frame."""
         q = self.map.positions(aligned)
         layout = self.objective.layout
-        open_latches = jnp.zeros(len(self.hand.fingers) - 1, bool)
-        targets = self.objective.config.targets(layout, layout.human(aligned), open_latches)
+        policy = self.objective.config.targets
+        targets, _ = policy(policy.init(layout), layout, layout.human(aligned))
         goal = FrameGoal(targets.vectors, targets.weights, state.q, 0.0)
         return JointAngleState(q), MethodOutput(q, self.objective.tracking(list(q), goal))

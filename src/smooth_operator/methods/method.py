@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Array, Float, UInt32
+from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
@@ -52,6 +52,9 @@ class Stateful(Protocol):
 
     def init(self, seed: int) -> Any:
         """The state before the first frame: a pytree of arrays, not None at its leaves."""
+
+    def latched(self, state: Any) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None for a method without latches."""
 
 
 class Method(Stateful, Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -61,15 +61,13 @@ class SbrState(NamedTuple):
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
-        latched: (F - 1,) fingers latched to the thumb.
-        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+        targets: state of the target policy.
         seed: two words, constant.
         frames: frames answered so far; with the seed it gives each frame its random numbers.
     """
 
     q: Float[Array, " m"]
-    latched: Bool[Array, " P"]
-    closure: Float[Array, " P"]
+    targets: Any
     seed: UInt32[Array, "2"]
     frames: UInt32[Array, ""]
 
@@ -92,21 +90,23 @@ class Sbr:
         return self.objective.layout.landmarks
 
     def init(self, seed: int) -> SbrState:
-        """Neutral pose, open latches."""
-        fingers = len(self.hand.fingers) - 1
+        """Neutral pose, the target policy's first state."""
         return SbrState(
             jnp.asarray(self.hand.neutral, jnp.float32),
-            jnp.zeros(fingers, bool),
-            jnp.zeros(fingers, jnp.float32),
+            self.config.objective.targets.init(self.objective.layout),
             jnp.asarray(seed_words(seed)),
             jnp.uint32(0),
         )
 
+    def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        return self.config.objective.targets.latched(state.targets)
+
     def step(self, state: SbrState, aligned: Float[Array, "21 3"]) -> tuple[SbrState, MethodOutput]:
         """One frame."""
         config, limits, layout = self.config, self.hand.limits, self.objective.layout
-        targets = config.objective.targets(
-            layout, layout.human(aligned), state.latched, state.closure
+        targets, policy_state = config.objective.targets(
+            state.targets, layout, layout.human(aligned)
         )
         starting = (state.frames == 0) & (config.settle_rounds > 1)
         velocity_weight = jnp.where(starting, 0.0, config.objective.velocity_weight)
@@ -137,7 +137,5 @@ class Sbr:
         else:
             q, cost = solve(0, state.q)
         tracking = cost - local.regularisation(q, goal)
-        after = SbrState(
-            q, targets.latched, targets.closure, state.seed, state.frames + jnp.uint32(1)
-        )
+        after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1))
         return after, MethodOutput(q, tracking)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -120,6 +120,7 @@ class SmoothState(NamedTuple):
         q: (m,) last command of the actuated joints [rad].
         solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
         followed: the needed human landmarks.
+        targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
         period: usual time between frames [s].
         seed: two words, constant.
@@ -129,6 +130,7 @@ class SmoothState(NamedTuple):
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
     followed: Followed
+    targets: Any
     ticks: UInt32[Array, ""]
     period: Float[Array, ""]
     seed: UInt32[Array, "2"]
@@ -179,11 +181,16 @@ class Smooth:
             neutral,
             neutral,
             Followed.nothing(len(self.needs)),
+            self.config.objective.targets.init(self.objective.objective.layout),
             jnp.uint32(0),
             jnp.float32(1 / self.config.rate_hz),
             jnp.asarray(seed_words(seed)),
             jnp.uint32(0),
         )
+
+    def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        return self.config.objective.targets.latched(state.targets)
 
     def step(
         self,
@@ -196,7 +203,7 @@ class Smooth:
         clock = self._clock(state, now)
         measured = aligned[jnp.asarray(self.needs)]
         followed, steps = pursue(state.followed, measured, clock.dt, config.landmarks, clock.anew)
-        goal = self._goal(state, followed.points, steps, clock)
+        goal, policy_state = self._goal(state, followed.points, steps, clock)
         solved = self._solve(state, goal, clock)
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
@@ -204,7 +211,7 @@ class Smooth:
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
         count = state.frames + jnp.uint32(1)
-        after = SmoothState(q, solved, followed, now, clock.period, state.seed, count)
+        after = SmoothState(q, solved, followed, policy_state, now, clock.period, state.seed, count)
         return after, MethodOutput(q, self.objective.tracking(q, goal))
 
     def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:
@@ -224,11 +231,11 @@ class Smooth:
         points: Float[Array, "L 3"],
         steps: Float[Array, "L 3"],
         clock: _Clock,
-    ) -> SmoothGoal:
+    ) -> tuple[SmoothGoal, Any]:
+        """What the frame asks, and the target policy's state after it."""
         config, layout = self.config, self.objective.objective.layout
         every = jnp.zeros((NUM_LANDMARKS, 3), points.dtype).at[jnp.asarray(self.needs)].set(points)
-        nothing = jnp.zeros(len(self.hand.fingers) - 1, bool)
-        targets = config.objective.targets(layout, layout.human(every), nothing)
+        targets, policy_state = config.objective.targets(state.targets, layout, layout.human(every))
         # the further apart two frames are, the less they hold each other
         holds = jnp.where(clock.anew, 0.0, REFERENCE / clock.dt)
         velocity = config.objective.velocity_weight * holds
@@ -238,11 +245,12 @@ class Smooth:
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
             motion = motion / (1 + (speed / config.motion_speed) ** 2)
-        return SmoothGoal(
+        goal = SmoothGoal(
             FrameGoal(targets.vectors, targets.weights, state.solved, velocity),
             self.objective.tips(state.solved) + moves,
             motion,
         )
+        return goal, policy_state
 
     def _solve(self, state: SmoothState, goal: SmoothGoal, clock: _Clock) -> Float[Array, " m"]:
         config, limits = self.config, self.hand.limits

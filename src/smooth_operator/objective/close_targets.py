@@ -9,16 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.targets import Targets, base_weights, unlatched
+from smooth_operator.objective.targets import StatelessTargets, Targets, base_weights
 
 
 @dataclass(frozen=True)
-class CloseTargets:
+class CloseTargets(StatelessTargets[KeyvectorLayout]):
     """Every keyvector follows the human's; the nearer its ends, the more closely.
 
     Attributes:
@@ -66,13 +66,9 @@ class CloseTargets:
         return KeyvectorLayout(fingers)
 
     def __call__(
-        self,
-        layout: KeyvectorLayout,
-        human: Float[Array, "K 3"],
-        latched: Bool[Array, " P"],
-        closure: Float[Array, " P"] | None = None,
-    ) -> Targets:
-        """Targets of one frame; nothing latches, the state is handed back."""
+        self, state: tuple[()], layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
         length = jnp.sqrt((human * human).sum(-1) + 1e-12)
         ratio = (self.at**2 + self.floor**2) / (length**2 + self.floor**2)
         base = jnp.asarray(base_weights(layout, 1.0, 0.0, 0.0), human.dtype) * self.w_wrist
@@ -90,4 +86,4 @@ class CloseTargets:
             near = near - jnp.minimum(pinch_nearness(near, jnp) * left, near)
         longer = (near**4 + self.apart**4) ** 0.25 / length[layout.thumb]
         vectors = human.at[layout.thumb].multiply(longer[:, None])
-        return unlatched(vectors, weights, latched, closure)
+        return Targets(vectors, weights), state

@@ -11,12 +11,12 @@ from functools import cached_property
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import WRIST
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
-from smooth_operator.objective.targets import Targets, unlatched
+from smooth_operator.objective.targets import StatelessTargets, Targets
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class PinchLayout(VectorLayout):
 
 
 @dataclass(frozen=True)
-class AkoTargets:
+class AkoTargets(StatelessTargets[PinchLayout]):
     """Targets and weights of AKO.
 
     Attributes:
@@ -84,13 +84,9 @@ class AkoTargets:
         return PinchLayout(fingers)
 
     def __call__(
-        self,
-        layout: PinchLayout,
-        human: Float[Array, "K 3"],
-        latched: Bool[Array, " P"],
-        closure: Float[Array, " P"] | None = None,
-    ) -> Targets:
-        """Targets of one frame; nothing latches, the state is handed back."""
+        self, state: tuple[()], layout: PinchLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
         fingers = len(layout.fingers)
         pinch = slice(fingers, 2 * fingers - 1)
         distance = jnp.linalg.norm(human[pinch], axis=-1)
@@ -109,4 +105,4 @@ class AkoTargets:
                 jnp.full(fingers, self.w_distal, human.dtype),
             ]
         )
-        return unlatched(human.at[pinch].set(scaled), weights, latched, closure)
+        return Targets(human.at[pinch].set(scaled), weights), state

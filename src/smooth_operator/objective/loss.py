@@ -7,7 +7,7 @@ import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +48,7 @@ class ObjectiveConfig:
             the same ``transition`` [rad].
     """
 
-    targets: TargetPolicy = field(default_factory=DexPilotTargets)
+    targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
     loss: Loss = "smooth_l1"
     transition: float = 0.02
     pose_weight: float = 0.05
@@ -106,7 +106,7 @@ class Objective:
         Raises:
             ConfigError: if the hand lacks a point that one of them needs.
         """
-        layout = self.config.targets.layout(self.hand.fingers)
+        layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
         lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in self.points]
         if lacking:
             raise ConfigError(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Generic, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,34 +20,63 @@ class Targets(NamedTuple):
     Attributes:
         vectors: (K, 3) where the robot's keyvectors should go [m].
         weights: (K,) weights lambda_k of Eq. (1).
-        latched: (F - 1,) which fingers are latched to the thumb; the policy's state.
-        closure: (F - 1,) how far each latch has taken effect, 0 to 1; the policy's state.
     """
 
     vectors: Float[Array, "K 3"]
     weights: Float[Array, " K"]
-    latched: Bool[Array, " P"]
-    closure: Float[Array, " P"]
 
 
-class TargetPolicy(Protocol):
-    """Human vectors to targets; hysteresis is passed in and out, never kept inside."""
+LayoutT = TypeVar("LayoutT", bound=VectorLayout)
+StateT = TypeVar("StateT")
 
-    def layout(self, fingers: tuple[str, ...]) -> VectorLayout:
-        """Which vectors the policy speaks of, for a hand of these fingers."""
 
+class TargetPolicy(ABC, Generic[LayoutT, StateT]):
+    """Maps the human's vectors to the targets of the robot's, frame by frame.
+
+    A policy is immutable. What it remembers between frames is a state of its own type: a pytree of
+    arrays, made by ``init``, taken and returned by every call. Subclasses are frozen dataclasses.
+    """
+
+    @abstractmethod
+    def layout(self, fingers: tuple[str, ...]) -> LayoutT:
+        """Which vectors the policy sets targets for, on a hand with these fingers."""
+
+    @abstractmethod
+    def init(self, layout: LayoutT) -> StateT:
+        """The state before the first frame."""
+
+    @abstractmethod
     def __call__(
-        self,
-        layout: Any,
-        human: Float[Array, "K 3"],
-        latched: Bool[Array, " P"],
-        closure: Float[Array, " P"] | None = None,
-    ) -> Targets:
-        """Targets of one frame and the latches after it."""
+        self, state: StateT, layout: LayoutT, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, StateT]:
+        """Targets of one frame; traceable.
+
+        Args:
+            state: from ``init`` or the last call.
+            layout: the policy's own layout of the hand.
+            human: (K, 3) the human's vectors [m].
+
+        Returns:
+            the targets, and the state after this frame.
+        """
+
+    def latched(self, state: StateT) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None for a policy without latches."""
+        del state
+        return None
+
+
+class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
+    """Base class of policies that remember nothing between frames."""
+
+    def init(self, layout: LayoutT) -> tuple[()]:
+        """The empty state."""
+        del layout
+        return ()
 
 
 @dataclass(frozen=True)
-class PlainTargets:
+class PlainTargets(StatelessTargets[KeyvectorLayout]):
     """Every keyvector follows the human's.
 
     Attributes:
@@ -65,19 +95,15 @@ class PlainTargets:
         return KeyvectorLayout(fingers)
 
     def __call__(
-        self,
-        layout: KeyvectorLayout,
-        human: Float[Array, "K 3"],
-        latched: Bool[Array, " P"],
-        closure: Float[Array, " P"] | None = None,
-    ) -> Targets:
-        """Targets of one frame; the latches stay as they are."""
+        self, state: tuple[()], layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
         weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
-        return unlatched(human * self.beta, weights.astype(human.dtype), latched, closure)
+        return Targets(human * self.beta, weights.astype(human.dtype)), state
 
 
 @dataclass(frozen=True)
-class TipTargets:
+class TipTargets(StatelessTargets[TipLayout]):
     """Every fingertip goes where the human's is in the palm frame: positions, not directions.
 
     Attributes:
@@ -91,19 +117,26 @@ class TipTargets:
         return TipLayout(fingers)
 
     def __call__(
-        self,
-        layout: TipLayout,
-        human: Float[Array, "K 3"],
-        latched: Bool[Array, " P"],
-        closure: Float[Array, " P"] | None = None,
-    ) -> Targets:
-        """Targets of one frame; the latches stay as they are."""
-        weights = jnp.ones(len(human), human.dtype)
-        return unlatched(human * self.beta, weights, latched, closure)
+        self, state: tuple[()], layout: TipLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        return Targets(human * self.beta, jnp.ones(len(human), human.dtype)), state
+
+
+class LatchState(NamedTuple):
+    """What a policy with pinch latches remembers between frames.
+
+    Attributes:
+        latched: (F - 1,) which fingers are latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+    """
+
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
 
 
 @dataclass(frozen=True)
-class DexPilotTargets:
+class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     """Group form of DexPilot's targets (Handa et al. 2019), as the paper's table has it.
 
     Per finger, a latch with hysteresis: it closes when the (aligned) human thumb-to-tip distance
@@ -151,16 +184,20 @@ class DexPilotTargets:
         """The paper's keyvectors."""
         return KeyvectorLayout(fingers)
 
+    def init(self, layout: KeyvectorLayout) -> LatchState:
+        """Open latches."""
+        count = len(layout.fingers) - 1
+        return LatchState(jnp.zeros(count, bool), jnp.zeros(count, jnp.float32))
+
+    def latched(self, state: LatchState) -> Bool[Array, " P"]:
+        """(F - 1,) which fingers are latched to the thumb."""
+        return state.latched
+
     def __call__(
-        self,
-        layout: KeyvectorLayout,
-        human: Float[Array, "K 3"],
-        latched: Bool[Array, " P"],
-        closure: Float[Array, " P"] | None = None,
-    ) -> Targets:
-        """Targets of one frame and the latches after it."""
-        if closure is None:
-            closure = latched.astype(human.dtype)
+        self, state: LatchState, layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, LatchState]:
+        """Targets of one frame, and the latches after it."""
+        latched, closure = state
         length = jnp.linalg.norm(human, axis=-1)
         direction = human / jnp.maximum(length, 1e-9)[:, None]
         distance = length[layout.thumb]
@@ -181,19 +218,7 @@ class DexPilotTargets:
         free = (1 - held) * self.beta
         vectors = human * free[:, None] + direction * eta[:, None]
         lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
-        return Targets(vectors, lambdas.astype(human.dtype), latched, closure)
-
-
-def unlatched(
-    vectors: Float[Array, "K 3"],
-    weights: Float[Array, " K"],
-    latched: Bool[Array, " P"],
-    closure: Float[Array, " P"] | None,
-) -> Targets:
-    """Targets of a policy that latches nothing: its state is handed back as it came."""
-    if closure is None:
-        closure = latched.astype(vectors.dtype)
-    return Targets(vectors, weights, latched, closure)
+        return Targets(vectors, lambdas.astype(human.dtype)), LatchState(latched, closure)
 
 
 def base_weights(

@@ -49,7 +49,7 @@ class FrameGoals(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SbrGoals:
-    """Eq. (1) with its latches, but without velocity term."""
+    """Eq. (1) without its velocity term."""
 
     method: Sbr
 
@@ -58,20 +58,19 @@ class SbrGoals:
         """Eq. (1) near a pose."""
         return LocalObjective(self.method.objective)
 
-    def begin(self) -> tuple[Array, Array]:
-        """Open latches."""
-        state = self.method.init(0)
-        return state.latched, state.closure
+    def begin(self) -> Any:
+        """The target policy's first state."""
+        return self.method.config.objective.targets.init(self.method.objective.layout)
 
-    def follow(
-        self, memory: tuple[Array, Array], aligned: Float[Array, "21 3"]
-    ) -> tuple[tuple[Array, Array], FrameGoal]:
+    def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
         """Targets of the frame."""
         layout = self.method.objective.layout
-        targets = self.method.config.objective.targets(layout, layout.human(aligned), *memory)
+        targets, memory = self.method.config.objective.targets(
+            memory, layout, layout.human(aligned)
+        )
         neutral = jnp.asarray(self.method.hand.neutral, aligned.dtype)
         goal = FrameGoal(targets.vectors, targets.weights, neutral, jnp.zeros((), aligned.dtype))
-        return (targets.latched, targets.closure), goal
+        return memory, goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,20 +84,17 @@ class SmoothGoals:
         """Its objective near a pose."""
         return self.method.objective
 
-    def begin(self) -> tuple[()]:
-        """Nothing."""
-        return ()
+    def begin(self) -> Any:
+        """The target policy's first state."""
+        return self.method.config.objective.targets.init(self.method.objective.objective.layout)
 
-    def follow(
-        self, memory: tuple[()], aligned: Float[Array, "21 3"]
-    ) -> tuple[tuple[()], SmoothGoal]:
+    def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, SmoothGoal]:
         """Targets of the frame."""
         method = self.method
         seen = jnp.asarray(method.needs)
         points = jnp.zeros((NUM_LANDMARKS, 3), aligned.dtype).at[seen].set(aligned[seen])
         layout = method.objective.objective.layout
-        nothing = jnp.zeros(len(method.hand.fingers) - 1, bool)
-        targets = method.config.objective.targets(layout, layout.human(points), nothing)
+        targets, memory = method.config.objective.targets(memory, layout, layout.human(points))
         neutral = jnp.asarray(method.hand.neutral, aligned.dtype)
         frame = FrameGoal(targets.vectors, targets.weights, neutral, jnp.zeros((), aligned.dtype))
         tips = jnp.zeros((len(method.hand.fingers), 3), aligned.dtype)

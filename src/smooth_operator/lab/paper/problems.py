@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Final
+from typing import Any, Final
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +26,7 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.program import compiled
 from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.targets import Targets
 from smooth_operator.solvers.newton import newton_minimise
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
@@ -181,11 +182,10 @@ def _targets(
     objective: Objective, aligned: Float[np.ndarray, "T 21 3"]
 ) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
     run = _target_program(objective)
-    fingers = len(objective.hand.fingers) - 1
-    latched, closure = jnp.zeros(fingers, bool), jnp.zeros(fingers, jnp.float32)
+    state = objective.config.targets.init(objective.layout)
     found = []
     for frame in np.nan_to_num(aligned).astype(np.float32):  # NaN where nothing looks
-        vectors, weights, latched, closure = run(frame, latched, closure)
+        (vectors, weights), state = run(frame, state)
         found.append((np.asarray(vectors), np.asarray(weights)))
     return np.stack([v for v, _ in found]), np.stack([w for _, w in found])
 
@@ -203,11 +203,11 @@ def _settled(
 
 
 @lru_cache(maxsize=16)
-def _target_program(objective: Objective) -> Callable[..., tuple[Array, ...]]:
+def _target_program(objective: Objective) -> Callable[..., tuple[Targets, Any]]:
     layout, policy = objective.layout, objective.config.targets
 
-    def step(landmarks: Array, latched: Array, closure: Array) -> tuple[Array, ...]:
-        return tuple(policy(layout, layout.human(landmarks), latched, closure))
+    def step(landmarks: Array, state: Any) -> tuple[Targets, Any]:
+        return policy(state, layout, layout.human(landmarks))
 
     return compiled(step)
 

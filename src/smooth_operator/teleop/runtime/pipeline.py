@@ -95,17 +95,12 @@ class HandPipeline:
         self.config, self.limiter, self.supervisor.config = config, limiter, config.safety
 
     @property
-    def latches(self) -> bool:
-        """Whether the method holds pinching fingers to the thumb at all."""
-        return getattr(self._state.method, "latched", None) is not None
-
-    @property
-    def latched(self) -> tuple[str, ...]:
-        """Fingers that the method holds to the thumb; safe from any thread, and costs the loop
-        nothing, since a state is replaced and never changed."""
-        latched = getattr(self._state.method, "latched", None)
+    def latched(self) -> tuple[str, ...] | None:
+        """Fingers that the method holds to the thumb; None where it has no latches. Safe from any
+        thread, and costs the loop nothing, since a state is replaced and never changed."""
+        latched = self.retargeter.method.latched(self._state.method)
         if latched is None:
-            return ()
+            return None
         fingers = self.retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
 

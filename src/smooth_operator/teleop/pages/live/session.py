@@ -188,7 +188,7 @@ class LiveSession:
             else _numbers(_trusted(arrival).ravel()),
             "age_s": age,
             # a method without latches has None, and so has one that is not to be known
-            "latched": pipeline.latched if pipeline.latches and not self.blind else None,
+            "latched": None if self.blind else pipeline.latched,
             "scale": pipeline.retargeter.config.alignment.scale,
         }
 
