@@ -24,8 +24,7 @@ from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.objective.polar import PolarConfig, polar
 from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
-from smooth_operator.solvers.damped import damped_newton
-from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
 NOT_HELD = PolarConfig(direction=0.0, length=0.0)

@@ -29,8 +29,7 @@ from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.objective.polar import PolarConfig
 from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
-from smooth_operator.solvers.damped import damped_newton
-from smooth_operator.solvers.newton import NewtonConfig
+from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 

@@ -1,10 +1,15 @@
-"""Projected Newton descent within bounds: a second-order polish for a point in the right basin."""
+"""Projected Newton descent within bounds: a second-order polish for a point in the right basin.
+
+Two drivers share one step. ``newton_minimise`` takes derivatives of all candidates of a step, and
+its program holds the objective once. ``damped_newton`` is for objectives whose derivatives cost
+many times what their value does: it takes values of the candidates, and derivatives of the winner.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +18,13 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 
-Expansion: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
-"""(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m)."""
+ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
+"""(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
+(m,) to its cost (), gradient (m,) and Hessian (m, m)."""
+
+STILL: Final = 3e-4
+"""``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
+converges quadratically, the next step would be too small to see."""
 
 
 @dataclass(frozen=True)
@@ -52,51 +62,115 @@ class NewtonResult(NamedTuple):
     gradient: Float[Array, " m"]
 
 
+def newton_candidates(
+    q: Float[Array, " m"],
+    gradient: Float[Array, " m"],
+    hessian: Float[Array, "m m"],
+    limits: Float[np.ndarray, "m 2"],
+    config: NewtonConfig,
+) -> Float[Array, "c m"]:
+    """Where damped Newton steps from a point lead, within bounds; one candidate per damping.
+
+    Variables at a bound that the gradient pushes outwards are held; the others take the step, and
+    are clipped to the bounds. An indefinite damped Hessian has no Cholesky factor: its candidate
+    is NaN, and so is its cost.
+
+    Args:
+        q: (m,) a point within the bounds.
+        gradient: (m,) there.
+        hessian: (m, m) there.
+        limits: (m, 2) bounds.
+        config: with the c dampings.
+    """
+    low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
+    identity = jnp.eye(len(limits), dtype=q.dtype)
+    damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
+    held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
+    free_hessian = jnp.where(held[:, None] | held[None, :], identity, hessian)
+    free_gradient = jnp.where(held, 0.0, gradient)
+    factor = jnp.linalg.cholesky(free_hessian + damping * identity)
+    right = jnp.broadcast_to(free_gradient, (len(damping), len(limits)))[..., None]
+    moves = jax.scipy.linalg.cho_solve((factor, True), right)[..., 0]
+    return jnp.clip(q - moves, low, high)
+
+
+def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:
+    """Index of the lowest finite cost, and that cost; infinite if there is none."""
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
+    winner = jnp.argmin(costs)
+    return winner, costs[winner]
+
+
 def newton_minimise(
-    expand: Expansion,
+    value_grad_hess: ValueGradHess,
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"],
     config: NewtonConfig,
 ) -> NewtonResult:
-    """Descend from a start within bounds.
-
-    Variables at a bound that the gradient pushes outwards are held; the others take damped Newton
-    steps, clipped to the bounds. The cost never rises.
+    """Descend from a start within bounds, with derivatives of every candidate; cost never rises.
 
     Args:
-        expand: costs, gradients and Hessians of a few candidates.
+        value_grad_hess: costs, gradients and Hessians of a few candidates.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
         config: settings; no iterations give the start back.
     """
-    low, high = (jnp.asarray(limits[:, i], start.dtype) for i in (0, 1))
-    size = len(limits)
-    identity = jnp.eye(size, dtype=start.dtype)
-    damping = jnp.asarray(config.damping, start.dtype)
 
-    def step(_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        q, best, gradient, hessian = carry
-        held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
-        hessian_free = jnp.where(held[:, None] | held[None, :], identity, hessian)
-        gradient_free = jnp.where(held, 0.0, gradient)
-        factor = jnp.linalg.cholesky(hessian_free + damping[:, None, None] * identity)
-        moves = jax.scipy.linalg.cho_solve(
-            (factor, True), jnp.broadcast_to(gradient_free, (len(damping), size))[..., None]
-        )[..., 0]
-        candidates = jnp.clip(q - moves, low, high)
-        costs, gradients, hessians = expand(candidates)
-        # an indefinite Hessian has no factor: its candidate is not a number, and loses
-        costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-        winner = jnp.argmin(costs)
-        better = costs[winner] < best
-        found = (candidates[winner], costs[winner], gradients[winner], hessians[winner])
-        return tuple(jnp.where(better, new, old) for new, old in zip(found, carry, strict=True))
+    def step(_: Array, last: tuple[Array, ...]) -> tuple[Array, ...]:
+        q, lowest, gradient, hessian = last
+        candidates = newton_candidates(q, gradient, hessian, limits, config)
+        costs, gradients, hessians = value_grad_hess(candidates)
+        winner, cost = _best(costs)
+        found = (candidates[winner], cost, gradients[winner], hessians[winner])
+        better = cost < lowest
+        return tuple(jnp.where(better, new, old) for new, old in zip(found, last, strict=True))
 
     if config.iterations == 0:
-        costs, gradients, _ = expand(start[None])
+        costs, gradients, _ = value_grad_hess(start[None])
         return NewtonResult(start, costs[0], gradients[0])
-    # Without a gradient the first pass does not move: it only looks at the start. That way the
+    # Without a gradient the first pass does not move: it only evaluates the start. That way the
     # program holds the objective once, and compiles in half the time.
+    identity = jnp.eye(len(limits), dtype=start.dtype)
     nothing = (start, jnp.asarray(jnp.inf, start.dtype), jnp.zeros_like(start), identity)
     q, cost, gradient, _ = jax.lax.fori_loop(0, config.iterations + 1, step, nothing)
     return NewtonResult(q, cost, gradient)
+
+
+def damped_newton(
+    value_grad_hess: ValueGradHess,
+    values: Callable[[Array], Array],
+    start: Float[Array, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    config: NewtonConfig,
+    still: float = STILL,
+) -> Float[Array, " m"]:
+    """Descend from a start within bounds, with derivatives once per step; the cost never rises.
+
+    Args:
+        value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.
+        values: (c, m) candidates to their (c,) costs.
+        start: (m,) a point within the bounds.
+        limits: (m, 2) bounds.
+        config: settings; its iterations are the most that are made, none give the start back.
+        still: see ``STILL``.
+
+    Returns:
+        (m,) the best point found.
+    """
+
+    def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        count, q, _ = carry
+        cost, gradient, hessian = value_grad_hess(q)
+        candidates = newton_candidates(q, gradient, hessian, limits, config)
+        winner, lowest = _best(values(candidates))
+        after = jnp.where(lowest < cost, candidates[winner], q)
+        return count + 1, after, jnp.abs(after - q).max() > still
+
+    def goes_on(carry: tuple[Array, Array, Array]) -> Array:
+        count, _, moved = carry
+        return (count < config.iterations) & moved
+
+    found: tuple[Array, Array, Array] = jax.lax.while_loop(
+        goes_on, step, (jnp.int32(0), start, jnp.bool_(True))
+    )
+    return found[1]
