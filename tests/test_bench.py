@@ -35,8 +35,10 @@ from smooth_operator.lab.benchmark.settings import Settings, select_methods
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request, unique_names
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.presets import PRESETS
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.metrics import METRICS, Metric, evaluate
 from smooth_operator.parallel import run_tasks
+from smooth_operator.plugins import Entry
 from smooth_operator.solvers.sampling import SamplingConfig
 
 # The smallest SBR there is: it compiles in a second.
@@ -52,6 +54,9 @@ class PickyConfig:
 
     def build(self, hand: Hand) -> Any:
         raise HandModelError(f"picky needs six fingers; {hand.name} has {len(hand.fingers)} <b>")
+
+
+PICKY = PickyConfig()
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,7 @@ class Bench:
 def small() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PRESETS["sbr"], "tiny", TINY)
-        patch.setitem(PRESETS, "picky", {"default": PickyConfig()})
+        patch.setitem(METHODS.built_in, "picky", Entry(f"{__name__}:PICKY"))
         patch.setenv("SMOOTH_OPERATOR_CACHE", "off")
         patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
         # Other work in this checkout must not look like a change of a method between two runs.

@@ -11,12 +11,15 @@ import functools
 import importlib
 import importlib.util
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
+from smooth_operator.terminal import print_note
+
+_Part = TypeVar("_Part")
 
 PREFIX: Final = "smooth_operator."
 """What the entry point groups of plugins begin with."""
@@ -82,6 +85,11 @@ def _installed(group: str) -> dict[str, Entry]:
         owner = point.dist.name if point.dist is not None else "an installed distribution"
         found.setdefault(point.name, Entry(point.value, f"from {owner}", owner))
     return found
+
+
+@functools.cache
+def _note_once(text: str) -> None:
+    print_note(text)
 
 
 class Registry(Mapping[str, Entry]):
@@ -167,6 +175,24 @@ class Registry(Mapping[str, Entry]):
             return entry.load()
         except ConfigError as error:  # perhaps a name was meant, and misspelt
             raise ConfigError(f"{error}. {self.kind}s by name: {', '.join(self)}") from error
+
+    def loadable(self, load: Callable[[str], _Part] | None = None) -> dict[str, _Part]:
+        """Name -> object of all parts; a plugin's that can't be loaded is left out.
+
+        A note on standard error says so, once.
+
+        Args:
+            load: gives the object of a name; ``Registry.load`` if left out.
+        """
+        found: dict[str, _Part] = {}
+        for name in self:
+            try:
+                found[name] = (load or self.load)(name)
+            except SmoothOperatorError as error:
+                if name in self.built_in:
+                    raise
+                _note_once(f"{self.kind} {name!r} is left out: {error}")
+        return found
 
     def check(self, name: str, part: object) -> None:
         """Refuses an object that lacks what a part of this kind needs.

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
 from tyro.conf import arg
 
 from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.plugins import Entry
 
 HandSide: TypeAlias = Literal["right", "left"]
+METHOD_HELP: Final = (
+    f"Retargeting method: {', '.join(METHODS)}; or package.module:NAME of your own "
+    "(docs/plugins.md)."
+)
+PRESET_HELP: Final = (
+    "Preset of the method, its first if left out. "
+    + "; ".join(f"{name}: {entry.summary}" for name, entry in METHODS.items())
+    + ". For any of them the preset.toml of a tuning."
+)
 # Spelt out again: the module that owns it imports JAX, and `--help` needs none.
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
 
@@ -54,14 +64,9 @@ class Retargeting:
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Robot hand, by its catalogue name."""
 
-    method: Annotated[str, arg(metavar="NAME")] = DEFAULT_METHOD
-    """Retargeting method: smooth, sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
+    method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 
-    preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method: for smooth teleop or, for recordings, offline; for sbr realtime, paper
-    or offline; for keyvector default, vector, position, slsqp or published; for hybrid, dexpilot
-    and ako default, slsqp or published; for geort the file of a model that you trained; for any of
-    them the preset.toml of a tuning. The first one if left out."""
+    preset: Annotated[str | None, arg(metavar="NAME", help=PRESET_HELP)] = None
 
     seed: int = 0
     """Of all random numbers: the same seed and frames give the same commands."""

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from smooth_operator.cli.common_options import Common, Meshes, Page
+from smooth_operator.cli.common_options import METHOD_HELP, Common, Meshes, Page
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig
 from smooth_operator.teleop.sinks.registry import SINKS
@@ -69,8 +69,7 @@ Examples:
     side: Literal["right", "left", "both"] = "right"
     """Which hand; both drives two robots from the operator's two."""
 
-    method: Annotated[str, arg(metavar="NAME")] = DEFAULT_METHOD
-    """Retargeting method: smooth, sbr, dexpilot, ako, keyvector, hybrid, joint_angle or geort."""
+    method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
     """Preset of the method; its default if left out."""

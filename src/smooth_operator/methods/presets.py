@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,6 +14,7 @@ from smooth_operator.methods.geort import GeortConfig
 from smooth_operator.methods.joint_angle import JointAngleConfig
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.methods.smooth import SmoothConfig
@@ -173,38 +175,75 @@ That objective is stiffer than Eq. (1), and so is what stands against it.
 """
 
 
-PRESETS: Final[dict[str, dict[str, MethodConfig]]] = {
-    "sbr": {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE},
-    "smooth": {"teleop": SMOOTH_TELEOP, "offline": SMOOTH_OFFLINE},
-    "joint_angle": {"default": JointAngleConfig()},
-    "keyvector": {
-        "default": KEYVECTOR,
-        "vector": KEYVECTOR_VECTOR,
-        "position": KEYVECTOR_POSITION,
-        "slsqp": _alone(KEYVECTOR),
-        "published": KEYVECTOR_PUBLISHED,
-    },
-    "hybrid": {"default": HYBRID, "slsqp": _alone(HYBRID), "published": HYBRID_PUBLISHED},
-    "dexpilot": {"default": DEXPILOT, "slsqp": _alone(DEXPILOT), "published": DEXPILOT_PUBLISHED},
-    "ako": {"default": AKO, "slsqp": _alone(AKO), "published": AKO_PUBLISHED},
-    "geort": {"default": GeortConfig()},
+SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}
+SMOOTH: Final = {"teleop": SMOOTH_TELEOP, "offline": SMOOTH_OFFLINE}
+JOINT_ANGLE_PRESETS: Final = {"default": JointAngleConfig()}
+KEYVECTOR_PRESETS: Final = {
+    "default": KEYVECTOR,
+    "vector": KEYVECTOR_VECTOR,
+    "position": KEYVECTOR_POSITION,
+    "slsqp": _alone(KEYVECTOR),
+    "published": KEYVECTOR_PUBLISHED,
 }
-"""Method name -> preset name -> configuration; the first preset of a method is its default."""
+HYBRID_PRESETS: Final = {
+    "default": HYBRID,
+    "slsqp": _alone(HYBRID),
+    "published": HYBRID_PUBLISHED,
+}
+DEXPILOT_PRESETS: Final = {
+    "default": DEXPILOT,
+    "slsqp": _alone(DEXPILOT),
+    "published": DEXPILOT_PUBLISHED,
+}
+AKO_PRESETS: Final = {"default": AKO, "slsqp": _alone(AKO), "published": AKO_PUBLISHED}
+GEORT: Final = {"default": GeortConfig()}
+
+
+class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
+    """The registry of methods, with its values loaded."""
+
+    def __getitem__(self, method: str) -> Mapping[str, MethodConfig]:
+        found = METHODS.load(method)
+        presets = found if isinstance(found, Mapping) else {"default": found}
+        if not presets:
+            raise ConfigError(f"method {method!r} has no preset")
+        for config in presets.values():
+            METHODS.check(method, config)
+        return presets
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(METHODS)
+
+    def __len__(self) -> int:
+        return len(METHODS)
+
+
+PRESETS: Final[Mapping[str, Mapping[str, MethodConfig]]] = _Presets()
+"""Method name -> preset name -> configuration; the first preset of a method is its default.
+
+A name may be ``package.module:attribute``. A look-up raises ``UnknownNameError`` (a ``KeyError``)
+where there is no such method, and ``ConfigError`` where a plugin's can't be loaded.
+"""
 
 _ALIASES: Final = {"sbr": {"published": "paper"}}
 """Method -> other names of its presets: ``published`` is what every published method answers to."""
 
 
 def method_names() -> tuple[str, ...]:
-    """Names of the methods."""
-    return tuple(PRESETS)
+    """Names of the methods, built-in and of plugins."""
+    return tuple(METHODS)
+
+
+def loadable_presets() -> dict[str, Mapping[str, MethodConfig]]:
+    """``PRESETS`` without the methods of plugins that can't be loaded; a note says which."""
+    return METHODS.loadable(PRESETS.__getitem__)
 
 
 def live_presets() -> dict[str, list[str]]:
     """Names of the presets that answer frame by frame, by method."""
     return {
         method: [name for name, config in presets.items() if not isinstance(config, WholeConfig)]
-        for method, presets in PRESETS.items()
+        for method, presets in loadable_presets().items()
     }
 
 
@@ -213,9 +252,8 @@ def default_preset(method: str) -> str:
 
     Raises:
         UnknownNameError: there is no such method.
+        ConfigError: it is a plugin's, and can't be loaded.
     """
-    if method not in PRESETS:
-        raise UnknownNameError("method", method, PRESETS)
     return next(iter(PRESETS[method]))
 
 
@@ -227,9 +265,12 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
     is its ``paper``.
 
+    The method may be ``package.module:attribute``: a configuration, or presets by name.
+
     Raises:
         UnknownNameError: if there is no such method or preset.
-        ConfigError: the preset file is none, or for another method.
+        ConfigError: the preset file is none, or for another method; the method is a plugin's and
+            can't be loaded.
     """
     default = default_preset(method)
     presets = PRESETS[method]
@@ -248,7 +289,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
 
 def _elsewhere(preset: str) -> str:
     """Whose preset it is, if not that of the method: who names none gets the default one."""
-    owners = [method for method, presets in PRESETS.items() if preset in presets]
+    owners = [method for method, presets in loadable_presets().items() if preset in presets]
     return (
         f"{preset!r} is a preset of {', '.join(owners)}: choose that method too." if owners else ""
     )

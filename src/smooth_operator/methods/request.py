@@ -18,7 +18,7 @@ from smooth_operator.io.environment import environment
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.operated import aligned_by, operated_by
-from smooth_operator.methods.presets import PRESETS, method_config
+from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.types import HandRecording, Side
 
 PROGRAM: Final = "smooth-operator"
@@ -85,7 +85,7 @@ def request(
     return Request(
         hand,
         method,
-        next(iter(PRESETS.get(method, {"": None}))) if preset is None else preset,
+        default_preset(method) if preset is None else preset,
         method_config(method, preset),
         seed,
         scale,

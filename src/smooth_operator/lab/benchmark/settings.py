@@ -11,8 +11,10 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownName
 from smooth_operator.hands.catalogue import hand_names, load_hand
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import PRESETS, method_config
+from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.metrics import Definition
+from smooth_operator.plugins import is_target
 from smooth_operator.types import Side
 
 ALL: Final = "all"
@@ -127,19 +129,19 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
     """
     chosen: dict[tuple[str, str], MethodConfig] = {}
     for name in names:
-        method, colon, preset = name.partition(":")
+        method, preset = METHODS.split(name)
         if name == ALL:
-            for each, presets in PRESETS.items():
+            for each, presets in loadable_presets().items():
                 default = next(iter(presets))
                 chosen[each, default] = presets[default]
             continue
-        if method not in PRESETS:
-            raise UnknownNameError("method", method, (*PRESETS, ALL))
+        if method not in METHODS and not is_target(method):
+            raise UnknownNameError("method", method, (*METHODS, ALL))
         presets = PRESETS[method]
         default = next(iter(presets))
         if preset == ALL:
             chosen |= {(method, each): config for each, config in presets.items()}
-        elif not colon:
+        elif name == method:
             chosen[method, default] = presets[default]
         else:
             chosen[method, preset] = method_config(method, preset)
@@ -150,5 +152,8 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
 
 def method_label(method: str, preset: str) -> str:
     """How a method is called in tables: the name alone for its default preset."""
-    default = next(iter(PRESETS.get(method, {})), None)
+    try:
+        default = next(iter(PRESETS[method]))
+    except SmoothOperatorError:  # of older results, or of a plugin that is gone
+        default = ""
     return method if preset == default else f"{method}:{preset}"

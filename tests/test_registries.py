@@ -1,0 +1,92 @@
+"""Registries of parts: what they list, load and refuse. An installed plugin: test_plugin.py."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.lab.benchmark.settings import method_label, select_methods
+from smooth_operator.methods.presets import (
+    PRESETS,
+    live_presets,
+    loadable_presets,
+    method_config,
+    method_names,
+)
+from smooth_operator.methods.registry import METHODS
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.plugins import Entry, Registry
+
+OWN = SbrConfig(settle_rounds=3)
+TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
+EMPTY: dict[str, Any] = {}
+
+
+@pytest.fixture
+def broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
+    """The target of a module that can't be imported."""
+    (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('no\\nlicence')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return "broken_plugin:CONFIG"
+
+
+def test_the_summary_of_a_method_lists_its_presets() -> None:
+    for name, entry in METHODS.built_in.items():
+        listed = re.split(r",? or |, ", entry.summary)
+        named = [re.sub(r" for recordings$", "", each) for each in listed]
+        assert [each for each in named if "file of a model" not in each] == list(PRESETS[name])
+
+
+def test_a_method_of_ones_own_is_named_by_its_module() -> None:
+    assert method_config(f"{__name__}:OWN") is OWN
+    assert method_config(f"{__name__}:TWO") is OWN
+    assert method_config(f"{__name__}:TWO", "slow") is TWO["slow"]
+    chosen = select_methods((f"{__name__}:TWO", f"{__name__}:TWO:slow", "sbr:paper"))
+    assert [c.config for c in chosen] == [*TWO.values(), method_config("sbr", "paper")]
+    labels = [method_label(c.method, c.preset) for c in chosen]
+    assert labels == [f"{__name__}:TWO", f"{__name__}:TWO:slow", "sbr:paper"]
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "says"),
+    [
+        (f"{__name__}:EMPTY", ConfigError, "has no preset"),
+        (f"{__name__}:Path", ConfigError, "can't be a method: it lacks alignment, build"),
+        (f"{__name__}:NONE", ConfigError, "has no 'NONE'. methods by name: sbr, smooth"),
+        ("srb", UnknownNameError, "Did you mean 'sbr'?"),
+        ("srb:paper", UnknownNameError, "unknown method"),
+    ],
+)
+def test_what_is_no_method_is_refused(name: str, error: type[Exception], says: str) -> None:
+    with pytest.raises(error, match=re.escape(says)):
+        method_config(name)
+
+
+def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(
+    broken: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered = {"sbr": Entry(broken), "cracked": Entry(broken, "from cracks", "cracks")}
+    monkeypatch.setattr(
+        "smooth_operator.plugins._installed",
+        lambda group: offered if group == "smooth_operator.methods" else {},
+    )
+    assert method_names()[-1] == "cracked"
+    assert "cracked" in METHODS.describe()
+    assert method_config("sbr") is PRESETS["sbr"]["realtime"]  # a built-in name stays
+    for _ in range(2):
+        assert "cracked" not in loadable_presets()
+        assert "cracked" not in live_presets()
+        assert "cracked" not in {choice.method for choice in select_methods(("all",))}
+    says = f"{broken} (of cracks) can't be imported: RuntimeError: no licence"
+    assert capsys.readouterr().err == f"method 'cracked' is left out: {says}\n"  # once
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        method_config("cracked")
+
+
+def test_a_built_in_part_that_is_broken_is_not_left_out(broken: str) -> None:
+    with pytest.raises(ConfigError, match="no licence"):
+        Registry("toy", {"toy": Entry(broken)}).loadable()
