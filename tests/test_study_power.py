@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -232,6 +233,17 @@ def test_study_power_refuses(
 ) -> None:
     assert main(["study", "power", "--output", str(tmp_path / "out"), *arguments]) == 2
     assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_study_power_without_statsmodels_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "statsmodels.genmod", None)
+    assert main(["study", "power", "--output", str(tmp_path / "out"), "--workers", "2"]) == 2
+    said = capsys.readouterr().err
+    assert "analysing success rates needs the extra 'study'" in said
+    assert said.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -1,9 +1,7 @@
 """Population-averaged logistic regression: GEE with an exchangeable working correlation.
 
-Rows of one operator share the correlation α; scale φ and α are moment estimates without correction
-for the number of coefficients, as geepack has them. An exchangeable matrix has a closed-form
-inverse, so an operator enters through a few sums, and no matrix is larger than the number of
-coefficients.
+The fit is statsmodels' ``GEE``. Rows of one operator share the correlation α; scale φ and α are
+moment estimates without correction for the number of coefficients, as geepack has them.
 
 Two covariances of the coefficients: the sandwich (Liang and Zeger 1986), which is too small with
 few operators, and Mancl and DeRouen's (2001), which corrects each operator's residuals for their
@@ -12,21 +10,22 @@ leverage.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import expit
 
-from smooth_operator.errors import StudyError
+from smooth_operator.errors import MissingExtraError, StudyError
 
 _STEPS: Final = 500
-_TOLERANCE: Final = 1e-13
-_RUNAWAY: Final = 30.0
-"""Log-odds beyond which a fit is on its way to infinity: 1e-13 is no probability of a trial."""
-_SINGULAR: Final = 1e-10
-"""Reciprocal condition number below which a correction for leverage is refused."""
+_TOLERANCE: Final = 1e-12
+"""Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
+_RUNAWAY: Final = 20.0
+"""Log-odds beyond which a fit is on its way to infinity: 2e-9 is no probability of a trial."""
+_ALONE: Final = 1 - 1e-10
+"""Leverage from which on an operator alone determines a coefficient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,6 @@ class GeeFit:
         naive: covariance if the working correlation were true (p, p).
         alpha: working correlation of two rows of one operator.
         phi: scale.
-        residuals: Pearson residuals (n,).
         operators: number of clusters.
         valid_correlation: whether α is one that rows of the largest operator can have.
     """
@@ -52,9 +50,21 @@ class GeeFit:
     naive: Float[np.ndarray, "p p"]
     alpha: float
     phi: float
-    residuals: Float[np.ndarray, " n"]
     operators: int
     valid_correlation: bool
+
+
+def require_statsmodels() -> Any:
+    """statsmodels' module with the class ``GEE``, imported here because that takes seconds.
+
+    Raises:
+        MissingExtraError: statsmodels is not installed.
+    """
+    try:
+        from statsmodels.genmod import generalized_estimating_equations
+    except ImportError as error:
+        raise MissingExtraError("analysing success rates", "study") from error
+    return generalized_estimating_equations
 
 
 def fit_gee(
@@ -62,7 +72,7 @@ def fit_gee(
     success: Float[np.ndarray, " n"],
     groups: Int[np.ndarray, " n"],
 ) -> GeeFit:
-    """Fits by Fisher scoring, α and φ anew in every step.
+    """Fits by Fisher scoring; every step estimates α and φ again.
 
     Args:
         design: of full column rank; separation is to be ruled out before.
@@ -74,111 +84,60 @@ def fit_gee(
 
     Raises:
         StudyError: it does not converge, or runs away to infinite odds.
+        MissingExtraError: statsmodels is not installed.
     """
-    clusters = _Clusters(design, success, groups)
-    beta = clusters.independent()
-    for _ in range(_STEPS):
-        alpha, _, residuals, root = clusters.moments(beta)
-        bread, scores, _ = clusters.equations(alpha, residuals, root)
-        step = np.linalg.solve(bread, scores.sum(axis=0))
-        beta = beta + step
-        if not np.all(np.isfinite(beta)) or np.max(np.abs(design @ beta)) > _RUNAWAY:
-            raise StudyError(
-                "the GEE runs away to infinite odds: success is (nearly) told without error by "
-                "retargeter, task or trial"
+    estimating_equations = require_statsmodels()
+    from statsmodels.genmod.cov_struct import Exchangeable
+    from statsmodels.genmod.families import Binomial
+
+    sizes = np.bincount(groups)
+    correctable = bool(np.max(_leverages(design, groups)) < _ALONE)
+    try:
+        # A fit that leaves the numbers is refused below, in words of its own.
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            fit = estimating_equations.GEE(
+                success, design, groups=groups, family=Binomial(), cov_struct=Exchangeable()
+            ).fit(
+                maxiter=_STEPS,
+                ctol=_TOLERANCE * float(np.linalg.norm(np.abs(design).sum(axis=0))),
+                cov_type="bias_reduced" if correctable else "robust",
+                ddof_scale=0,
+                scale="X2",
             )
-        if np.max(np.abs(step)) <= _TOLERANCE * (1 + np.max(np.abs(beta))):
-            break
-    else:
+    except np.linalg.LinAlgError:  # what numpy says of a matrix with infinite odds
+        fit = None
+    if fit is None or not np.max(np.abs(design @ fit.params)) <= _RUNAWAY:
         raise StudyError(
-            f"the GEE did not converge in {_STEPS} steps (last step {np.max(np.abs(step)):.1e}, "
-            f"working correlation {alpha:.3f}); its figures would mean nothing"
+            "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine "
+            "success without error"
         )
-    return clusters.fit(beta)
-
-
-class _Clusters:
-    """Sums over each operator's rows."""
-
-    def __init__(
-        self,
-        design: Float[np.ndarray, "n p"],
-        success: Float[np.ndarray, " n"],
-        groups: Int[np.ndarray, " n"],
-    ) -> None:
-        order = np.argsort(groups, kind="stable")
-        self.design, self.success = design[order], success[order]
-        self.back = np.argsort(order)
-        self.sizes = np.bincount(groups).astype(float)
-        self.starts = np.concatenate([[0], np.cumsum(self.sizes)[:-1]]).astype(int)
-        self.pairs = float(np.sum(self.sizes * (self.sizes - 1)) / 2)
-
-    def _sum(self, values: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "g ..."]:
-        return np.asarray(np.add.reduceat(values, self.starts, axis=0))
-
-    def independent(self) -> Float[np.ndarray, " p"]:
-        """Logistic regression that ignores operators: where the iteration starts."""
-        beta = np.zeros(self.design.shape[1])
-        for _ in range(25):
-            mean = expit(self.design @ beta)
-            weighted = self.design * (mean * (1 - mean))[:, None]
-            step = np.linalg.solve(weighted.T @ self.design, self.design.T @ (self.success - mean))
-            beta = beta + step
-            if np.max(np.abs(step)) < 1e-8 or np.max(np.abs(self.design @ beta)) > _RUNAWAY:
-                break
-        return beta
-
-    def moments(
-        self, beta: Float[np.ndarray, " p"]
-    ) -> tuple[float, float, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """(α, φ, Pearson residuals, square root of the variance function) at β."""
-        mean = expit(self.design @ beta)
-        root = np.sqrt(mean * (1 - mean))
-        residuals = (self.success - mean) / root
-        squares = self._sum(residuals**2)
-        phi = float(squares.sum() / len(residuals))
-        products = float(np.sum(self._sum(residuals) ** 2 - squares) / 2)
-        return (products / (phi * self.pairs) if self.pairs else 0.0), phi, residuals, root
-
-    def equations(
-        self, alpha: float, residuals: Float[np.ndarray, " n"], root: Float[np.ndarray, " n"]
-    ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "g p"], Float[np.ndarray, "g p p"]]:
-        """(Σ D'R⁻¹D, D'R⁻¹r of each operator, D'R⁻¹D of each operator), without φ."""
-        scaled = self.design * root[:, None]
-        # Operators that are exactly alike have the lowest correlation there is, and R no inverse:
-        # the fit runs away, and is refused for that.
-        with np.errstate(divide="ignore"):
-            shared = alpha / (1 + (self.sizes - 1) * alpha)
-        sums, total = self._sum(scaled), self._sum(residuals)
-        scores = self._sum(scaled * residuals[:, None]) - (shared * total)[:, None] * sums
-        slices = np.split(scaled, self.starts[1:])
-        parts = np.stack([part.T @ part for part in slices])
-        parts -= shared[:, None, None] * sums[:, :, None] * sums[:, None, :]
-        scores, parts = scores / (1 - alpha), parts / (1 - alpha)
-        return parts.sum(axis=0), scores, parts
-
-    def fit(self, beta: Float[np.ndarray, " p"]) -> GeeFit:
-        """Everything at β."""
-        alpha, phi, residuals, root = self.moments(beta)
-        bread, scores, parts = self.equations(alpha, residuals, root)
-        inverse = np.linalg.inv(bread)
-        robust = inverse @ (scores.T @ scores) @ inverse
-        # (I - H)⁻¹ r of all rows of an operator enters as (I - D'R⁻¹D A⁻¹)⁻¹ of its score.
-        left = np.eye(len(beta)) - parts @ inverse
-        corrected = None
-        if np.min(1 / np.linalg.cond(left)) > _SINGULAR:
-            adjusted = np.linalg.solve(left, scores[:, :, None])[:, :, 0]
-            corrected = inverse @ (adjusted.T @ adjusted) @ inverse
-        largest = float(self.sizes.max())
-        lowest = -1 / (largest - 1) if largest > 1 else -1.0
-        return GeeFit(
-            beta=beta,
-            robust=robust,
-            mancl_derouen=corrected,
-            naive=phi * inverse,
-            alpha=alpha,
-            phi=phi,
-            residuals=residuals[self.back],
-            operators=len(self.sizes),
-            valid_correlation=lowest < alpha < 1,
+    alpha = float(fit.cov_struct.dep_params)
+    if not fit.converged:
+        raise StudyError(
+            f"the GEE did not converge in {_STEPS} steps (estimating equations off by "
+            f"{fit.score_norm:.1e}, working correlation {alpha:.3f}); its figures would mean "
+            "nothing"
         )
+    largest = int(sizes.max())
+    lowest = -1 / (largest - 1) if largest > 1 else -1.0
+    return GeeFit(
+        beta=fit.params,
+        robust=fit.cov_robust,
+        mancl_derouen=fit.cov_robust_bc if correctable else None,
+        naive=fit.cov_naive,
+        alpha=alpha,
+        phi=float(fit.scale),
+        operators=len(sizes),
+        valid_correlation=lowest < alpha < 1,
+    )
+
+
+def _leverages(
+    design: Float[np.ndarray, "n p"], groups: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, " g"]:
+    """Largest eigenvalue of each operator's block of the hat matrix, 0 to 1 (1: without that
+    operator the design loses rank, whatever the weights)."""
+    basis, _ = np.linalg.qr(design)
+    blocks = (basis[groups == k] for k in range(int(groups.max()) + 1))
+    return np.array([np.linalg.norm(block, 2) ** 2 for block in blocks])

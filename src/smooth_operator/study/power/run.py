@@ -27,6 +27,7 @@ from smooth_operator.result_cache import (
     find_results,
     no_note,
 )
+from smooth_operator.study.analysis.gee import require_statsmodels
 from smooth_operator.study.analysis.results import POOLED
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
@@ -141,11 +142,14 @@ def run_power(
     Raises:
         StudyError: a study could not be simulated; says why.
         OutputError: the folder can't be written to.
+        MissingExtraError: statsmodels is not installed.
     """
     code = code_digest("study/design", "study/power", "study/analysis")
     jobs = [Job("", chunk, code, chunk) for chunk in _chunks(settings)]
     log = ResultLog(folder / LOG, note)
     found, missing = find_results(jobs, log)
+    if missing:
+        require_statsmodels()  # one line here, not one from each worker
     tallies: dict[tuple[int, Truth], Tally] = {
         (n, truth): Tally() for n in settings.operators for truth in TRUTHS
     }

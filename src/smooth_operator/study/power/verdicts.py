@@ -110,8 +110,7 @@ class Analyst:
                 rates = np.bincount(codes, frame.outcome) / np.bincount(codes)
                 if np.any((rates == 0) | (rates == 1)):
                     raise StudyError("separation: a condition or task always or never succeeds")
-            with np.errstate(all="ignore"):  # a fit that leaves the numbers is refused there
-                fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
+            fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
         except StudyError as error:
             yield from _refusals("success", scope, str(error))
             return
