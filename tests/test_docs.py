@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from test_architecture import LEVELS, ROOT
 
 from smooth_operator import landmarks
 from smooth_operator.types import Status
@@ -14,6 +16,13 @@ from smooth_operator.types import Status
 PROJECT = Path(__file__).resolve().parents[1]
 README = PROJECT / "README.md"
 PAGES = [README, *sorted((PROJECT / "docs").glob("**/*.md"))]
+SOURCE = PROJECT / "src" / "smooth_operator"
+OTHER_NAMES = {
+    "smooth_operator.method", "smooth_operator.origin",  # metadata records of the log
+    "smooth_operator.sources", "smooth_operator.sinks", "smooth_operator.readers",  # entry points
+    "smooth_operator.commands",
+}  # fmt: skip
+"""Names that are no modules."""
 SKIP = "<!-- no-test -->"
 FENCE = re.compile(r"^(?P<fence>`{3,}|~{3,})(?P<language>[\w+-]*)")
 
@@ -97,6 +106,39 @@ def test_status_table_is_the_code() -> None:
     text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `([A-Z_]+)` \| (.+?) \|$", text, re.MULTILINE)
     assert rows == [(str(int(status)), status.name, status.reason) for status in Status]
+
+
+def test_level_table_is_the_test_of_imports() -> None:
+    text = (PROJECT / "docs" / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| \w+ \| ([^|]+) \|", text, re.MULTILINE)
+    found = {name: int(level) for level, names in rows for name in re.findall(r"`(\w+)`", names)}
+    assert found == {name: level for name, level in LEVELS.items() if name != ROOT}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative_name)
+def test_names_of_modules_and_files_exist(page: Path) -> None:
+    """Dotted names of the package, and paths of its Python files."""
+    text = page.read_text(encoding="utf-8")
+    dotted = set(re.findall(r"\bsmooth_operator(?:\.(?!md\b)\w+)+", text)) - OTHER_NAMES
+    absent = [name for name in sorted(dotted) if not resolves(name)]
+    paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
+    places = (SOURCE, PROJECT)
+    absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
+    assert absent == []
+
+
+def resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one."""
+    parts = name.split(".")
+    for end in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:end]))
+        except ModuleNotFoundError as error:
+            if error.name is None or not error.name.startswith("smooth_operator"):
+                return True  # it needs an extra that is not installed
+            continue
+        return all(hasattr(found, parts[end]) for _ in parts[end : end + 1])
+    return False
 
 
 PAGE = """
