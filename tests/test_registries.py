@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.hands.catalogue import HANDS, MODELS, catalogue, hand_names, load_hand
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
 from smooth_operator.methods.presets import (
     PRESETS,
@@ -24,6 +25,7 @@ from smooth_operator.plugins import Entry, Registry
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
 EMPTY: dict[str, Any] = {}
+SPEC = MODELS / "allegro_hand.left.toml"
 
 
 @pytest.fixture
@@ -85,6 +87,36 @@ def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(
     assert capsys.readouterr().err == f"method 'cracked' is left out: {says}\n"  # once
     with pytest.raises(ConfigError, match=re.escape(says)):
         method_config("cracked")
+
+
+def test_a_hand_of_ones_own_is_named_by_its_module() -> None:
+    hand = load_hand(f"{__name__}:SPEC")
+    assert (hand.name, hand.spec.side, hand.spec.mirror) == ("allegro_hand", "right", True)
+    assert hand.actuated == load_hand("allegro_hand").actuated
+
+
+def test_a_plugins_hand_is_a_spec_file_or_a_folder(
+    broken: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offered = {
+        "allegro_hand": Entry(broken),
+        "cracked": Entry(broken, "from cracks", "cracks"),
+        "other": Entry(f"{__name__}:SPEC", "from cracks", "cracks"),
+    }
+    monkeypatch.setattr(
+        "smooth_operator.plugins._installed",
+        lambda group: offered if group == "smooth_operator.hands" else {},
+    )
+    assert hand_names()[len(HANDS.built_in) :] == ("cracked", "other")
+    assert {*catalogue()} == {*HANDS.built_in}
+    notes = capsys.readouterr().err
+    assert "hand 'cracked' is left out: broken_plugin:CONFIG (of cracks)" in notes
+    with pytest.raises(HandModelError, match="describes the hand 'allegro_hand'; expected 'other'"):
+        load_hand("other")
+    with pytest.raises(HandModelError, match=r"MODELS: expected one hand in .*models, not"):
+        load_hand("smooth_operator.hands.catalogue:MODELS")
+    with pytest.raises(ConfigError, match=r"TWO can't be a hand: it must be the path of a spec"):
+        load_hand(f"{__name__}:TWO")
 
 
 def test_a_built_in_part_that_is_broken_is_not_left_out(broken: str) -> None:

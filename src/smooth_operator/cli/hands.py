@@ -12,7 +12,7 @@ from rich.text import Text
 
 from smooth_operator.cli.hands_options import List
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.hands.catalogue import Entry, catalogue, find_hand, load_hand
+from smooth_operator.hands.catalogue import HANDS, find_hand, hand_names, load_hand
 from smooth_operator.hands.user_folder import user_hands_folder
 from smooth_operator.terminal import open_console
 from smooth_operator.types import Side
@@ -54,7 +54,7 @@ class Row:
 
 def list_hands(options: List) -> None:
     """Prints the catalogue."""
-    rows = [_row(entry) for entry in catalogue().values()]
+    rows = [_row(name) for name in hand_names()]
     folder = user_hands_folder()
     if options.json:
         print(json.dumps({"folder": str(folder), "hands": [row.as_json() for row in rows]}))
@@ -83,8 +83,11 @@ def list_hands(options: List) -> None:
     console.print(f"Your own hands are in {folder}", markup=False, soft_wrap=True)
 
 
-def _row(entry: Entry) -> Row:
-    own: Side = "right" if "right" in entry.files else "left"
+def _row(name: str) -> Row:
+    try:
+        entry = find_hand(name)  # refuses a name that two claim
+    except SmoothOperatorError as error:
+        return Row(name, name in HANDS.built_in, [], [], error=str(error))
     row = Row(
         entry.name,
         entry.builtin,
@@ -92,8 +95,7 @@ def _row(entry: Entry) -> Row:
         list(entry.mirrored),
     )
     try:
-        find_hand(entry.name)  # refuses a name that two claim
-        hand = load_hand(entry.name, own)
+        hand = load_hand(entry.name, "right" if "right" in entry.files else "left")
     except SmoothOperatorError as error:
         return Row(row.name, row.builtin, row.files, row.mirrored, error=str(error))
     row.facts.update(

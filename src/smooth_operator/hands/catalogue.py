@@ -1,7 +1,8 @@
-"""The hands that can be named: the built-in ones, and the user's own.
+"""The hands that can be named: the built-in ones, those of plugins, and the user's own.
 
-A built-in hand is data: a spec file and a compact kinematic model beside it in ``models``. Where
-only one side is published, the other is its mirror image.
+A built-in hand is data: a spec file and a compact kinematic model in ``models``. Where only one
+side is published, the other is its mirror image. A plugin offers the path of such a spec file, or
+of a folder of them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.model_files import copy_model
 from smooth_operator.hands.model_xml import is_file
@@ -28,14 +29,20 @@ from smooth_operator.hands.user_folder import (
     user_hands_folder,
 )
 from smooth_operator.io.atomic import output_error
+from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
 
 MODELS: Final = Path(__file__).parent / "models"
 """Folder of the built-in spec files and models."""
 
+HANDS: Final = Registry(
+    "hand", {name: Entry(f"{__name__}:MODELS", "built-in") for name in sorted(find_specs(MODELS))}
+)
+"""Name -> path of a spec file, or of a folder with ``NAME.right.toml`` or ``NAME.left.toml``."""
+
 
 @dataclass(frozen=True)
-class Entry:
+class HandEntry:
     """A hand of the catalogue.
 
     Attributes:
@@ -77,39 +84,45 @@ class Entry:
         return spec.mirrored if mirrored else spec
 
 
-def catalogue() -> dict[str, Entry]:
-    """All hands by name, the built-in ones first.
+def catalogue() -> dict[str, HandEntry]:
+    """All hands by name: the built-in ones, those of plugins, the user's own.
 
-    The user's are looked for anew each time. One that has a built-in hand's name is left out here;
-    ``load_hand`` refuses the name while it is there.
+    The user's folder is read at each call. A hand of the user's that has the name of another is
+    left out here; ``load_hand`` refuses the name while it is there. A hand of a plugin that can't
+    be loaded is left out, with a note on standard error.
     """
-    entries = dict(_builtin())
+    entries = HANDS.loadable(_registered)
     for name, files in find_specs(user_hands_folder()).items():
-        entries.setdefault(name, Entry(name, files, builtin=False))
+        entries.setdefault(name, HandEntry(name, files, builtin=False))
     return entries
 
 
 def hand_names() -> tuple[str, ...]:
-    """Names of the hands that can be loaded: the built-in ones, then the user's own."""
-    return tuple(catalogue())
+    """Names of the hands: the built-in ones, those of plugins, then the user's own."""
+    return tuple(dict.fromkeys([*HANDS, *find_specs(user_hands_folder())]))
 
 
-def find_hand(name: str) -> Entry:
+def find_hand(name: str) -> HandEntry:
     """A hand of the catalogue.
+
+    Args:
+        name: its name, or ``package.module:attribute`` of the path of a spec file or folder.
 
     Raises:
         UnknownNameError: there is none of that name.
-        HandModelError: a file of the user's claims the name of a built-in hand.
+        HandModelError: a file of the user's claims the name of another hand.
+        ConfigError: it is a plugin's, and can't be loaded.
     """
-    builtin = _builtin().get(name)
     own = find_specs(user_hands_folder()).get(name)
-    if builtin is not None:
+    if name in HANDS:
         if own is not None:
             raise _shadowing(name, next(iter(own.values())))
-        return builtin
-    if own is None:
-        raise UnknownNameError("hand", name, catalogue())
-    return Entry(name, own, builtin=False)
+        return _registered(name)
+    if own is not None:
+        return HandEntry(name, own, builtin=False)
+    if is_target(name):
+        return _described(name, HANDS.load(name))
+    raise UnknownNameError("hand", name, hand_names())
 
 
 def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
@@ -125,12 +138,12 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
         The file.
 
     Raises:
-        HandModelError: the name can't be one, or is that of a built-in hand.
+        HandModelError: the name can't be one, or is that of a built-in hand or a plugin's.
         OutputError: the file can't be written.
     """
     folder = user_hands_folder()
     file = folder / spec_name(check_hand_name(spec.name), spec.side)
-    if spec.name in _builtin():
+    if spec.name in HANDS:
         raise _shadowing(spec.name, file)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -157,7 +170,7 @@ def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
-        HandModelError: the hand is built in, or has no description of that side.
+        HandModelError: the hand is built in or a plugin's, or has no description of that side.
         OutputError: something can't be deleted.
     """
     gone = removable(name, side)
@@ -177,13 +190,13 @@ def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
-        HandModelError: the hand is built in, or has no description of that side.
+        HandModelError: the hand is built in or a plugin's, or has no description of that side.
     """
     own = find_specs(user_hands_folder())
     if name not in own:
-        if name in _builtin():
+        if name in HANDS:
             raise HandModelError(
-                f"{name!r} is a built-in hand and can't be removed; yours are: "
+                f"{name!r} is {_kind(name)} and can't be removed; yours are: "
                 f"{', '.join(own) or 'none'}"
             )
         raise UnknownNameError("hand of your own", name, own)
@@ -207,8 +220,9 @@ def load_hand(
     """Load a robot hand.
 
     Args:
-        hand: name of a built-in hand or of one in the user's folder; the path of a spec file (a
-            text that ends in ``.toml`` is one); or a description of your own.
+        hand: name of a built-in hand, of a plugin's or of one in the user's folder, or
+            ``package.module:attribute``; the path of a spec file (a text that ends in ``.toml`` is
+            one); or a description of your own.
         side: ``right`` or ``left``. Of a name it is ``right`` if left out. A spec file brings its
             own side, and is mirrored if the other is asked for; a description keeps its own.
         fingers: to drive fewer fingers, or by other human fingers; see
@@ -232,17 +246,48 @@ def load_hand(
 
 
 @cache
-def _builtin() -> dict[str, Entry]:
-    return {n: Entry(n, files, builtin=True) for n, files in sorted(find_specs(MODELS).items())}
+def _load_builtin(name: str, side: Side) -> Hand:
+    return load_hand_spec(_registered(name).spec(side))
 
 
 @cache
-def _load_builtin(name: str, side: Side) -> Hand:
-    return load_hand_spec(_builtin()[name].spec(side))
+def _registered(name: str) -> HandEntry:
+    entry = _described(name, HANDS.load(name))
+    if entry.name != name:
+        raise HandModelError(
+            f"{HANDS[name].target} describes the hand {entry.name!r}; expected {name!r}, as the "
+            "plugin's entry point is called"
+        )
+    return entry
+
+
+def _described(name: str, place: object) -> HandEntry:
+    """What a path describes, under a name of the registry or ``package.module:attribute``."""
+    target = HANDS.find(name).target
+    if not isinstance(place, str | os.PathLike):
+        raise ConfigError(
+            f"{target} can't be a hand: it must be the path of a spec file, or of a folder with "
+            f"NAME.right.toml or NAME.left.toml, not {brief(place)}"
+        )
+    path = Path(place)
+    if not path.is_dir():
+        spec = read_hand_spec(path)
+        return HandEntry(spec.name, {spec.side: path}, builtin=False)
+    found = find_specs(path)
+    if name not in found and (name in HANDS or len(found) != 1):
+        wanted = f"{name}.right.toml or {name}.left.toml" if name in HANDS else "one hand"
+        raise HandModelError(f"{target}: expected {wanted} in {path}, not {listed(found)}")
+    own = name if name in found else next(iter(found))
+    return HandEntry(own, found[own], builtin=name in HANDS.built_in)
+
+
+def _kind(name: str) -> str:
+    owner = HANDS[name].distribution
+    return f"a hand of {owner}" if owner else "a built-in hand"
 
 
 def _shadowing(name: str, file: Path) -> HandModelError:
     return HandModelError(
-        f"{name!r} is a built-in hand, so {os.fspath(file)} can't describe another of that name; "
+        f"{name!r} is {_kind(name)}, so {os.fspath(file)} can't describe another of that name; "
         "give your hand a name of its own, in the file and as the file's name"
     )
