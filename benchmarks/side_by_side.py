@@ -22,7 +22,7 @@ from smooth_operator import Retargeter
 from smooth_operator.io import read_recording
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.lab.benchmark.results import Row, row_method
-from smooth_operator.methods import descent
+from smooth_operator.methods import slsqp_method
 from smooth_operator.solvers.slsqp import SlsqpResult
 
 COLUMNS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
@@ -92,12 +92,12 @@ def _evaluations(method: str, preset: str, recording: Any) -> list[int]:
 
         return wrapped
 
-    plain = descent.slsqp_minimise, descent.scipy_slsqp_minimise
+    plain = slsqp_method.slsqp_minimise, slsqp_method.scipy_slsqp_minimise
     try:
-        descent.slsqp_minimise, descent.scipy_slsqp_minimise = map(counted, plain)
+        slsqp_method.slsqp_minimise, slsqp_method.scipy_slsqp_minimise = map(counted, plain)
         Retargeter("mimic_p050", method=method, preset=preset).run(recording)
     finally:
-        descent.slsqp_minimise, descent.scipy_slsqp_minimise = plain
+        slsqp_method.slsqp_minimise, slsqp_method.scipy_slsqp_minimise = plain
     return counts
 
 

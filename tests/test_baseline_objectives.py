@@ -13,7 +13,7 @@ import pytest
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.methods.descent import DescentConfig
+from smooth_operator.methods.slsqp_method import SlsqpMethodConfig
 from smooth_operator.objective.loss import FrameGoal, Objective
 
 TIPS = (4, 8, 12, 16, 20)
@@ -140,7 +140,7 @@ def test_the_answer_minimises_the_methods_own_cost(
 def test_vectors_or_positions_of_tips_are_held_by_the_last_command(hand: Hand, preset: str) -> None:
     """dex-retargeting's: 4e-3 on the change of each joint, nothing towards the neutral pose."""
     config = method_config("keyvector", preset)
-    assert isinstance(config, DescentConfig)
+    assert isinstance(config, SlsqpMethodConfig)
     objective, human = Objective(hand, config.objective), human_pinch(hand)
     layout = objective.layout
     targets, _ = config.objective.targets((), layout, layout.human(jnp.asarray(human)))

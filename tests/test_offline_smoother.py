@@ -16,10 +16,10 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import read_commands, read_recording
-from smooth_operator.lab.offline import WholeRetargeter, build, execute
+from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
 from smooth_operator.lab.offline import whole as whole_module
 from smooth_operator.lab.offline.segments import windows
-from smooth_operator.lab.offline.whole import check_method
+from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.methods.operated import aligned_by
 from smooth_operator.methods.presets import PRESETS, live_presets, method_config
 from smooth_operator.methods.request import plan, request
@@ -240,8 +240,8 @@ def hand() -> Any:
 
 
 @pytest.fixture(scope="module")
-def whole(hand: Any) -> WholeRetargeter:
-    return WholeRetargeter(hand, CONFIG)
+def whole(hand: Any) -> TrajectoryRetargeter:
+    return TrajectoryRetargeter(hand, CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +264,7 @@ def lost(recording: HandRecording, *frames: slice) -> HandRecording:
 
 
 def test_it_is_smoother_than_frame_by_frame_and_no_later(
-    whole: WholeRetargeter, recording: HandRecording, hand: Any
+    whole: TrajectoryRetargeter, recording: HandRecording, hand: Any
 ):
     found, loss = whole.run(recording)
     causal, _ = whole.causal.run(recording)
@@ -291,7 +291,7 @@ def test_it_is_smoother_than_frame_by_frame_and_no_later(
 
 
 def test_led_fingertips_move_as_the_humans(
-    whole: WholeRetargeter, recording: HandRecording, hand: Any
+    whole: TrajectoryRetargeter, recording: HandRecording, hand: Any
 ):
     free, led = (
         evaluate(assemble_trace(recording, r.run(recording)[0], hand, reach_samples=0))
@@ -304,12 +304,14 @@ def test_led_fingertips_move_as_the_humans(
         whole.priced(PRESETS["sbr"]["offline"])  # type: ignore[arg-type]
 
 
-def test_it_repeats_itself_to_the_bit(whole: WholeRetargeter, recording: HandRecording):
+def test_it_repeats_itself_to_the_bit(whole: TrajectoryRetargeter, recording: HandRecording):
     first, second = (whole.run(recording)[0] for _ in range(2))
     assert first.joint_positions.tobytes() == second.joint_positions.tobytes()
 
 
-def test_windows_do_not_show(whole: WholeRetargeter, recording: HandRecording, small_windows: None):
+def test_windows_do_not_show(
+    whole: TrajectoryRetargeter, recording: HandRecording, small_windows: None
+):
     parts, _ = whole.run(recording)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(whole_module, "WINDOW", 1000)
@@ -319,7 +321,7 @@ def test_windows_do_not_show(whole: WholeRetargeter, recording: HandRecording, s
 
 
 def test_short_gaps_are_bridged_long_ones_held(
-    whole: WholeRetargeter, recording: HandRecording, hand: Any
+    whole: TrajectoryRetargeter, recording: HandRecording, hand: Any
 ):
     gaps = (slice(0, 3), slice(30, 36), slice(70, 110), slice(155, 160))
     found, loss = whole.run(lost(recording, *gaps))
@@ -343,7 +345,7 @@ def test_short_gaps_are_bridged_long_ones_held(
 
 
 def test_frames_that_never_came_are_bridged_in_time(
-    whole: WholeRetargeter, recording: HandRecording
+    whole: TrajectoryRetargeter, recording: HandRecording
 ):
     kept = np.delete(np.arange(160), [60, 61, 62])
     thinned = replace(
@@ -355,14 +357,16 @@ def test_frames_that_never_came_are_bridged_in_time(
     assert np.abs(found.joint_positions - full.joint_positions[kept]).max() < 0.15
 
 
-def test_a_recording_without_any_hand(whole: WholeRetargeter, recording: HandRecording, hand: Any):
+def test_a_recording_without_any_hand(
+    whole: TrajectoryRetargeter, recording: HandRecording, hand: Any
+):
     found, loss = whole.run(lost(recording[:5], slice(0, 5)))
     assert (found.status == Status.INVALID_LANDMARKS).all()
     assert (found.joint_positions == np.asarray(hand.expand(hand.neutral))).all()
     assert np.isnan(loss).all()
 
 
-def test_one_frame(whole: WholeRetargeter, recording: HandRecording):
+def test_one_frame(whole: TrajectoryRetargeter, recording: HandRecording):
     found, loss = whole.run(recording[:1])
     assert found.status.tolist() == [Status.OK]
     assert np.isfinite(loss).all()
@@ -394,12 +398,12 @@ def test_an_alignment_reaches_the_method_within():
 
 
 def test_a_plan_with_the_preset_is_done_as_a_whole(
-    recording: HandRecording, monkeypatch: pytest.MonkeyPatch, whole: WholeRetargeter
+    recording: HandRecording, monkeypatch: pytest.MonkeyPatch, whole: TrajectoryRetargeter
 ):
     monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
     todo = plan(recording, request(method="sbr", preset="tiny"))
     built = build(todo)
-    assert isinstance(built[0], WholeRetargeter)
+    assert isinstance(built[0], TrajectoryRetargeter)
     shown: list[int] = []
 
     def track(frames: Any) -> Iterator[int]:
@@ -416,7 +420,7 @@ def test_a_plan_with_the_preset_is_done_as_a_whole(
 def test_a_folder_is_done_as_a_whole_and_kept(
     recording: HandRecording,
     monkeypatch: pytest.MonkeyPatch,
-    whole: WholeRetargeter,
+    whole: TrajectoryRetargeter,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ):

@@ -20,9 +20,9 @@ from smooth_operator.human.anatomy import JOINTS, NUM_JOINTS, draw_anatomy
 from smooth_operator.human.kinematics import pose_hand
 from smooth_operator.io import read_recording
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.methods.descent import Descent
 from smooth_operator.methods.joint_angle import JointAngleMap
 from smooth_operator.methods.published_angles import PublishedAngles
+from smooth_operator.methods.slsqp_method import SlsqpMethod
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
@@ -133,7 +133,7 @@ def test_a_bend_is_shared_among_the_joints_that_make_it(hand: Hand) -> None:
 def test_another_hand_begins_at_our_joint_angles(hand: Hand) -> None:
     config = method_config("hybrid", "published")
     ours, other = config.build(hand), config.build(load_hand("shadow_hand"))
-    assert isinstance(ours, Descent)
-    assert isinstance(other, Descent)
+    assert isinstance(ours, SlsqpMethod)
+    assert isinstance(other, SlsqpMethod)
     assert isinstance(ours.joint_angles, PublishedAngles)
     assert isinstance(other.joint_angles, JointAngleMap)

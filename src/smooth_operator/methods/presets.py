@@ -9,7 +9,6 @@ from typing import Final
 
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.methods.descent import DescentConfig
 from smooth_operator.methods.geort import GeortConfig
 from smooth_operator.methods.joint_angle import JointAngleConfig
 from smooth_operator.methods.method import MethodConfig
@@ -17,6 +16,7 @@ from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.setting_paths import with_settings
+from smooth_operator.methods.slsqp_method import SlsqpMethodConfig
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.objective.key_objectives import AkoTargets
@@ -50,7 +50,7 @@ set that GeoRT trains on, the built-in operator); docs/reference/benchmarks.md s
 shows others.
 """
 
-KEYVECTOR: Final = DescentConfig(
+KEYVECTOR: Final = SlsqpMethodConfig(
     objective=ObjectiveConfig(targets=PlainTargets(), pose_weight=2.5e-3, velocity_weight=0.0)
 )
 """All keyvectors follow the human's, solved by SLSQP from the last command.
@@ -79,7 +79,7 @@ HYBRID: Final = replace(KEYVECTOR, start="joint_angle", approach=NewtonConfig(it
 That lies further from the minimum than the last command does, so it takes more Newton steps.
 """
 
-DEXPILOT: Final = DescentConfig(
+DEXPILOT: Final = SlsqpMethodConfig(
     objective=ObjectiveConfig(
         targets=DexPilotTargets(
             project=0.03, escape=0.05, eta1=5e-3, eta2=0.03, w_set1=200.0, w_set2=400.0
@@ -90,7 +90,7 @@ DEXPILOT: Final = DescentConfig(
 )
 """DexPilot (Handa et al. 2019) with its own numbers; no velocity term."""
 
-AKO: Final = DescentConfig(
+AKO: Final = SlsqpMethodConfig(
     objective=ObjectiveConfig(
         targets=AkoTargets(),
         loss="smooth_l1_norm",
@@ -103,8 +103,8 @@ AKO: Final = DescentConfig(
 
 
 def _as_published(
-    config: DescentConfig, objective: ObjectiveConfig, tolerance: float = 1e-6
-) -> DescentConfig:
+    config: SlsqpMethodConfig, objective: ObjectiveConfig, tolerance: float = 1e-6
+) -> SlsqpMethodConfig:
     """Solved as the authors do: by SciPy's SLSQP alone, at most 20 iterations a frame."""
     return replace(
         config,
@@ -140,7 +140,7 @@ SMOOTH_TELEOP: Final = SmoothConfig()
 """For a live loop: causal, no frame later than the human's."""
 
 
-def _alone(config: DescentConfig) -> DescentConfig:
+def _alone(config: SlsqpMethodConfig) -> SlsqpMethodConfig:
     """NLopt's SLSQP from the start, until its own tolerance."""
     return replace(config, approach=NewtonConfig(iterations=0), solver=SlsqpConfig())
 

@@ -1,4 +1,4 @@
-"""One frame, from landmarks to an answer, whatever they are and wherever the solver runs."""
+"""One frame, from landmarks to a result, whatever they are and wherever the solver runs."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class RetargetState(NamedTuple):
     stamp: float | None = None
 
 
-class Answer(NamedTuple):
-    """What a frame came to.
+class FrameResult(NamedTuple):
+    """The result of one frame, as the compiled program returns it.
 
     Attributes:
         q: (m,) command of the actuated joints [rad], the last good one unless the status is OK.
@@ -54,11 +54,11 @@ class Answer(NamedTuple):
     scale: Float[Array, ""] | float
 
 
-Step: TypeAlias = Callable[..., tuple[RetargetState, Answer]]
+Step: TypeAlias = Callable[..., tuple[RetargetState, FrameResult]]
 """State, (21, 3) landmarks [m], (21,) validity and, for a method that is timed, the frame's ticks
-(``ticks_of``) to the next state and the answer; traceable."""
+(``ticks_of``) to the next state and the result; traceable."""
 
-Program: TypeAlias = Callable[..., tuple[RetargetState, Answer]]
+Program: TypeAlias = Callable[..., tuple[RetargetState, FrameResult]]
 """The same on the host, compiled."""
 
 
@@ -70,14 +70,16 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
         landmarks: Float[Array, "21 3"],
         valid: Bool[Array, "21"],
         *ticks: UInt32[Array, ""],
-    ) -> tuple[RetargetState, Answer]:
-        seen = see(method, alignment, landmarks, valid)
-        after, output = method.step(state.method, seen.aligned, *ticks)
+    ) -> tuple[RetargetState, FrameResult]:
+        frame = align_frame(method, alignment, landmarks, valid)
+        after, output = method.step(state.method, frame.aligned, *ticks)
         solved = jnp.isfinite(output.q).all()
-        status = jnp.where((seen.status == Status.OK) & ~solved, Status.SOLVER_FAILED, seen.status)
+        status = jnp.where(
+            (frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status
+        )
         kept = RetargetState(after, output.q)
         state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
-        return state, Answer(state.q, status, jnp.asarray(output.tracking_loss), seen.scale)
+        return state, FrameResult(state.q, status, jnp.asarray(output.tracking_loss), frame.scale)
 
     return step
 
@@ -91,18 +93,18 @@ def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Pr
     def packed(
         state: RetargetState, landmarks: Array, valid: Array, *ticks: Array
     ) -> tuple[RetargetState, Array]:
-        state, answer = step(state, landmarks, valid, *ticks)
-        return state, _pack(answer.q, answer.status, answer.tracking_loss, answer.scale)
+        state, result = step(state, landmarks, valid, *ticks)
+        return state, _pack(result.q, result.status, result.tracking_loss, result.scale)
 
     run = compiled(packed)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, *ticks: np.uint32
-    ) -> tuple[RetargetState, Answer]:
+    ) -> tuple[RetargetState, FrameResult]:
         state, flat = run(state, landmarks, valid, *ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
-        return state, Answer(numbers[:-3], int(status), loss, scale)
+        return state, FrameResult(numbers[:-3], int(status), loss, scale)
 
     return program
 
@@ -117,15 +119,23 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return jax.jit(function, compiler_options=_compiler_options())
 
 
-class Seen(NamedTuple):
-    """A frame after alignment; harmless landmarks where it can't be used."""
+class AlignedFrame(NamedTuple):
+    """A frame in the palm frame; one that can't be used has reference landmarks instead.
+
+    Attributes:
+        aligned: (21, 3) landmarks in the palm frame [m].
+        status: a ``Status``.
+        scale: robot size over human size in this frame's alignment.
+    """
 
     aligned: Float[Array, "21 3"]
     status: Int[Array, ""]
     scale: Float[Array, ""]
 
 
-def see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array) -> Seen:
+def align_frame(
+    method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array
+) -> AlignedFrame:
     """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
     hand, operator = method.hand, alignment.operator
     corrected = () if operator is None else operator.needs(hand)
@@ -143,28 +153,28 @@ def see(method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: A
     aligned = palm.apply(safe)
     if operator is not None:
         aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
-    return Seen(aligned, status, palm.scale)
+    return AlignedFrame(aligned, status, palm.scale)
 
 
 def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
     def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array]:
-        seen = see(method, alignment, landmarks, valid)
-        return method.prepare(state, seen.aligned), _pack(seen.status, seen.scale)
+        frame = align_frame(method, alignment, landmarks, valid)
+        return method.prepare(state, frame.aligned), _pack(frame.status, frame.scale)
 
     before = compiled(prepare)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
-    ) -> tuple[RetargetState, Answer]:
+    ) -> tuple[RetargetState, FrameResult]:
         problem, flat = before(state.method, landmarks, valid)
         code, scale = np.asarray(flat).tolist()
         if code != Status.OK:
-            return state, Answer(state.q, int(code), np.nan, scale)
+            return state, FrameResult(state.q, int(code), np.nan, scale)
         after, output = method.solve(state.method, problem)
         loss = float(output.tracking_loss)
         if not np.isfinite(output.q).all():
-            return state, Answer(state.q, Status.SOLVER_FAILED, loss, scale)
-        return RetargetState(after, output.q), Answer(output.q, int(code), loss, scale)
+            return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
+        return RetargetState(after, output.q), FrameResult(output.q, int(code), loss, scale)
 
     return program
 

@@ -146,10 +146,12 @@ class Retargeter:
         assert frame.valid is not None  # filled in on construction
         ticks = (ticks_of(stamp),) if self.timed else ()
         before = state if state.stamp is None else state._replace(stamp=None)
-        state, answer = self.shared.run(before, self.seen(frame.landmarks), frame.valid, *ticks)
+        state, output = self.shared.run(
+            before, self.program_landmarks(frame.landmarks), frame.valid, *ticks
+        )
         if self.rate is not None:
             state = state._replace(stamp=stamp)
-        q, status = np.asarray(answer.q, float), Status(int(answer.status))
+        q, status = np.asarray(output.q, float), Status(int(output.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
         latency_ms = (time.perf_counter() - start) * 1e3
@@ -157,11 +159,13 @@ class Retargeter:
             JointCommand(q, self.hand.joint_names, stamp),
             status,
             latency_ms,
-            float(answer.tracking_loss),
-            float(answer.scale),
+            float(output.tracking_loss),
+            float(output.scale),
         )
 
-    def seen(self, landmarks: Float[np.ndarray, "*batch 21 3"]) -> Float[np.ndarray, "*batch 21 3"]:
+    def program_landmarks(
+        self, landmarks: Float[np.ndarray, "*batch 21 3"]
+    ) -> Float[np.ndarray, "*batch 21 3"]:
         """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
         image's."""
         with np.errstate(over="ignore"):  # what overflows is not finite, and has its status

@@ -47,7 +47,7 @@ class Scan:
         """As ``Retargeter.run``, with NaN for the latencies."""
         hand = self._retargeter.hand
         whole = len(recording) // CHUNK * CHUNK
-        landmarks = self._retargeter.seen(recording.landmarks)
+        landmarks = self._retargeter.program_landmarks(recording.landmarks)
         assert recording.valid is not None  # filled in on construction
         frames = [landmarks, recording.valid]
         if self._retargeter.timed:

@@ -5,4 +5,6 @@ from smooth_operator.lab.offline.execution import Runner as Runner
 from smooth_operator.lab.offline.execution import build as build
 from smooth_operator.lab.offline.execution import execute as execute
 from smooth_operator.lab.offline.execution import measure as measure
-from smooth_operator.lab.offline.whole import WholeRetargeter as WholeRetargeter
+from smooth_operator.lab.offline.trajectory_retargeter import (
+    TrajectoryRetargeter as TrajectoryRetargeter,
+)

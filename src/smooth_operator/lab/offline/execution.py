@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.lab.offline.whole import WholeRetargeter
+from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.building import build_retargeter as build_retargeter
 from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.methods.dispatch import dispatch_here
@@ -21,7 +21,7 @@ from smooth_operator.metrics import Definition, Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory
 
-Runner: TypeAlias = Retargeter | WholeRetargeter
+Runner: TypeAlias = Retargeter | TrajectoryRetargeter
 """What answers a recording: frame by frame, or as a whole."""
 
 
@@ -56,7 +56,7 @@ def build(todo: Plan) -> tuple[Runner, float]:
     started = time.perf_counter()
     dispatch_here()
     with healing(enable_cache()):
-        whole = WholeRetargeter(todo.hand, todo.config, todo.seed)
+        whole = TrajectoryRetargeter(todo.hand, todo.config, todo.seed)
         whole.warm_up()
     return whole, time.perf_counter() - started
 

@@ -18,7 +18,7 @@ from smooth_operator.io.results import encode_commands, write_encoded_commands
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.execution import Runner, build
 from smooth_operator.lab.offline.finished import digest, identity
-from smooth_operator.lab.offline.whole import WholeRetargeter, check_method
+from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter, check_method
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.request import Plan, Request, configuration, plan
 from smooth_operator.methods.scan import Scan, find_scan
@@ -182,7 +182,7 @@ def _tools(todo: Plan, *, reuse: bool) -> _Tools:
     key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
     if key not in _SHELF:
         retargeter, _ = build(todo)
-        if isinstance(retargeter, WholeRetargeter):  # which does without
+        if isinstance(retargeter, TrajectoryRetargeter):  # which does without
             _SHELF[key] = _Tools(retargeter, None)
         else:
             _SHELF[key] = _Tools(retargeter, find_scan(retargeter))

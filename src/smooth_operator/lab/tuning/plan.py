@@ -14,7 +14,7 @@ from smooth_operator.io import to_json
 from smooth_operator.lab.benchmark.cells import code_digest, hand_identity
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.store import check_folder
-from smooth_operator.lab.offline.whole import check_method
+from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.score import Bound, Scoring
 from smooth_operator.lab.tuning.variables import Variable, parse_variable

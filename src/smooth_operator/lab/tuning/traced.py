@@ -55,7 +55,7 @@ class TracedRun:
         """
         retargeter, hand = self._retargeter, self._retargeter.hand
         assert recording.valid is not None  # filled in on construction
-        frames = [retargeter.seen(recording.landmarks), recording.valid]
+        frames = [retargeter.program_landmarks(recording.landmarks), recording.valid]
         if retargeter.timed:
             frames.append(ticks_of(recording.stamps))
         # What is too much is invalid, so that every call is of one shape.

@@ -12,7 +12,7 @@ import jax
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.sources import Request, load_sources
-from smooth_operator.lab.offline import WholeRetargeter
+from smooth_operator.lab.offline import TrajectoryRetargeter
 from smooth_operator.lab.tuning.traced import TracedRun, can_trace
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.method import HostMethod, MethodConfig
@@ -85,7 +85,7 @@ _traced: dict[tuple[Any, ...], TracedRun | None] = {}
 """Programs of this process; None where a method's values can't be traced."""
 
 
-_whole: dict[tuple[Any, ...], WholeRetargeter] = {}
+_whole: dict[tuple[Any, ...], TrajectoryRetargeter] = {}
 """The last one for whole recordings; its prices need no compiling."""
 
 
@@ -94,7 +94,9 @@ def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -
         known = (task.hand, recording.side, config.causal, task.seed)
         if known not in _whole:
             _whole.clear()
-            _whole[known] = WholeRetargeter(load_hand(task.hand, recording.side), config, task.seed)
+            _whole[known] = TrajectoryRetargeter(
+                load_hand(task.hand, recording.side), config, task.seed
+            )
         return _whole[known].priced(config).run(recording)[0]
     key = (task.hand, recording.side, task.config, tuple(task.values), task.seed)
     if key not in _traced:

@@ -10,6 +10,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.lab.validation.checks import Check, Checkup
+from smooth_operator.lab.validation.flexion import check_flexion, check_side, find_flexion_axes
 from smooth_operator.lab.validation.joints import (
     check_motion,
     check_neutral,
@@ -20,7 +21,6 @@ from smooth_operator.lab.validation.methods import MEASURE, check_method
 from smooth_operator.lab.validation.palm import check_palm, check_size
 from smooth_operator.lab.validation.pinches import check_pinches
 from smooth_operator.lab.validation.samples import Samples
-from smooth_operator.lab.validation.senses import check_flexion, check_side, find_senses
 from smooth_operator.lab.validation.tips import check_tips
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_names
@@ -89,9 +89,9 @@ def _checks(
     else:
         yield check_neutral(hand)
         yield check_shapes(hand)
-        senses = find_senses(samples, sound)
-        yield check_flexion(senses)
-        yield check_side(samples, senses, sound)
+        axes = find_flexion_axes(samples, sound)
+        yield check_flexion(axes)
+        yield check_side(samples, axes, sound)
         yield check_pinches(samples, sound)
     broken = [check for check in (size, palm, ranges, motion, tips) if check.verdict == "failed"]
     for method in methods:

@@ -12,10 +12,10 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
-from smooth_operator.methods.descent import DescentConfig
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.slsqp_method import SlsqpMethodConfig
 from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.types import HandFrame, Status
 
@@ -126,7 +126,7 @@ def without_pull(config: MethodConfig) -> MethodConfig:
 
     A trace of it stays, to decide between joint positions that serve the landmarks alike.
     """
-    if not isinstance(config, SbrConfig | DescentConfig):
+    if not isinstance(config, SbrConfig | SlsqpMethodConfig):
         return config
     objective = config.objective
     return replace(

@@ -15,8 +15,8 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.io import read_recording
-from smooth_operator.methods import descent
-from smooth_operator.methods.descent import Descent, DescentConfig
+from smooth_operator.methods import slsqp_method
+from smooth_operator.methods.slsqp_method import SlsqpMethod, SlsqpMethodConfig
 from smooth_operator.objective.key_objectives import AkoTargets, PinchLayout
 from smooth_operator.objective.keyvectors import TipLayout
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
@@ -135,7 +135,7 @@ def test_objective_of_other_vectors_is_their_weighted_loss(
 
 
 def test_gradient_against_finite_differences(hand: Hand) -> None:
-    method = DescentConfig(
+    method = SlsqpMethodConfig(
         objective=ObjectiveConfig(targets=AkoTargets(), pose_weight=0.02, velocity_weight=0.1)
     ).build(hand)
     rng = np.random.default_rng(5)
@@ -202,7 +202,7 @@ def test_the_same_frames_give_the_same_commands(retargeter: Retargeter) -> None:
 def test_dexpilots_latch_lives_in_the_state_and_resets(hand: Hand) -> None:
     """Human thumb-to-index distances of 25, 40 and 60 mm: closes under 30, opens above 50."""
     retargeter = Retargeter(hand, method="dexpilot", rate=100.0)
-    assert isinstance(retargeter.method, Descent)
+    assert isinstance(retargeter.method, SlsqpMethod)
     neutral = posed(hand, 0.0)
 
     def frame(gap: float) -> np.ndarray:
@@ -224,7 +224,7 @@ def test_dexpilots_latch_lives_in_the_state_and_resets(hand: Hand) -> None:
 
 def test_a_time_budget_ends_a_frame_early(hand: Hand) -> None:
     config = method_config("dexpilot")
-    assert isinstance(config, DescentConfig)
+    assert isinstance(config, SlsqpMethodConfig)
     hurried = dataclasses.replace(config, solver=SlsqpConfig(time_budget_ms=1e-3))
     patient, quick = Retargeter(hand, config=config), Retargeter(hand, config=hurried)
     frame = posed(hand, 0.5)
@@ -285,7 +285,7 @@ def test_newton_steps_find_what_slsqp_alone_finds_in_fewer_evaluations(
         evaluations.append(found.evaluations)
         return found
 
-    monkeypatch.setattr(descent, "slsqp_minimise", counted)
+    monkeypatch.setattr(slsqp_method, "slsqp_minimise", counted)
     recording = SyntheticOperator(seed=3).record(1.0)
     losses, counts = [], []
     for preset in ("slsqp", "default"):

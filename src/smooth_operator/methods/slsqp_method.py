@@ -1,7 +1,7 @@
-"""Methods that descend: targets as an objective, solved by SLSQP from a warm start.
+"""Optimisation-based methods: an objective, minimised by SLSQP from a warm start.
 
 Newton steps within the compiled program come first, since the objective's exact Hessian is at hand
-there, and SLSQP has to learn it anew in every frame; SLSQP goes on from what they found, unless
+there, and SLSQP has to estimate it again in every frame; SLSQP goes on from what they found, unless
 that is a minimum already.
 
 DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
@@ -35,8 +35,8 @@ from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 
 @dataclass(frozen=True)
-class DescentConfig:
-    """Settings of a descending method.
+class SlsqpMethodConfig:
+    """Settings of a method that is solved by SLSQP.
 
     Attributes:
         alignment: how human landmarks reach the palm frame.
@@ -64,20 +64,20 @@ class DescentConfig:
                 f"start must be 'previous', 'joint_angle' or 'published_angles', not {self.start!r}"
             )
 
-    def build(self, hand: Hand) -> Descent:
+    def build(self, hand: Hand) -> SlsqpMethod:
         """The method for one hand.
 
         Raises:
             ConfigError: if the hand lacks points that the targets need.
             SmoothOperatorError: if the start is of joint angles and the hand has no map of them.
         """
-        method = Descent(hand, self)
+        method = SlsqpMethod(hand, self)
         _ = method.needs  # whatever the hand lacks is said now
         return method
 
 
-class DescentState(NamedTuple):
-    """All that a descending method remembers between frames.
+class SlsqpMethodState(NamedTuple):
+    """All that the method remembers between frames.
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
@@ -88,29 +88,29 @@ class DescentState(NamedTuple):
     targets: Any
 
 
-class DescentProblem(NamedTuple):
+class SlsqpProblem(NamedTuple):
     """One frame, ready to be solved.
 
     Attributes:
         goal: targets and weights.
         start: (m,) where SLSQP is to begin [rad].
-        told: (2,) the objective there, and the largest component of its gradient that the limits
-            leave free, where Newton steps came before; NaN else.
+        optimality: (2,) the objective there, and the largest component of its gradient that the
+            limits leave free (the KKT residual), where Newton steps came before; NaN otherwise.
         targets: state of the target policy after this frame.
     """
 
     goal: FrameGoal
     start: Float[Array, " m"]
-    told: Float[Array, "2"]
+    optimality: Float[Array, "2"]
     targets: Any
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
-    """A descending method for one hand."""
+class SlsqpMethod:
+    """A method solved by SLSQP, for one hand."""
 
     hand: Hand
-    config: DescentConfig
+    config: SlsqpMethodConfig
 
     @cached_property
     def objective(self) -> Objective:
@@ -124,7 +124,7 @@ class Descent:
 
     @cached_property
     def joint_angles(self) -> JointAngleMap | PublishedAngles | None:
-        """Where the descent begins, if not at the previous command."""
+        """Where the search begins, if not at the previous command."""
         if self.config.start == "previous":
             return None
         if self.config.start == "published_angles" and PublishedAngles.fits(self.hand):
@@ -156,18 +156,18 @@ class Descent:
         evaluate(neutral, FrameGoal(*zeros, jnp.asarray(neutral), jnp.float32(0)))
         return evaluate
 
-    def init(self, seed: int) -> DescentState:
+    def init(self, seed: int) -> SlsqpMethodState:
         """Neutral pose, the target policy's first state; nothing here is random."""
-        return DescentState(
+        return SlsqpMethodState(
             np.asarray(self.hand.neutral, np.float32),
             self.config.objective.targets.init(self.objective.layout),
         )
 
-    def latched(self, state: DescentState) -> Bool[Array, " P"] | None:
+    def latched(self, state: SlsqpMethodState) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
-    def prepare(self, state: DescentState, aligned: Float[Array, "21 3"]) -> DescentProblem:
+    def prepare(self, state: SlsqpMethodState, aligned: Float[Array, "21 3"]) -> SlsqpProblem:
         """Targets of the frame, and where SLSQP is to begin."""
         config, layout = self.config.objective, self.objective.layout
         targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))
@@ -179,7 +179,7 @@ class Descent:
             previous,
             jnp.float32(config.velocity_weight),
         )
-        told = jnp.full(2, jnp.nan, jnp.float32)
+        optimality = jnp.full(2, jnp.nan, jnp.float32)
         if self.config.approach.iterations:
             low, high = (jnp.asarray(side, jnp.float32) for side in self.hand.limits.T)
             start, cost, gradient = newton_minimise(
@@ -189,16 +189,16 @@ class Descent:
                 self.config.approach,
             )
             free = jnp.clip(start - gradient, low, high) - start
-            told = jnp.stack([cost, jnp.abs(free).max()])
-        return DescentProblem(goal, start, told, policy_state)
+            optimality = jnp.stack([cost, jnp.abs(free).max()])
+        return SlsqpProblem(goal, start, optimality, policy_state)
 
     def solve(
-        self, state: DescentState, problem: DescentProblem
-    ) -> tuple[DescentState, MethodOutput]:
+        self, state: SlsqpMethodState, problem: SlsqpProblem
+    ) -> tuple[SlsqpMethodState, MethodOutput]:
         """SLSQP, unless the start is a minimum already."""
         evaluate, goal, solver = self.evaluate, problem.goal, self.config.solver
-        value, steepest = np.asarray(problem.told).tolist()
-        if isinstance(solver, SlsqpConfig) and steepest <= solver.optimality:
+        value, residual = np.asarray(problem.optimality).tolist()
+        if isinstance(solver, SlsqpConfig) and residual <= solver.optimality:
             x = np.asarray(problem.start, np.float64)
         else:
 
@@ -217,7 +217,7 @@ class Descent:
                 x, np.asarray(state.q), self.config.objective.velocity_weight
             )
         )
-        after = DescentState(q, problem.targets)
+        after = SlsqpMethodState(q, problem.targets)
         if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
             q = np.full_like(q, np.nan)
         return after, MethodOutput(q, np.float32(value - regular))

@@ -32,7 +32,7 @@ from smooth_operator.lab.offline.segments import (
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.program import compiled, see
+from smooth_operator.methods.program import align_frame, compiled
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan
 from smooth_operator.methods.whole import WholeConfig
@@ -49,7 +49,7 @@ TRANSITION: Final = 0.02
 """That of the keyvectors' smooth-L1 [m], so that weights compare."""
 
 
-class WholeRetargeter:
+class TrajectoryRetargeter:
     """Retargets whole recordings onto one robot hand.
 
     Args:
@@ -72,7 +72,9 @@ class WholeRetargeter:
         self._scan = Scan(self.causal)
 
         def aligned(landmarks: Array, valid: Array) -> Array:
-            return jax.vmap(lambda *frame: see(method, alignment, *frame).aligned)(landmarks, valid)
+            return jax.vmap(lambda *frame: align_frame(method, alignment, *frame).aligned)(
+                landmarks, valid
+            )
 
         def follow(memory: Any, points: Array, usable: Array) -> tuple[Any, Goal]:
             def one(memory: Any, frame: tuple[Array, Array]) -> tuple[Any, Goal]:
@@ -109,7 +111,7 @@ class WholeRetargeter:
         """
         return self.causal.warm_up()
 
-    def priced(self, config: WholeConfig) -> WholeRetargeter:
+    def priced(self, config: WholeConfig) -> TrajectoryRetargeter:
         """The same with other prices of motion, without compiling anything.
 
         Args:
@@ -165,7 +167,7 @@ class WholeRetargeter:
         self, recording: HandRecording, seen: Bool[np.ndarray, " T"], stretches: list[slice]
     ) -> tuple[Goal, Float[np.ndarray, "T F 3"]]:
         """What each frame asks, and the human's wrist to fingertip vectors [m]."""
-        landmarks, valid = self.causal.seen(recording.landmarks), recording.valid
+        landmarks, valid = self.causal.program_landmarks(recording.landmarks), recording.valid
         assert valid is not None  # filled in on construction
         count = len(recording)
         chunks = [slice(start, start + CHUNK) for start in range(0, count, CHUNK)]

@@ -28,7 +28,7 @@ _CLEAR: Final = 0.12  # of a finger's length: thumb or index clearly to one side
 
 
 @dataclass(frozen=True, eq=False)
-class Senses:
+class FlexionAxes:
     """How the fingers other than the thumb point and close, palm frame.
 
     Attributes:
@@ -58,7 +58,7 @@ class Senses:
         return _unit(np.cross(self.forward.mean(axis=0), self.palmar))
 
 
-def find_senses(samples: Samples, sound: tuple[str, ...]) -> Senses | None:
+def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes | None:
     """How each finger closes: that way of turning its flexion joints which folds it.
 
     Args:
@@ -66,7 +66,7 @@ def find_senses(samples: Samples, sound: tuple[str, ...]) -> Senses | None:
         sound: fingers whose tips can be relied upon.
 
     Returns:
-        the senses of the fingers that fold clearly one way; None if none does.
+        the axes of the fingers that fold clearly one way; None if none does.
     """
     hand = samples.hand
     names, forward, closing, bases, lengths = [], [], [], [], []
@@ -89,7 +89,7 @@ def find_senses(samples: Samples, sound: tuple[str, ...]) -> Senses | None:
         lengths.append(length)
     if not names:
         return None
-    return Senses(
+    return FlexionAxes(
         tuple(names),
         np.array(forward),
         np.array(closing),
@@ -158,12 +158,12 @@ class _Bend:
         return float(np.linalg.norm(tip - base))
 
 
-def check_flexion(senses: Senses | None) -> Check:
+def check_flexion(axes: FlexionAxes | None) -> Check:
     """Whether all fingers close towards one side."""
-    if senses is None:
+    if axes is None:
         return Check("flexion", "skipped", "no finger bends clearly enough to tell a direction")
-    cosines = senses.closing @ senses.palmar
-    figures = {n: round(float(c), 3) for n, c in zip(senses.names, cosines, strict=True)}
+    cosines = axes.closing @ axes.palmar
+    figures = {n: round(float(c), 3) for n, c in zip(axes.names, cosines, strict=True)}
     said = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
     if against := [n for n, c in figures.items() if c < _AGREE]:
         return Check(
@@ -184,24 +184,24 @@ def check_flexion(senses: Senses | None) -> Check:
     return Check("flexion", "ok", said, "", figures)
 
 
-def check_side(samples: Samples, senses: Senses | None, sound: tuple[str, ...]) -> Check:
+def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
     """Whether thumb, order of the fingers and the way they close make the declared side."""
     hand = samples.hand
-    if senses is None or "thumb" not in sound:
+    if axes is None or "thumb" not in sound:
         return Check("side", "skipped", "not checked: fingertips or axes have to be mended first")
     sign = 1.0 if hand.spec.side == "right" else -1.0
-    across = sign * senses.lateral / senses.length
+    across = sign * axes.lateral / axes.length
     thumb = hand.fingers.index("thumb")
-    middle = [samples.tips[:, hand.fingers.index(name)].mean(axis=0) for name in senses.names]
-    by_base = (samples.bases[:, thumb].mean(axis=0) - senses.bases.mean(axis=0)) @ across
+    middle = [samples.tips[:, hand.fingers.index(name)].mean(axis=0) for name in axes.names]
+    by_base = (samples.bases[:, thumb].mean(axis=0) - axes.bases.mean(axis=0)) @ across
     by_reach = (samples.tips[:, thumb].mean(axis=0) - np.mean(middle, axis=0)) @ across
     beside = float(by_base + by_reach) / 2
-    order = float((senses.bases[0] - senses.bases[-1]) @ across) if len(senses.names) > 1 else 0.0
+    order = float((axes.bases[0] - axes.bases[-1]) @ across) if len(axes.names) > 1 else 0.0
     figures = {
-        "thumb_mm": round(1e3 * beside * senses.length, 1),
-        "first_finger_mm": round(1e3 * order * senses.length, 1),
+        "thumb_mm": round(1e3 * beside * axes.length, 1),
+        "first_finger_mm": round(1e3 * order * axes.length, 1),
     }
-    first, last = senses.names[0], senses.names[-1]
+    first, last = axes.names[0], axes.names[-1]
     said = f"thumb {figures['thumb_mm']:+.0f} mm" + (
         f", {first} {figures['first_finger_mm']:+.0f} mm from {last}" if order else ""
     )
