@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import json
 import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
+PROJECT = Path(__file__).resolve().parents[1]
 IMPORT_BUDGET_S = 2.0
 HEAVY = ("matplotlib", "viser", "mcap", "tyro", "rich")
 """What only some commands need: no part of it may come with the library."""
 
+LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "nlopt", "trimesh", "sqlalchemy")
+"""What no package may import before one of its names is asked for."""
+
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
-REGENERATE = (
-    'python -c "import pathlib, smooth_operator as s; '
-    "pathlib.Path('tests/public_names.txt').write_text('\\n'.join(sorted(s.__all__)) + '\\n')\""
-)
+PUBLIC_PACKAGES = (
+    "hands", "human", "io", "lab", "methods", "metrics", "objective", "solvers", "study", "teleop",
+)  # fmt: skip
 
 # Runs in a fresh interpreter, with the statements to judge, one by one, as its arguments. JAX is
 # imported first: what it does to the process is not ours to answer for.
@@ -144,25 +150,96 @@ def test_the_probe_sees_every_kind_of_change() -> None:
     assert [list(change) for change in changed] == [[], *([what] for what in culprits)]
 
 
+def packages() -> dict[str, ModuleType]:
+    names = ("smooth_operator", *(f"smooth_operator.{name}" for name in PUBLIC_PACKAGES))
+    return {name: importlib.import_module(name) for name in names}
+
+
+def public_names() -> list[str]:
+    return sorted(f"{name}.{x}" for name, package in packages().items() for x in package.__all__)
+
+
 def test_public_names_are_the_recorded_ones() -> None:
-    package = importlib.import_module("smooth_operator")
-    names = sorted(package.__all__)
+    names = public_names()
     recorded = PUBLIC_NAMES.read_text(encoding="utf-8").split()
     assert names == recorded, (
         f"added: {sorted(set(names) - set(recorded))}, gone: {sorted(set(recorded) - set(names))}. "
-        f"If that is meant, note it in CHANGELOG.md and run in the project's folder: {REGENERATE}"
+        "If that is meant, note it in CHANGELOG.md and run: python tests/test_import.py"
     )
 
 
 def test_public_names_exist_once() -> None:
-    package = importlib.import_module("smooth_operator")
-    assert len(set(package.__all__)) == len(package.__all__)
-    assert [name for name in package.__all__ if not hasattr(package, name)] == []
+    for package in packages().values():
+        assert len(set(package.__all__)) == len(package.__all__)
+        assert [name for name in package.__all__ if not hasattr(package, name)] == []
+        assert set(package.__all__) <= set(dir(package))
+
+
+def test_a_public_name_is_one_object_wherever_it_is() -> None:
+    homes: dict[str, list[Any]] = {}
+    for package in packages().values():
+        for name in package.__all__:
+            homes.setdefault(name, []).append(getattr(package, name))
+    assert [name for name, found in homes.items() if any(x is not found[0] for x in found)] == []
+
+
+def test_no_public_name_is_also_a_module() -> None:
+    """Importing ``package.name`` would put the module in the place of the object."""
+    for name, package in packages().items():
+        folder = Path(package.__file__ or "").parent
+        modules = {path.stem for path in folder.glob("*.py")} | {p.name for p in folder.iterdir()}
+        assert not modules & set(package.__all__), name
+
+
+def test_subpackages_are_attributes_of_the_package() -> None:
+    names = "; ".join(f"smooth_operator.{name}.__all__" for name in PUBLIC_PACKAGES)
+    loaded = python("-c", f"import sys, smooth_operator; {names}; print(*sys.modules)").split()
+    assert not {name.split(".")[0] for name in loaded} & set(LIBRARIES)
+    assert {f"smooth_operator.{name}" for name in PUBLIC_PACKAGES} <= set(loaded)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    for name, package in packages().items():
+        with pytest.raises(AttributeError, match=rf"module '{name}' has no attribute 'Gadget'"):
+            _ = package.Gadget
+
+
+def test_version_is_that_of_the_project() -> None:
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert importlib.import_module("smooth_operator").__version__ == project["version"]
+
+
+def test_version_without_an_installed_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    module = importlib.import_module("smooth_operator.version")
+    monkeypatch.setattr(module, "version", absent)
+    assert module.package_version() == "0+unknown"
+
+
+def test_a_wing_without_its_libraries_names_its_extra(tmp_path: Path) -> None:
+    """One line with the command that installs it; the same for a name of the package."""
+    (tmp_path / "jax.py").write_text("raise ModuleNotFoundError('No module', name='jax')\n")
+    code = (
+        "import smooth_operator as s\n"
+        "try:\n    s.teleop.TeleopLoop\n"
+        "except ImportError as error:\n    print(type(error).__name__, error)\n"
+        "try:\n    s.Hand\n"
+        "except ImportError as error:\n    print(type(error).__name__, error)\n"
+    )
+    wing, core = python("-c", code, PYTHONPATH=str(tmp_path)).splitlines()
+    assert wing.startswith("MissingExtraError smooth_operator.teleop.TeleopLoop needs the extra")
+    assert "'smooth-retargeting[teleop]'" in wing
+    assert core.startswith("ModuleNotFoundError")
 
 
 def test_pip_is_asked_for_our_distribution_only() -> None:
     """The package index has another program of the command's name."""
-    root = Path(__file__).parents[1]
-    files = [*root.glob("src/**/*.py"), *root.glob("docs/**/*.md"), root / "README.md"]
+    files = [*PROJECT.glob("src/**/*.py"), *PROJECT.glob("docs/**/*.md"), *PROJECT.glob("*.md")]
     wrong = re.compile(r"(install|upgrade) +['\"]?smooth-operator\b")
     assert [path.name for path in files if wrong.search(path.read_text(encoding="utf-8"))] == []
+
+
+if __name__ == "__main__":
+    PUBLIC_NAMES.write_text("\n".join(public_names()) + "\n", encoding="utf-8")

@@ -11,10 +11,9 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from importlib.metadata import PackageNotFoundError, version
 
 from smooth_operator.cli.options import Command, parse
-from smooth_operator.errors import DISTRIBUTION, SmoothOperatorError
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.terminal import print_note
 
 OK = 0
@@ -70,6 +69,8 @@ def _run(arguments: list[str]) -> int:
     try:
         try:
             if arguments[:1] in (["--version"], ["-V"]):
+                from smooth_operator.version import package_version
+
                 print(f"smooth-operator {package_version()}")
                 return OK
             command = parse(arguments)
@@ -90,14 +91,6 @@ def _run(arguments: list[str]) -> int:
             raise
         _complain(str(error))
         return USER_ERROR
-
-
-def package_version() -> str:
-    """Version of the installed package."""
-    try:
-        return version(DISTRIBUTION)
-    except PackageNotFoundError:  # run from a source tree that was never installed
-        return "unknown"
 
 
 @contextlib.contextmanager

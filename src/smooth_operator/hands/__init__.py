@@ -1,1 +1,5 @@
-"""Robot hands: description, loading, coupled joints, kinematics, catalogue."""
+"""Robot hands: descriptions, loading, kinematics, the built-in hands."""
+
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -1,1 +1,5 @@
-"""The human hand on its way to the robot: alignment to the palm frame, calibration."""
+"""The human side: alignment to the palm, scale, calibration, filtering, joint angles."""
+
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.errors import DISTRIBUTION
+from smooth_operator.version import package_version
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 
@@ -29,11 +29,6 @@ def environment() -> dict[str, Any]:
         "device": _device(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def package_version() -> str:
-    """Version of this package."""
-    return _version(DISTRIBUTION)
 
 
 def _version(package: str) -> str:

@@ -1,1 +1,5 @@
 """Experiments: benchmarks, the paper, tuning, training, data sets and hand validation."""
+
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

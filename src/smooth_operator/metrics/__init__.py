@@ -6,10 +6,6 @@ alone: ``smooth_operator.metrics.accuracy``, ``smooth_operator.metrics.consisten
 ``smooth_operator.metrics.service`` and ``smooth_operator.metrics.published``.
 """
 
-from smooth_operator.metrics.evaluation import Definition as Definition
-from smooth_operator.metrics.evaluation import evaluate as evaluate
-from smooth_operator.metrics.table import GROUPS as GROUPS
-from smooth_operator.metrics.table import METRICS as METRICS
-from smooth_operator.metrics.table import Metric as Metric
-from smooth_operator.metrics.trace import Trace as Trace
-from smooth_operator.metrics.trace import keyvectors as keyvectors
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

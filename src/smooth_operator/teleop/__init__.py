@@ -1,1 +1,5 @@
 """Teleoperation: sources, the real-time loop, sinks, browser pages and recordings."""
+
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

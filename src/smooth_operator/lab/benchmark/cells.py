@@ -15,13 +15,13 @@ import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import to_json
-from smooth_operator.io.environment import package_version
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label
 from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.operated import operated_by
 from smooth_operator.types import Side
+from smooth_operator.version import package_version
 
 # What a command or a metric depends on; pages, plots and the command line are not in it.
 _CODE: Final = (

@@ -19,10 +19,11 @@ import numpy as np
 
 import smooth_operator
 from smooth_operator.io import atomic_write, output_error, to_json
-from smooth_operator.io.environment import environment, package_version
+from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark import store as benchmark_store
 from smooth_operator.lab.benchmark.store import write_json
 from smooth_operator.methods.request import PROGRAM
+from smooth_operator.version import package_version
 
 COMMAND: Final = "ablate"
 CELLS: Final = "cells"

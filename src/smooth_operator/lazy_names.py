@@ -1,0 +1,79 @@
+"""Public names of a package, imported on first use.
+
+The stub ``__init__.pyi`` of a package is its list of public names: type checkers and editors read
+it, and so does ``public_names``. Importing a package therefore costs a small file and no library.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+TYPE_CHECKING = False  # as typing's, which takes longer to import than all of this package
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any, Final
+
+_NO_WORD: Final = str.maketrans("(),", "   ")
+_WINGS: Final = ("teleop", "lab", "study")
+"""Packages whose libraries are an extra of the same name."""
+
+
+def public_names(
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """What a package needs to offer the names of its stub.
+
+    Args:
+        package: its ``__name__``.
+        file: its ``__file__``.
+
+    Returns:
+        ``__getattr__``, ``__dir__`` and ``__all__``. Submodules that the stub names are
+        attributes, but not in ``__all__``: a star import of ``io`` would hide Python's own.
+    """
+    homes = stub_imports(os.path.splitext(file)[0] + ".pyi")
+    public = sorted(name for name, home in homes.items() if home != package)
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if homes[name] == package:
+            return import_module(f"{package}.{name}")  # the import system keeps it as an attribute
+        try:
+            value = getattr(import_module(homes[name]), name)
+        except ModuleNotFoundError as error:
+            _name_the_extra(f"{package}.{name}", error)
+            raise
+        setattr(sys.modules[package], name, value)  # found directly from now on
+        return value
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *homes})
+
+    return load, names, public
+
+
+def stub_imports(path: str) -> dict[str, str]:
+    """Name -> module of each ``from module import name as name`` in a stub."""
+    with open(path, encoding="utf-8") as stream:
+        lines = [line.partition("#")[0].translate(_NO_WORD) for line in stream]
+    homes: dict[str, str] = {}
+    module = ""
+    words = iter(" ".join(lines).split())
+    for word in words:
+        if word == "from":
+            module = next(words)
+        elif word == "as":
+            homes[next(words)] = module
+    return homes
+
+
+def _name_the_extra(name: str, error: ModuleNotFoundError) -> None:
+    """Raises MissingExtraError where a library of a wing is not installed."""
+    from smooth_operator.errors import MissingExtraError
+
+    wing = name.split(".")[1]
+    if wing in _WINGS and (error.name or "").split(".")[0] != __package__:
+        raise MissingExtraError(name, wing) from error

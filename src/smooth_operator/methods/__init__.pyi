@@ -1,0 +1,11 @@
+from smooth_operator.methods.method import HostMethod as HostMethod
+from smooth_operator.methods.method import Method as Method
+from smooth_operator.methods.method import MethodConfig as MethodConfig
+from smooth_operator.methods.method import MethodOutput as MethodOutput
+from smooth_operator.methods.operated import operated_by as operated_by
+from smooth_operator.methods.presets import method_config as method_config
+from smooth_operator.methods.presets import method_names as method_names
+from smooth_operator.methods.retargeter import Retargeter as Retargeter
+from smooth_operator.methods.retargeter import RetargetState as RetargetState
+from smooth_operator.methods.sbr import SbrConfig as SbrConfig
+from smooth_operator.methods.smooth import SmoothConfig as SmoothConfig

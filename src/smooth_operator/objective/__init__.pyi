@@ -1,0 +1,5 @@
+from smooth_operator.objective.keyvectors import KeyvectorLayout as KeyvectorLayout
+from smooth_operator.objective.loss import ObjectiveConfig as ObjectiveConfig
+from smooth_operator.objective.targets import DexPilotTargets as DexPilotTargets
+from smooth_operator.objective.targets import PlainTargets as PlainTargets
+from smooth_operator.objective.targets import TipTargets as TipTargets

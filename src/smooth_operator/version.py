@@ -1,0 +1,19 @@
+"""The version of the installed distribution."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from typing import Final
+
+from smooth_operator.errors import DISTRIBUTION
+
+
+def package_version() -> str:
+    """Version of the installed distribution; ``0+unknown`` in a source tree without one."""
+    try:
+        return version(DISTRIBUTION)
+    except PackageNotFoundError:
+        return "0+unknown"
+
+
+__version__: Final = package_version()
