@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[1] / "src"
+ROOT = "smooth_operator"
 _LINE = re.compile(r"^\{\{ (public|modules) ([\w.]+) \}\}$", re.MULTILINE)
 
 
@@ -27,7 +28,9 @@ def public_names(package: str) -> dict[str, str]:
 
     An import of a whole module (``from package import module as module``) is left out.
     """
-    tree = ast.parse((_folder(package) / "__init__.py").read_text(encoding="utf-8"))
+    stub = _folder(package) / "__init__.pyi"
+    source = stub if stub.is_file() else stub.with_suffix(".py")
+    tree = ast.parse(source.read_text(encoding="utf-8"))
     found = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
@@ -65,7 +68,12 @@ def _expanded(match: re.Match[str]) -> str:
     kind, package = match.groups()
     if kind == "public":
         names = public_names(package)
-        return "\n\n".join(f"::: {home}.{name}" for name, home in sorted(names.items()))
+        elsewhere = set() if package == ROOT else names.keys() & public_names(ROOT).keys()
+        links = (f"[`{name}`][{names[name]}.{name}]" for name in sorted(elsewhere))
+        blocks = [f"::: {names[name]}.{name}" for name in sorted(names.keys() - elsewhere)]
+        if elsewhere:
+            blocks.insert(0, f"Also in `{ROOT}`, and described there: {', '.join(links)}.")
+        return "\n\n".join(blocks)
     rows = [f"| `{name}` | {doc} |" for name, doc in _modules(package)]
     return "\n".join(["| module | content |", "|---|---|", *rows])
 

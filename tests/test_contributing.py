@@ -104,6 +104,7 @@ def test_make_check_is_what_ci_runs() -> None:
 def test_files_that_make_runs_exist() -> None:
     files = re.findall(r"(?:bash|PYTHON\)|pytest) ([\w./]+\.py|\.ci/\w+)", read("Makefile"))
     assert len(files) >= 3
+    assert "-m mkdocs build --strict" in read("Makefile")
     assert [name for name in files if not (PROJECT / name).is_file()] == []
 
 
@@ -135,6 +136,20 @@ def test_a_workflow_is_whole(name: str) -> None:
 def test_ci_runs_the_one_script() -> None:
     steps = parsed(".github/workflows/ci.yml")["jobs"]["test"]["steps"]
     assert "bash .ci/run" in [step.get("run") for step in steps]
+
+
+def test_ci_builds_the_site() -> None:
+    steps = parsed(".github/workflows/ci.yml")["jobs"]["docs"]["steps"]
+    assert "make docs PYTHON=python" in [step.get("run") for step in steps]
+    (path,) = [step["with"]["path"] for step in steps if "upload" in step.get("uses", "")]
+    assert path.rstrip("/") == parsed_site()["site_dir"]
+
+
+def parsed_site() -> dict[str, Any]:
+    """``mkdocs.yml`` without the tags of its own that name Python objects."""
+    text = re.sub(r"!!python/\S+", "", read("mkdocs.yml"))
+    found: dict[str, Any] = yaml.safe_load(text)
+    return found
 
 
 def test_only_what_was_tried_is_published() -> None:

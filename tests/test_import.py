@@ -26,7 +26,8 @@ LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "nlopt", "trimesh", "sql
 
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
 PUBLIC_PACKAGES = (
-    "hands", "human", "io", "lab", "methods", "metrics", "objective", "solvers", "study", "teleop",
+    "calibration", "hands", "human", "io", "lab", "methods", "metrics", "objective", "solvers",
+    "study", "teleop",
 )  # fmt: skip
 
 # Runs in a fresh interpreter, with the statements to judge, one by one, as its arguments. JAX is

@@ -1,3 +1,4 @@
+from smooth_operator import calibration as calibration
 from smooth_operator import hands as hands
 from smooth_operator import human as human
 from smooth_operator import io as io

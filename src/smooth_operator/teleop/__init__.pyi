@@ -5,13 +5,13 @@ from smooth_operator.teleop.runtime.remote_client import RemoteTeleop as RemoteT
 from smooth_operator.teleop.runtime.settings import LimitsConfig as LimitsConfig
 from smooth_operator.teleop.runtime.settings import LoopConfig as LoopConfig
 from smooth_operator.teleop.runtime.settings import SafetyConfig as SafetyConfig
-from smooth_operator.teleop.sinks.catalogue import build_sink as build_sink
+from smooth_operator.teleop.sinks.registry import build_sink as build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner as SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink as Sink
 from smooth_operator.teleop.sinks.tick import Mode as Mode
 from smooth_operator.teleop.sinks.tick import Tick as Tick
-from smooth_operator.teleop.sources.catalogue import build_source as build_source
 from smooth_operator.teleop.sources.live import Arrival as Arrival
 from smooth_operator.teleop.sources.live import LiveSource as LiveSource
 from smooth_operator.teleop.sources.live import Mailbox as Mailbox
 from smooth_operator.teleop.sources.live import ThreadedSource as ThreadedSource
+from smooth_operator.teleop.sources.registry import build_source as build_source

@@ -1,0 +1,1 @@
+"""Design of a study: protocol, balanced orders of conditions and tasks, plan files."""

@@ -1,0 +1,1 @@
+"""Power of a study: simulated studies, analysed as the real one will be."""
