@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.study.console.access import ConsoleAuth
 from smooth_operator.study.console.commands import Command
 from smooth_operator.study.console.desk import Desk
-from smooth_operator.study.console.gate import Gate
 from smooth_operator.study.console.server import Console
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
@@ -106,12 +106,12 @@ def eventually(check: Callable[[], Any], what: str = "it") -> Any:
 
 
 @contextlib.contextmanager
-def served(desk: Desk, gate: Gate | None = None) -> Iterator[int]:
+def served(desk: Desk, auth: ConsoleAuth | None = None) -> Iterator[int]:
     """A console in a thread; its port."""
     listening = listen("127.0.0.1", 0)
     port = int(listening.getsockname()[1])
-    gate = gate or Gate(None)
-    console = Console(desk, gate, gate.links("127.0.0.1", port), local=gate.tokens is None)
+    auth = auth or ConsoleAuth(None)
+    console = Console(desk, auth, auth.links("127.0.0.1", port), local=auth.tokens is None)
     desk._changed = console.changed
     ready, ends = threading.Event(), threading.Event()
     failed: list[BaseException] = []

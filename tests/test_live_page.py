@@ -509,7 +509,7 @@ def test_a_calibration_without_a_hand_says_so() -> None:
     assert coach.look(201.0)["phase"] == "idle"
 
 
-# -- the gate ---------------------------------------------------------------------------------
+# -- authentication ---------------------------------------------------------------------------
 
 
 def fetch(port: int, path: str = "/", **headers: str) -> tuple[int, dict[str, str]]:
@@ -552,6 +552,19 @@ def test_elsewhere_the_page_wants_its_token() -> None:
         assert socket_status(port, f"/?token={token}") == 101  # a program has no cookies
         assert socket_status(port, "/", Cookie=cookie, Origin="https://elsewhere.example") == 403
         assert socket_status(port, "/", Cookie=cookie, Origin=f"http://127.0.0.1:{port}") == 101
+    finally:
+        close_server(server)
+
+
+def test_the_redirect_with_the_cookie_stays_on_the_server() -> None:
+    server = open_server("0.0.0.0", 0)
+    try:
+        port, url = server.get_port(), page_url("0.0.0.0", server)
+        token = url.partition("?token=")[2]
+        for path in ("////elsewhere.example/", "///\\elsewhere.example", "/\\elsewhere.example"):
+            status, headers = fetch(port, f"{path}?token={token}")
+            assert status == 303, path
+            assert headers["location"].lstrip("/\\") == headers["location"][1:], path
     finally:
         close_server(server)
 

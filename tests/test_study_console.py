@@ -30,9 +30,9 @@ from study_console import (
 
 from smooth_operator.cli import main
 from smooth_operator.errors import RemoteError, RemoteRefusedError, StudyError, UnknownNameError
+from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
 from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.desk import Desk, StoreFailedError
-from smooth_operator.study.console.gate import Gate, gate_for, qr_code
 from smooth_operator.study.console.hand import HIDDEN
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import read_plan
@@ -737,15 +737,15 @@ def test_the_operators_link_opens_the_operators_page_alone(
     store: StudyStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path / "cache"))
-    gate = gate_for("0.0.0.0", "console")
-    assert gate.tokens is not None
-    assert gate.tokens == gate_for("0.0.0.0", "console").tokens  # after a restart, too
-    assert gate.tokens != gate_for("0.0.0.0", "another").tokens
-    tokens = gate.tokens
+    auth = auth_for("0.0.0.0", "console")
+    assert auth.tokens is not None
+    assert auth.tokens == auth_for("0.0.0.0", "console").tokens  # after a restart, too
+    assert auth.tokens != auth_for("0.0.0.0", "another").tokens
+    tokens = auth.tokens
     assert len(set(tokens.values())) == 2
     assert min(map(len, tokens.values())) >= 24
     ok, see, no = http.HTTPStatus.OK, http.HTTPStatus.SEE_OTHER, http.HTTPStatus.UNAUTHORIZED
-    with served(Desk(store, operator="P01"), gate) as port:
+    with served(Desk(store, operator="P01"), auth) as port:
 
         def status(path: str, **headers: str) -> int:
             return fetch(port, path, **headers)[0]
@@ -781,9 +781,9 @@ def test_the_operators_link_opens_the_operators_page_alone(
 
 
 def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> None:
-    gate = Gate({"experimenter": "e" * 24, "operator": "o" * 24})
+    auth = ConsoleAuth({"experimenter": "e" * 24, "operator": "o" * 24})
     with contextlib.ExitStack() as stack:
-        port = stack.enter_context(served(Desk(store, operator="P01"), gate))
+        port = stack.enter_context(served(Desk(store, operator="P01"), auth))
         client = pytest.importorskip("websockets.sync.client")
 
         def connect(path: str, token: str) -> Any:
@@ -803,7 +803,7 @@ def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> No
 
 
 def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
-    with served(Desk(store, operator="P01"), Gate(None)) as port:
+    with served(Desk(store, operator="P01"), ConsoleAuth(None)) as port:
         status, headers, body = fetch(port, "/")
         assert status == http.HTTPStatus.OK
         assert b"experimenter.js" in body

@@ -20,8 +20,8 @@ from study_console import (
 )
 from test_study_console import FakeSimulation
 
+from smooth_operator.study.console.access import ConsoleAuth
 from smooth_operator.study.console.desk import Desk
-from smooth_operator.study.console.gate import Gate
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.store.opening import open_study
@@ -198,7 +198,7 @@ def check_store(folder: Path) -> None:
 def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> None:
     with (
         open_study(tmp_path, console_plan()) as store,
-        served(Desk(store, operator="P01"), Gate(None)) as port,
+        served(Desk(store, operator="P01"), ConsoleAuth(None)) as port,
     ):
         pages = Pages(chromium, port)
         page = pages.experimenter
@@ -219,13 +219,13 @@ def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> N
 
 @pytest.mark.browser
 def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -> None:
-    gate = Gate({"experimenter": "e" * 24, "operator": "o" * 24})
+    auth = ConsoleAuth({"experimenter": "e" * 24, "operator": "o" * 24})
     with (
         open_study(tmp_path, console_plan()) as store,
-        served(Desk(store, operator="P01"), gate) as port,
+        served(Desk(store, operator="P01"), auth) as port,
     ):
         page = chromium.new_page()
-        page.goto(leading_to(gate.links("127.0.0.1", port)["experimenter"]).as_uri())
+        page.goto(leading_to(auth.links("127.0.0.1", port)["experimenter"]).as_uri())
         page.locator("#link", has_text="connected").wait_for()
         assert urlsplit(page.url)[2:] == ("/", "", "")  # without the token
         page.close()
@@ -238,7 +238,7 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
     teleop = FakeSimulation()
     with (
         open_study(tmp_path, cube_plan()) as store,
-        served(Desk(store, operator="P01", teleop=teleop), Gate(None)) as port,
+        served(Desk(store, operator="P01", teleop=teleop), ConsoleAuth(None)) as port,
     ):
         pages = Pages(chromium, port)
         page = pages.experimenter
@@ -262,7 +262,7 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
 def test_scales_and_send_are_in_sight_on_a_tablet(chromium: Any, tmp_path: Path) -> None:
     with (
         open_study(tmp_path, console_plan()) as store,
-        served(Desk(store, operator="P01"), Gate(None)) as port,
+        served(Desk(store, operator="P01"), ConsoleAuth(None)) as port,
     ):
         while store.progress("P01").step.what != "questionnaire":
             asked = due_command(store.progress("P01"))

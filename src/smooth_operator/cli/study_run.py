@@ -12,8 +12,8 @@ from pathlib import Path
 
 from smooth_operator.cli.study_run_options import Run
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.study.console.access import auth_for
 from smooth_operator.study.console.desk import Desk
-from smooth_operator.study.console.gate import gate_for
 from smooth_operator.study.console.server import Console, check_installed
 from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
@@ -40,8 +40,8 @@ def run_study(options: Run) -> None:
     teleop = _teleop(options.teleop)
     with _listening(options) as listening, _opened(options) as store:
         port = int(listening.getsockname()[1])
-        gate = gate_for(options.host, store.name)
-        links = gate.links(options.host, port)
+        auth = auth_for(options.host, store.name)
+        links = auth.links(options.host, port)
         folder = None if "://" in options.study else _folder(options.study)
         desk = Desk(
             store,
@@ -52,7 +52,7 @@ def run_study(options: Run) -> None:
             changed=lambda: console.changed(),
             tell=_say,
         )
-        console = Console(desk, gate, links, local=is_local(options.host))
+        console = Console(desk, auth, links, local=is_local(options.host))
 
         def ready() -> None:
             _say(f"study {store.name!r}, for the experimenter: {links['experimenter']}")

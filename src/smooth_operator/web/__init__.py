@@ -1,1 +1,1 @@
-"""What every small web server here needs: files of a page, safe headers, whose request it is."""
+"""What every web server here needs: authentication, files of a page, safe headers, addresses."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hmac
 import ipaddress
-from http.cookies import CookieError, SimpleCookie
-from typing import Any, Final
+from typing import Any
 from urllib.parse import urlsplit
 
-_LOCAL_NAMES: Final = ("localhost", "127.0.0.1", "::1")
+from smooth_operator.web.addresses import LOCAL
 
 
 def same_origin(request: Any) -> bool:
@@ -26,7 +24,7 @@ def names_this_machine(request: Any) -> bool:
     A name that an attacker points at this machine is same-origin to their own page.
     """
     name = _name_of(request.headers.get("Host", ""))
-    return (name or "") in _LOCAL_NAMES or is_loopback(name)
+    return (name or "") in LOCAL or is_loopback(name)
 
 
 def is_loopback(host: str | None) -> bool:
@@ -35,20 +33,6 @@ def is_loopback(host: str | None) -> bool:
         return ipaddress.ip_address(host or "").is_loopback
     except ValueError:
         return False
-
-
-def cookie(request: Any, name: str) -> str:
-    """Value of a cookie; empty if there is none."""
-    try:
-        found = SimpleCookie(request.headers.get("Cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
-
-
-def same_secret(given: str, known: str) -> bool:
-    """Whether two are the same, in a time that does not tell how much of them is."""
-    return hmac.compare_digest(given.encode(), known.encode())
 
 
 def _name_of(host: str) -> str | None:

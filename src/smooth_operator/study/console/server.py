@@ -19,14 +19,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
 from smooth_operator.errors import MissingExtraError, SmoothOperatorError
 from smooth_operator.io.documents import json_object
+from smooth_operator.study.console.access import HOME, LINK, ConsoleAuth, qr_code
 from smooth_operator.study.console.commands import Role, command_of
 from smooth_operator.study.console.desk import Desk, StoreFailedError
-from smooth_operator.study.console.gate import HOME, LINK, Gate, qr_code
 from smooth_operator.web.files import answer_with, page_files, shielded
 
 if TYPE_CHECKING:
@@ -65,14 +65,16 @@ class Console:
 
     Args:
         desk: what commands are carried out by; tell it ``changed``.
-        gate: who may open what.
+        auth: who may open what.
         links: role -> address of its page.
         local: whether only this machine reaches the pages.
     """
 
-    def __init__(self, desk: Desk, gate: Gate, links: dict[Role, str], *, local: bool) -> None:
+    def __init__(
+        self, desk: Desk, auth: ConsoleAuth, links: dict[Role, str], *, local: bool
+    ) -> None:
         self._desk = desk
-        self._gate = gate
+        self._auth = auth
         self._links = links
         self._local = local
         self._pages: set[_Page] = set()
@@ -101,8 +103,7 @@ class Console:
         from websockets.asyncio.server import serve
 
         self._loop = asyncio.get_running_loop()
-        site = page_files(__package__)
-        site["/icon.svg"] = page_files("smooth_operator.teleop.sources.webxr")["/icon.svg"]
+        site = page_files("smooth_operator.web") | page_files(__package__)
         site |= {HOME["experimenter"]: site["/experimenter.html"],
                  HOME["operator"]: site["/operator.html"]}  # fmt: skip
         if not self._local:
@@ -133,8 +134,8 @@ class Console:
 
     def _answering(self, site: dict[str, tuple[bytes, str]]) -> Callable[..., Any]:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
-            if (refusal := self._gate.refusal(connection, request)) is not None:
-                return refusal
+            if (refusal := self._auth.refusal(connection, request)) is not None:
+                return cast("Response", refusal)
             path = urlsplit(request.path).path
             if path in LINK.values():
                 role = _role_of(path)

@@ -12,8 +12,8 @@ import viser
 from viser import _messages
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.pages.gate import gate_for, guarded
 from smooth_operator.teleop.pages.ports import free_port
+from smooth_operator.teleop.pages.viser_auth import auth_for, authenticated
 from smooth_operator.web.addresses import lan_addresses
 
 _TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
@@ -32,16 +32,16 @@ def open_server(host: str, port: int) -> viser.ViserServer:
         ConfigError: if the address is not one of this machine's, no port is free, or this release
             of viser can't be made to ask for the token.
     """
-    port, gate = free_port(host, port), gate_for(host)
-    with _quiet_viser(), guarded(gate):
+    port, auth = free_port(host, port), auth_for(host)
+    with _quiet_viser(), authenticated(auth) as patched:
         server = viser.ViserServer(host=host, port=port, verbose=False)
-    if gate.token is not None and not gate.guarding:
+    if auth.tokens is not None and not patched.applied:
         close_server(server)
         raise ConfigError(
             f"viser {viser.__version__} can't be made to ask for a token, so the page is not "
             f"served to other machines on {host!r}; use --host 127.0.0.1, or install viser 1.1"
         )
-    _TOKENS[server] = gate.token
+    _TOKENS[server] = None if auth.tokens is None else auth.tokens["page"]
     return server
 
 

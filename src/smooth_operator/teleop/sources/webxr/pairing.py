@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 import secrets
 import time
 from collections import deque
@@ -10,6 +9,7 @@ from collections.abc import Callable
 from typing import Final, Literal, TypeAlias
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.web.auth import same_secret
 
 Verdict: TypeAlias = Literal["paired", "wrong", "locked"]
 
@@ -54,7 +54,7 @@ class Pairing:
         if own >= PER_ADDRESS or len(self._wrong) >= IN_ALL:
             self.refused += 1
             return "locked"
-        if hmac.compare_digest(plain(code).encode(), self.code.encode()):
+        if same_secret(plain(code), self.code):
             return "paired"
         self._wrong.append((now, address))
         self.refused += 1

@@ -72,7 +72,7 @@ async def serve(
         MissingExtraError: websockets is not installed.
     """
     websockets = _websockets()
-    site = page_files(__package__)
+    site = page_files("smooth_operator.web") | page_files(__package__)
     site["/"] = site["/index.html"]
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
 

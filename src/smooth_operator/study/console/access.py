@@ -10,23 +10,17 @@ import base64
 import contextlib
 import hashlib
 import hmac
-import http
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
-from urllib.parse import parse_qs, urlsplit
+from typing import Final
 
 from smooth_operator.io.user_cache import OFF, SWITCH, user_cache
 from smooth_operator.study.console.commands import Role
 from smooth_operator.web.addresses import is_local, page_addresses
-from smooth_operator.web.origin import cookie, names_this_machine, same_origin, same_secret
-
-if TYPE_CHECKING:
-    from websockets.asyncio.server import ServerConnection
-    from websockets.http11 import Request, Response
+from smooth_operator.web.auth import TokenAuth
 
 HOME: Final[Mapping[Role, str]] = {"experimenter": "/", "operator": "/operator"}
 """Where each page is."""
@@ -40,57 +34,11 @@ OPERATORS: Final = (
 
 
 @dataclass(frozen=True)
-class Gate:
-    """Looks at every request.
+class ConsoleAuth(TokenAuth):
+    """Asks for the token of a page's role; the operator's opens the operator's page alone."""
 
-    Attributes:
-        tokens: role -> token; None where only this machine can connect.
-    """
-
-    tokens: Mapping[Role, str] | None = field(repr=False)
-
-    def refusal(self, connection: ServerConnection, request: Request) -> Response | None:
-        """A response that refuses or redirects; None to let the request pass."""
-        if not same_origin(request):
-            return connection.respond(
-                http.HTTPStatus.FORBIDDEN, "this page may not be used from another one\n"
-            )
-        url = urlsplit(request.path)
-        if self.tokens is None:
-            if names_this_machine(request):
-                return None
-            return connection.respond(
-                http.HTTPStatus.FORBIDDEN, "open this page as http://localhost\n"
-            )
-        port = connection.local_address[1]
-        roles: tuple[Role, ...] = ("experimenter", "operator")
-        allowed = roles if url.path in OPERATORS else roles[:1]
-        if any(same_secret(cookie(request, _cookie(r, port)), self.tokens[r]) for r in allowed):
-            return None
-        given = parse_qs(url.query).get("token", [""])[0]
-        for role in allowed:
-            if same_secret(given, self.tokens[role]):
-                return self._welcome(connection, role, url.path, port)
-        return connection.respond(
-            http.HTTPStatus.UNAUTHORIZED,
-            "this page needs its token: open the whole address that the terminal, or the "
-            "experimenter's page, shows\n",
-        )
-
-    def _welcome(
-        self, connection: ServerConnection, role: Role, path: str, port: int
-    ) -> Response | None:
-        assert self.tokens is not None
-        if path in LINK.values():
-            return None  # a program, which has no cookies
-        response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
-        response.headers["Location"] = path  # so that the token stays in no history
-        response.headers["Set-Cookie"] = (
-            f"{_cookie(role, port)}={self.tokens[role]}; Path=/; HttpOnly; SameSite=Lax"
-        )
-        response.headers["Cache-Control"] = "no-store"
-        response.headers["Referrer-Policy"] = "no-referrer"
-        return response
+    paths: Mapping[str, Collection[str]] = field(default_factory=lambda: {"operator": OPERATORS})
+    shown_by: str = "the terminal, or the experimenter's page,"
 
     def links(self, host: str, port: int) -> dict[Role, str]:
         """Address of each page, with what opens it."""
@@ -101,21 +49,21 @@ class Gate:
         }
 
 
-def gate_for(host: str, study: str) -> Gate:
-    """The gate of a console that listens on ``host``.
+def auth_for(host: str, study: str) -> ConsoleAuth:
+    """The authentication of a console that listens on ``host``.
 
     Args:
         host: where it listens; tokens are asked for unless only this machine reaches it.
         study: whose tokens; the same after a restart.
     """
     if is_local(host):
-        return Gate(None)
+        return ConsoleAuth(None)
     secret = _secret()
-    tokens: dict[Role, str] = {}
+    tokens: dict[str, str] = {}
     for role in HOME:
         digest = hmac.new(secret, f"{role}\n{study}".encode(), hashlib.sha256).digest()
         tokens[role] = base64.urlsafe_b64encode(digest[:18]).decode()
-    return Gate(tokens)
+    return ConsoleAuth(tokens)
 
 
 def qr_code(text: str) -> bytes:
@@ -166,7 +114,3 @@ def _keep(file: Path, content: bytes) -> None:
             os.link(draft, file)  # the first of two that do this at once wins
     finally:
         draft.unlink()
-
-
-def _cookie(role: Role, port: Any) -> str:
-    return f"smooth-operator-{role}-{port}"  # cookies know no ports
