@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from judging import Measured, Shelf, measure_cells
+from judging import Measured, measure_cells
 from report import RESULTS, BenchmarkError, Report, markdown
 
 from smooth_operator import SmoothOperatorError
@@ -33,6 +33,7 @@ from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_re
 from smooth_operator.lab.benchmark.targets import SBR, TargetLine, judge, judge_hand
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.presets import PRESETS
+from smooth_operator.result_cache import ResultCache
 
 GLOVE = "manus_right_subject-000_run-010.npz"
 FILES = (
@@ -124,6 +125,11 @@ def main(settings: Settings) -> None:
     write(report, settings, lines)
 
 
+def warn(note: str) -> None:
+    """Shows a note beside the progress."""
+    print(note, file=sys.stderr)
+
+
 def recordings(settings: Settings, words: Sequence[str]) -> list[Source]:
     texts = list(words)
     if settings.data is not None:
@@ -160,10 +166,10 @@ def measure(
 ) -> dict[tuple[str, str], Measured]:
     """(recording, label) -> figures."""
     cells = cells_of(settings, sources, (*candidates, *others))
-    shelf = Shelf(settings.cache, settings.stale)
+    kept = ResultCache(settings.cache, warn, other_code=settings.stale)
     found: dict[tuple[str, str], Measured] = {}
     per_frame = settings.human == "frame"
-    for one in measure_cells(cells, shelf, settings.workers, settings.seed, per_frame):
+    for one in measure_cells(cells, kept, settings.workers, settings.seed, per_frame):
         found[one.cell.source.name, method_label(one.cell.method, one.cell.preset)] = one
         if one.fresh:
             failed = "" if one.reason is None else f": {one.reason}"

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import tyro
-from judge import GLOVE, OTHERS
-from judging import Measured, Shelf, measure_cells
+from judge import GLOVE, OTHERS, warn
+from judging import Measured, measure_cells
 from report import RESULTS, BenchmarkError, Report
 from variants import (
     HEADER,
@@ -55,6 +55,7 @@ from smooth_operator.lab.tuning.pareto import (
     save_trade_offs,
 )
 from smooth_operator.methods.dispatch import dispatch_here
+from smooth_operator.result_cache import ResultCache
 
 METHOD = "smooth"
 
@@ -376,8 +377,8 @@ def measure_others(
         for source in sources
     ]
     found: dict[tuple[str, str, str], Measured] = {}
-    shelf = Shelf(settings.cache)
-    for one in measure_cells(cells, shelf, settings.workers, settings.seed, per_frame=False):
+    kept = ResultCache(settings.cache, warn)
+    for one in measure_cells(cells, kept, settings.workers, settings.seed, per_frame=False):
         label = method_label(one.cell.method, one.cell.preset)
         found[one.cell.source.name, one.cell.hand, label] = one
         if one.fresh:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.setting_paths import numeric_settings, with_settings, with_unchecked
-from smooth_operator.parallel import run_tasks
+from smooth_operator.parallel import TaskResult, run_tasks
 
 Values = Mapping[str, float]
 """Path of a setting -> its value; the others are those of the preset."""
@@ -55,16 +54,14 @@ class Variants:
     log: Path
 
     @property
-    def identity(self) -> str:
-        """What the figures of a row depend on but for its values."""
-        content = {
+    def key(self) -> dict[str, Any]:
+        """What the figures of a row depend on but for its values and for code."""
+        return {
             "config": self.config,
             "hand": [hand_identity(self.hand, source.side, ()) for source in self.sources],
             "frames": [source.digest for source in self.sources],
             "seed": self.seed,
-            "code": code_of(self.config),
         }
-        return hashlib.sha256(to_json(content).encode()).hexdigest()
 
     def task(self, values: Values) -> TrialTask:
         """A row, its values arguments of a compiled program as far as they can be."""
@@ -111,40 +108,39 @@ def measure_rows(variants: Variants, rows: Mapping[Row, Values]) -> tuple[Found,
         the figures, and why rows failed.
     """
     full = full_values(variants.config, rows)
-    log = TrialLog(variants.log, variants.identity)
+    log = TrialLog(variants.log, variants.key, code_of(variants.config))
     preset = numeric_settings(variants.config)
-    known: dict[str, Trial] = {}
-    todo: dict[str, tuple[Row, TrialTask]] = {}
+    rows_of: dict[str, Row] = {}
     for row, values in full.items():
-        key = to_json(values)
-        if kept := log.find(_changed(values, preset)):
-            known[key] = kept
-        elif key not in todo:
-            todo[key] = row, variants.task(values)
+        rows_of.setdefault(to_json(values), row)
+    tasks = {key: variants.task(full[row]) for key, row in rows_of.items()}
     # those of one program one after the other, so that a worker compiles it once
-    order = sorted(todo, key=lambda key: to_json(todo[key][1].config))
-    if order:
-        programs = len({to_json(task.config) for _, task in todo.values()})
+    order = sorted(tasks, key=lambda key: to_json(tasks[key].config))
+    todo = [(_changed(full[rows_of[key]], preset), tasks[key]) for key in order]
+    missing = [task for values, task in todo if log.find(values) is None]
+    if missing:
+        programs = len({to_json(task.config) for task in missing})
         print(
-            f"rows to measure: {len(order)}, kept: {len(known)}; programs to compile: {programs}",
+            f"rows to measure: {len(missing)}, kept: {len(todo) - len(missing)}; "
+            f"programs to compile: {programs}",
             file=sys.stderr,
         )
-    tasks = [todo[key][1] for key in order]
-    failures = []
-    for count, result in enumerate(
-        run_tasks(run_trial, tasks, workers=variants.workers) if tasks else (), 1
-    ):
-        key = order[result.index]
-        row = todo[key][0]
-        values = _changed(full[row], preset)
-        trial = Trial(values, result.value, result.error, result.seconds)
-        known[key] = trial
+    known: dict[str, Trial] = {}
+    failures: list[str] = []
+    done = 0
+
+    def execute(tasks: Sequence[TrialTask]) -> Iterable[TaskResult[Any]]:
+        return run_tasks(run_trial, tasks, workers=variants.workers)
+
+    for i, trial, fresh in log.run(todo, execute, keep_failures=False):
+        table, name = rows_of[order[i]]
+        known[order[i]] = trial
         if trial.metrics is None:
-            failures.append(f"{row[1]} ({row[0]}) failed: {trial.reason}")
-        else:
-            log.add(trial)
-        said = "" if trial.reason is None else f": {trial.reason}"
-        print(f"{count} of {len(order)}: {row[0]}, {row[1]}{said}", file=sys.stderr)
+            failures.append(f"{name} ({table}) failed: {trial.reason}")
+        if fresh:
+            done += 1
+            said = "" if trial.reason is None else f": {trial.reason}"
+            print(f"{done} of {len(missing)}: {table}, {name}{said}", file=sys.stderr)
     nothing = [None] * len(variants.sources)
     found = {row: list(known[to_json(v)].metrics or nothing) for row, v in full.items()}
     return found, failures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from smooth_operator.lab.benchmark.targets import (
 )
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.methods.presets import method_config
+from smooth_operator.result_cache import ResultCache, imported_modules
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HUMAN = HumanFigures(flatness=1e-7, pinch_mm=4.0, pinch_strict_mm=3.0)
@@ -165,10 +166,8 @@ def programs() -> Any:
 
 def test_figures_depend_on_the_code_of_their_own_method(programs: Any):
     _, judging = programs
-    needed = {
-        path.relative_to(judging.HOME).as_posix()
-        for path in judging._needed([judging.HOME / "methods/joint_angle.py"])
-    }
+    others = ("methods/__init__.py", "methods/presets.py")
+    needed = set(imported_modules("methods/joint_angle.py", leave_out=others))
     assert {"methods/joint_angle.py", "human/joint_map.py", "hands/hand.py"} <= needed
     assert not {"methods/sbr.py", "methods/presets.py", "solvers/sampling.py"} & needed
     codes = {name: judging.code_of(method_config(*name.split(":"))) for name in
@@ -181,15 +180,24 @@ def test_kept_figures_of_other_code_are_stale(programs: Any, tmp_path: Path, mon
     _, judging = programs
     source = load_sources([parse_request("synthetic:5@:10")])[0]
     cell = Cell(source, "mimic_p050", "geort", "default", method_config("geort"))
-    shelf = judging.Shelf(tmp_path)
-    assert shelf.load(cell, "") is None
-    shelf.save(judging.Measured(cell, {"flatness": 1.0}, HUMAN), "")
-    kept = shelf.load(cell, "")
+    monkeypatch.setattr(judging, "_figures", lambda task: {"metrics": {"flatness": 1.0},
+                                                           "human": asdict(HUMAN)})  # fmt: skip
+
+    def figures(cache: ResultCache, seed: int = 0) -> Any:
+        (found,) = judging.measure_cells([cell], cache, 0, seed, False)
+        return found
+
+    assert figures(ResultCache(tmp_path)).fresh
+    kept = figures(ResultCache(tmp_path))
     assert (kept.metrics, kept.human, kept.stale) == ({"flatness": 1.0}, HUMAN, False)
-    assert shelf.load(cell, "another seed") is None
+    assert not kept.fresh
+    assert figures(ResultCache(tmp_path), seed=1).fresh
     monkeypatch.setattr(judging, "code_of", lambda config: "other")
-    assert shelf.load(cell, "") is None
-    assert judging.Shelf(tmp_path, stale=True).load(cell, "").stale
+    notes: list[str] = []
+    stale = figures(ResultCache(tmp_path, other_code=True))
+    assert (stale.stale, stale.fresh) == (True, False)
+    assert figures(ResultCache(tmp_path, notes.append)).fresh
+    assert "another version of the code" in notes[0]
 
 
 def test_a_second_run_measures_nothing(

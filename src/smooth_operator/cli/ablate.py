@@ -74,6 +74,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
                 sources,
                 _track(console, options.quiet),
                 _told(console, options.quiet, len(names)),
+                lambda text: _note(console, text),
             )
         except KeyboardInterrupt:
             _note(console, f"stopped; the same command goes on with what is in {options.output}")

@@ -76,7 +76,12 @@ def bench(options: Bench) -> None:
     _say_what_is_odd(cells, console)
     with folder_for(options.output), claimed(options.output):
         try:
-            finished = run_suite(settings, cells, _track(console, options.quiet))
+            finished = run_suite(
+                settings,
+                cells,
+                _track(console, options.quiet),
+                lambda text: _note(console, text),
+            )
         except KeyboardInterrupt:
             _note(console, f"stopped; the same command goes on with what is in {options.output}")
             raise

@@ -63,7 +63,7 @@ def tune(options: Tune) -> None:
     with folder_for(options.output), claimed(options.output):
         try:
             with _bar(console, options.quiet, settings.trials) as progress:
-                tuned = tuning.tune(todo, progress)
+                tuned = tuning.tune(todo, progress, lambda text: _note(console, text))
         except KeyboardInterrupt:
             _note(console, f"stopped; the same command goes on with what is in {options.output}")
             raise

@@ -16,5 +16,6 @@ from smooth_operator.result_cache.jobs import Job as Job
 from smooth_operator.result_cache.jobs import JobResult as JobResult
 from smooth_operator.result_cache.jobs import compute_results as compute_results
 from smooth_operator.result_cache.jobs import find_results as find_results
+from smooth_operator.result_cache.jobs import longest_first as longest_first
 from smooth_operator.result_cache.jobs import run_jobs as run_jobs
 from smooth_operator.result_cache.log import ResultLog as ResultLog

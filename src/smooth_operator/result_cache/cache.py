@@ -92,7 +92,7 @@ class ResultCache:
             return None
         except (OSError, ValueError, KeyError, TypeError, EOFError, SmoothOperatorError,
                 zipfile.BadZipFile) as error:  # fmt: skip
-            self.note(f"{path} is damaged or no result ({error}): it is computed again")
+            self.note(f"{path} is damaged or of an earlier version ({error}): computed again")
             return None
         if known_key != key_digest(key):
             return None

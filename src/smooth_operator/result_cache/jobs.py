@@ -68,10 +68,7 @@ class JobResult(Generic[T]):
 
 
 def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T]], list[Job[T]]]:
-    """The results that are there, and the jobs that have none, the longest first.
-
-    The longest come first so that no worker begins one while the others have nothing left.
-    """
+    """The results that are there, and the jobs that have none."""
     found, missing = [], []
     for job in jobs:
         value = cache.find(job.name, job.key, job.code)
@@ -80,7 +77,12 @@ def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T
         else:
             found.append(JobResult(job, value))
     cache.note_outdated()
-    return found, sorted(missing, key=lambda job: -job.effort)
+    return found, missing
+
+
+def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
+    """Jobs in an order in which no worker begins a long one while the others have nothing left."""
+    return sorted(jobs, key=lambda job: -job.effort)
 
 
 def _value(job: Job[Any], result: TaskResult[Any]) -> Any:
@@ -139,4 +141,4 @@ def run_jobs(
     """
     found, missing = find_results(jobs, cache)
     yield from found
-    yield from compute_results(missing, cache, execute, value)
+    yield from compute_results(longest_first(missing), cache, execute, value)

@@ -78,6 +78,10 @@ class ResultLog:
             raise output_error(self.path, error) from error
         self._known[record["key"], code] = dict(value)
 
+    def values(self, code: str) -> list[dict[str, Any]]:
+        """All results of some code, in the order of the file."""
+        return [value for (_, known), value in self._known.items() if known == code]
+
     def note_outdated(self) -> None:
         """Says how many results since the last call were of other code."""
         if self._outdated:

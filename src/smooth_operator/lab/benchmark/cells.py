@@ -9,9 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import to_json
@@ -20,14 +19,8 @@ from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.operated import operated_by
+from smooth_operator.result_cache import code_digest, key_digest
 from smooth_operator.types import Side
-from smooth_operator.version import package_version
-
-# What a command or a metric depends on; pages, plots and the command line are not in it.
-_CODE: Final = (
-    "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
-    "methods", "metrics", "lab/offline", "io",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,42 +89,35 @@ def cells_of(
 
 
 def fingerprint(cell: Cell, settings: Settings) -> str:
-    """What the result of a cell depends on, as one word: frames, hand, configuration, code.
+    """What the result of a cell depends on but for code, as one word.
 
-    Of two cells with one fingerprint, one need not be done again.
+    Frames, hand, configuration, seed and definitions are in it. Of two cells with one fingerprint,
+    one need not be done again.
     """
-    content: dict[str, Any] = {
-        "frames": cell.source.digest,
-        "hand": hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
-        "method": cell.method,
-        "preset": cell.preset,
-        "config": cell.config,
-        "seed": settings.seed,
-        "definition": settings.definition,
-        "version": package_version(),
-        "code": code_digest(),
-        "files": [digest(path) for path in _files_of(cell.config)],
-    }
-    return hashlib.sha256(to_json(content).encode()).hexdigest()
+    return key_digest(
+        {
+            "frames": cell.source.digest,
+            "hand": hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
+            "method": cell.method,
+            "preset": cell.preset,
+            "config": cell.config,
+            "seed": settings.seed,
+            "definition": settings.definition,
+            "files": [digest(path) for path in _files_of(cell.config)],
+        }
+    )
 
 
-@cache
-def code_digest() -> str:
-    """SHA-256 of the parts of this package that a result depends on, the models in it included.
+def benchmark_code() -> str:
+    """Digest of the code that a command or a metric depends on, the models in it included.
 
-    Whoever changes a method between two runs of a benchmark gets its cells measured anew.
+    Pages, plots and the command line are not in it. Whoever changes a method between two runs of a
+    benchmark gets its cells measured again.
     """
-    home = Path(smooth_operator.__file__).parent
-    files = [
-        file
-        for name in _CODE
-        for file in ([home / name] if name.endswith(".py") else sorted((home / name).rglob("*")))
-    ]
-    total = hashlib.sha256()
-    for file in files:
-        if file.is_file() and file.suffix != ".pyc":
-            total.update(file.relative_to(home).as_posix().encode() + b"\0" + file.read_bytes())
-    return total.hexdigest()
+    return code_digest(
+        "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
+        "methods", "metrics", "lab/offline", "io",
+    )  # fmt: skip
 
 
 @cache

@@ -13,8 +13,8 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.quality import Measured
 from smooth_operator.lab.benchmark.settings import method_label
-from smooth_operator.lab.benchmark.store import Kept
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS, WRIST
 
@@ -75,23 +75,23 @@ class Panel:
 
 def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
     """The panels of a benchmark, in the order of its cells; of what failed there is none."""
-    groups: dict[tuple[str, str, str], list[tuple[Cell, Kept]]] = {}
+    groups: dict[tuple[str, str, str], list[tuple[Cell, Measured]]] = {}
     for one in finished:
-        if one.kept is not None:
-            groups.setdefault(one.cell.key[:3], []).append((one.cell, one.kept))
+        if one.measured is not None:
+            groups.setdefault(one.cell.key[:3], []).append((one.cell, one.measured))
     for key, group in groups.items():
         cell = group[0][0]
         assert cell.source.recording is not None  # or there would be no commands
         hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         stamps = cell.source.recording.stamps
-        runs = tuple(_run(cell, kept, hand) for cell, kept in group)
+        runs = tuple(_run(cell, measured, hand) for cell, measured in group)
         yield Panel(key, hand, stamps - stamps[0], runs)
 
 
-def _run(cell: Cell, kept: Kept, hand: Hand) -> Run:
+def _run(cell: Cell, measured: Measured, hand: Hand) -> Run:
     assert cell.source.recording is not None
     human = align_recording(cell.source.recording, hand, cell.config.alignment)
-    joints = np.asarray(kept.commands.joint_positions, np.float64)
+    joints = np.asarray(measured.commands.joint_positions, np.float64)
     robot = np.full((len(joints), NUM_LANDMARKS, 3), np.nan)
     robot[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.tree.positions(joints)
     return Run(method_label(cell.method, cell.preset), human, robot, joints)

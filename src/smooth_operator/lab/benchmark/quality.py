@@ -45,7 +45,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What a worker returns.
+    """What was measured of a cell, without latency.
 
     Attributes:
         commands: the joint commands. Their latency is NaN: taken beside other workers it would
@@ -53,12 +53,14 @@ class Measured:
         metrics: of ``evaluate``.
         fingers: of ``finger_metrics``.
         configuration: what it depended on, versions and machine included.
+        seconds: how long it took; None while that is not known [s].
     """
 
     commands: CommandTrajectory
     metrics: dict[str, Any]
     fingers: dict[str, dict[str, float | None]]
     configuration: dict[str, Any]
+    seconds: float | None = None
 
 
 def measure_cell(task: Task) -> Measured:

@@ -35,10 +35,10 @@ def make_rows(finished: Iterable[Finished], settings: Settings) -> list[Row]:
 
 
 def _row(finished: Finished, settings: Settings) -> Row:
-    cell, kept, latency = finished.cell, finished.kept, finished.latency
+    cell, measured, latency = finished.cell, finished.measured, finished.latency
     row: Row = dict(zip(KEY, cell.key, strict=True))
     row |= {
-        "status": "error" if kept is None else "ok",
+        "status": "error" if measured is None else "ok",
         "reason": finished.reason,
         "metrics": None,
         "fingers": None,
@@ -54,17 +54,17 @@ def _row(finished: Finished, settings: Settings) -> Row:
         "hardware": None,
         "date": None,
     }
-    if kept is None:
+    if measured is None:
         return row
-    made = kept.configuration
+    made = measured.configuration
     none = dict.fromkeys(("mean", "p50", "p95", "p99", "first"))
     alone = none if latency is None else latency.summary
     return row | {
-        "metrics": kept.metrics | {"latency_ms": alone},
-        "fingers": kept.fingers,
+        "metrics": measured.metrics | {"latency_ms": alone},
+        "fingers": measured.fingers,
         "latency": None if latency is None else latency.facts,
         "cell": f"{CELLS}/{cell.slug}.npz",
-        "seconds": kept.seconds,
+        "seconds": measured.seconds,
         "versions": made.get("versions"),
         "hardware": {key: made.get(key) for key in _HARDWARE},
         "date": made.get("created"),

@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TypeAlias
 
 from smooth_operator.lab.benchmark.cells import Cell, cells_of
 from smooth_operator.lab.benchmark.latency import Latency, measure_latency
-from smooth_operator.lab.benchmark.quality import Task, measure_cell
+from smooth_operator.lab.benchmark.quality import Measured, Task, measure_cell
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
-from smooth_operator.lab.benchmark.store import Kept, Store, check_folder
-from smooth_operator.parallel import run_tasks
+from smooth_operator.lab.benchmark.store import Store, check_folder
+from smooth_operator.parallel import TaskResult, run_tasks
+from smooth_operator.result_cache import (
+    Job,
+    Note,
+    compute_results,
+    find_results,
+    longest_first,
+    no_note,
+)
 
 Advance: TypeAlias = Callable[[str, str | None], None]
 """Called with the label of a cell that is done, and why it failed or None."""
+
+RowKey: TypeAlias = tuple[str, str, str, str, str]
+"""``Cell.key``."""
 
 Track: TypeAlias = Callable[[str, int, int], AbstractContextManager[Advance]]
 """Opens the display of a phase: its name, how many cells it has, how many were done before."""
@@ -29,14 +40,14 @@ class Finished:
 
     Attributes:
         cell: the cell.
-        kept: what was measured; None where it failed.
+        measured: without latency; None where it failed.
         reason: why it failed; None where it did not.
         latency: measured alone; None where it was not asked for, or the cell failed.
         fresh: done by this run, not found done.
     """
 
     cell: Cell
-    kept: Kept | None
+    measured: Measured | None
     reason: str | None
     latency: Latency | None
     fresh: bool
@@ -69,7 +80,9 @@ def plan_cells(settings: Settings) -> list[Cell]:
     return cells_of(load_sources(requests), settings, select_methods(settings.methods))
 
 
-def run_suite(settings: Settings, cells: Sequence[Cell], track: Track = silent) -> list[Finished]:
+def run_suite(
+    settings: Settings, cells: Sequence[Cell], track: Track = silent, note: Note = no_note
+) -> list[Finished]:
     """Measures all cells; those that an earlier run in the folder has finished are taken from it.
 
     Each finished cell is written at once, so that a run that is stopped loses those only that it
@@ -79,6 +92,7 @@ def run_suite(settings: Settings, cells: Sequence[Cell], track: Track = silent) 
         settings: what was asked for.
         cells: of ``plan_cells``.
         track: shows the progress.
+        note: called with kept cells that can't be used.
 
     Returns:
         What became of each cell, in their order.
@@ -87,19 +101,21 @@ def run_suite(settings: Settings, cells: Sequence[Cell], track: Track = silent) 
         OutputError: a result can't be written.
         ConfigError: the workers can't be.
     """
-    store = Store(settings)
-    kept = {cell.key: found for cell in cells if (found := _load(store, cell)) is not None}
-    before = set(kept)
+    store = Store(settings, note)
     reasons = {c.key: c.source.error for c in cells if c.source.error is not None}
-    _measure_quality(store, cells, kept, reasons, track)
+    jobs = [store.job(cell) for cell in cells if cell.key not in reasons]
+    found, missing = find_results(jobs, store.measured)
+    measured: dict[RowKey, Measured] = {r.job.task.key: r.value for r in found}  # type: ignore[misc]
+    before = set(measured)
+    _measure_quality(store, missing, measured, reasons, track)
     latencies: dict[tuple[str, ...], Latency] = {}
     if settings.latency_frames:
-        alive = [cell for cell in cells if cell.key in kept]
+        alive = [cell for cell in cells if cell.key in measured]
         _measure_latency(store, alive, latencies, track)
     return [
         Finished(
             cell,
-            kept.get(cell.key),
+            measured.get(cell.key),
             reasons.get(cell.key),
             latencies.get(cell.key),
             cell.key not in before,
@@ -108,37 +124,40 @@ def run_suite(settings: Settings, cells: Sequence[Cell], track: Track = silent) 
     ]
 
 
-def _load(store: Store, cell: Cell) -> Kept | None:
-    return None if cell.source.recording is None else store.load(cell)
-
-
 def _measure_quality(
     store: Store,
-    cells: Sequence[Cell],
-    kept: dict[tuple[str, str, str, str, str], Kept],
-    reasons: dict[tuple[str, str, str, str, str], str],
+    jobs: Sequence[Job[Cell]],
+    measured: dict[RowKey, Measured],
+    reasons: dict[RowKey, str],
     track: Track,
 ) -> None:
     settings = store.settings
-    todo = [cell for cell in cells if cell.key not in kept and cell.key not in reasons]
-    # The long ones first, or the last worker would be at one while the others wait.
-    todo.sort(key=lambda cell: -len(cell.source.recording or ()))
-    tasks = [_task(cell, settings) for cell in todo]
-    with track("quality", len(kept) + len(todo), len(kept)) as advance:
-        if not tasks:
-            return
-        results = run_tasks(measure_cell, tasks, workers=settings.workers, cluster=settings.cluster)
-        try:
-            for result in results:
-                cell = todo[result.index]
-                if result.value is None:
-                    reasons[cell.key] = result.error or "it returned nothing"
-                else:
-                    kept[cell.key] = store.save(cell, result.value, result.seconds)
-                advance(cell.label, reasons.get(cell.key))
-        finally:
-            if isinstance(results, Generator):
-                results.close()  # stops the workers at once, and not when it is collected
+
+    def execute(cells: Sequence[Cell]) -> Iterable[TaskResult[Measured]]:
+        tasks = [_task(cell, settings) for cell in cells]
+        return run_tasks(measure_cell, tasks, workers=settings.workers, cluster=settings.cluster)
+
+    with track("quality", len(measured) + len(jobs), len(measured)) as advance:
+        for result in compute_results(longest_first(jobs), store.measured, execute, _to_keep):
+            cell = result.job.task
+            if result.value is None:
+                reasons[cell.key] = result.error or "it returned nothing"
+            else:
+                measured[cell.key] = result.value
+            advance(cell.label, reasons.get(cell.key))
+
+
+def _to_keep(job: Job[Cell], result: TaskResult[Measured]) -> Measured | None:
+    if result.value is None:
+        return None
+    source = job.task.source
+    # As `retarget` has them, so that `view` finds the frames again.
+    facts = {"source": source.facts, "rate": source.request.rate}
+    return replace(
+        result.value,
+        configuration=result.value.configuration | facts,
+        seconds=result.seconds,
+    )
 
 
 def _task(cell: Cell, settings: Settings) -> Task:

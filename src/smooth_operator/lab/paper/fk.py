@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,7 +39,7 @@ from smooth_operator.lab.paper.fk_libraries import (
 from smooth_operator.lab.paper.fk_urdf import write_urdf
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, independent, typical
 from smooth_operator.lab.paper.more_sizes import more_size
-from smooth_operator.lab.paper.study import Job, Study
+from smooth_operator.lab.paper.study import Study, cell_job
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
 
 SLICE_S: Final = 0.05
@@ -139,11 +139,11 @@ def time_libraries(study: Study, hand: Hand) -> Timing:
         model = [write_urdf(hand).text, to_json(hand.limits), digest(Path(fk_libraries.__file__))]
         return {"kind": kind, "libraries": versions, "model": model, "machine": machine, **more}
 
-    def checked(name: str) -> dict[str, np.ndarray]:
+    def checked(name: str, advance: object) -> dict[str, np.ndarray]:
         return {"worst": np.array(disagreement(made(name), hand, random_poses(hand, CHECKED, 0)))}
 
     jobs = [
-        Job(f"{name}: agreement", key("fk-check", [name]), 3000.0, lambda _, n=name: checked(n))  # type: ignore[misc]
+        cell_job(f"{name}: agreement", key("fk-check", [name]), 3000.0, partial(checked, name))
         for name in here
     ]
     cells = study.finish("agreement of the libraries", jobs)
@@ -168,7 +168,7 @@ def time_libraries(study: Study, hand: Hand) -> Timing:
         }
 
     jobs = [
-        Job(
+        cell_job(
             f"batch {batch:,}", key("fk-time", here, batch=batch, rounds=size.fk_rounds),
             1000.0 + size.fk_rounds * len(here) * max(50.0, 0.03 * batch),
             lambda advance, b=batch: timed(b, advance),  # type: ignore[misc]

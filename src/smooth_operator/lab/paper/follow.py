@@ -15,7 +15,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.benchmark.built import built_for
-from smooth_operator.lab.benchmark.cells import Cell, fingerprint
+from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label, select_methods
 from smooth_operator.lab.paper.delay import sub_frame_lag
 from smooth_operator.lab.paper.intervals import (
@@ -26,13 +26,14 @@ from smooth_operator.lab.paper.intervals import (
     mean_of,
     typical,
 )
-from smooth_operator.lab.paper.study import Job, Study
+from smooth_operator.lab.paper.study import Compute, Study, cell_job
 from smooth_operator.lab.paper.takes import LEAD, Take
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.request import Plan
 from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
+from smooth_operator.result_cache import Job
 
 PUBLISHED_SBR: Final = "sbr:paper"
 """Label of the paper's method with the paper's settings."""
@@ -94,7 +95,7 @@ def effort_ms(label: str) -> float:
     return _EFFORT_MS.get(label, 0.7)
 
 
-def follow_job(study: Study, label: str, choice: Choice, take: Take, seed: int = 0) -> Job:
+def follow_job(study: Study, label: str, choice: Choice, take: Take, seed: int = 0) -> Job[Compute]:
     """A method on a take, as a cell: ``q`` (T, n) [rad] and ``status`` (T,)."""
     seen = replace(take.source, recording=take.seen, digest=take.digest)
     cell = Cell(seen, study.hand, choice.method, choice.preset, choice.config)
@@ -113,12 +114,13 @@ def follow_job(study: Study, label: str, choice: Choice, take: Take, seed: int =
         commands, _ = retargeter.run(take.seen, seed=seed, track=told)
         return {"q": commands.joint_positions[LEAD:], "status": commands.status[LEAD:]}
 
-    return Job(
+    return cell_job(
         f"{label} on {take.source.name}",
         {"kind": f"follow-{choice.method}", "lead": LEAD,
          "cell": fingerprint(cell, Settings(output=Path(), seed=seed))},
         300.0 + effort_ms(label) * len(take.seen),
         compute,
+        benchmark_code(),
     )  # fmt: skip
 
 

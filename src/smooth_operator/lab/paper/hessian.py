@@ -17,11 +17,12 @@ from smooth_operator.lab.paper.figures_hessian import hessian_figure
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, pooled, typical
 from smooth_operator.lab.paper.lineup import NEWTON, SAMPLING
 from smooth_operator.lab.paper.problems import Problem
-from smooth_operator.lab.paper.study import Job, Study
+from smooth_operator.lab.paper.study import Compute, Study, cell_job
 from smooth_operator.lab.paper.velocity import VELOCITY_WEIGHT
 from smooth_operator.lab.paper.verdicts import Direction, Equality, Verdict, judge
 from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal
+from smooth_operator.result_cache import Job
 
 FLOAT64_STEP: Final = 1e-6
 """Step of the finite differences [rad]."""
@@ -162,7 +163,7 @@ def _float64() -> contextlib.AbstractContextManager[Any]:
     return older
 
 
-def _job(problem: Problem, q: Float[np.ndarray, "T m"]) -> Job:
+def _job(problem: Problem, q: Float[np.ndarray, "T m"]) -> Job[Compute]:
     def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
         matrices, error = hessians(problem, q)
         values, vectors = np.linalg.eigh(matrices)  # ascending: the flattest first
@@ -170,7 +171,7 @@ def _job(problem: Problem, q: Float[np.ndarray, "T m"]) -> Job:
         return {"values": values, "vectors": vectors, "error": np.array(error)}
 
     where = np.ascontiguousarray(q, "<f8").tobytes()
-    return Job(
+    return cell_job(
         f"Hessians along {problem.name}",
         {"kind": "hessian", "problem": problem.digest, "at": digest(where), "step": FLOAT64_STEP},
         2000.0,

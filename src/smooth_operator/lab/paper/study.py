@@ -15,9 +15,11 @@ from smooth_operator.lab.paper.contestants import Contestant
 from smooth_operator.lab.paper.problems import Problem, make_problems
 from smooth_operator.lab.paper.runs import Run, run_contestant
 from smooth_operator.lab.paper.sizes import Size
-from smooth_operator.lab.paper.store import Store
+from smooth_operator.lab.paper.store import Store, experiment_code
 from smooth_operator.methods.presets import DEXPILOT_PUBLISHED
 from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.parallel import TaskResult
+from smooth_operator.result_cache import Job, compute_results, content_name, find_results
 
 TUNING_OPERATOR: Final = 1001
 """Seed of the built-in operator whose frames are tuned on, and never judged."""
@@ -47,21 +49,24 @@ def silent(name: str, work: float) -> Iterator[Advance]:
     yield lambda label, done: None
 
 
-@dataclass(frozen=True, eq=False)
-class Job:
+Compute: TypeAlias = Callable[[Callable[[float], None]], dict[str, np.ndarray]]
+"""Makes the arrays of a cell; is given what it calls with the share that was done."""
+
+
+def cell_job(
+    label: str, key: Mapping[str, Any], effort: float, compute: Compute, code: str = ""
+) -> Job[Compute]:
     """A cell to be computed, unless it is there already.
 
-    Attributes:
+    Args:
         label: for a person.
-        key: what its content depends on, for the store.
-        work: about how long it takes [ms]; only the proportions matter.
-        compute: makes it; is handed what to tell of the share that was done.
+        key: what its content depends on, but for code; its ``kind`` begins the name of the file.
+        effort: about how long it takes [ms]; only the proportions matter.
+        compute: makes it.
+        code: digest of code that it depends on beyond ``experiment_code``.
     """
-
-    label: str
-    key: Mapping[str, Any]
-    work: float
-    compute: Callable[[Callable[[float], None]], dict[str, np.ndarray]]
+    name = content_name(key["kind"], key)
+    return Job(name, key, f"{experiment_code()} {code}".strip(), compute, label, effort)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,33 +97,20 @@ class Study:
         """Name of a recording -> the independent unit that it belongs to."""
         return {source.name: source.request.unit for source in self.sources}
 
-    def finish(self, phase: str, jobs: Sequence[Job]) -> list[dict[str, np.ndarray]]:
+    def finish(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[dict[str, np.ndarray]]:
         """Computes the cells that are missing, and keeps each as soon as it is whole.
 
         Raises:
             OutputError: a cell can't be written.
         """
-        kept = [self.store.load(job.key) for job in jobs]
-        missing = [job for job, cell in zip(jobs, kept, strict=True) if cell is None]
+        cache = self.store.cells
+        once = {job.name: job for job in jobs}  # the same cell may be asked for twice
+        found, missing = find_results(list(once.values()), cache)
         if missing:
-            with self.track(phase, sum(job.work for job in missing)) as advance:
-                count = 0
-                for i, job in enumerate(jobs):
-                    if kept[i] is None:
-                        count += 1
-                        kept[i] = self._computed(job, f"{count} of {len(missing)}", advance)
-        return [cell for cell in kept if cell is not None]
-
-    def _computed(self, job: Job, place: str, advance: Advance) -> dict[str, np.ndarray]:
-        label = f"{place}: {job.label}"
-        again = self.store.load(job.key)  # the same cell may be asked for twice
-        if again is not None:
-            advance(label, job.work)
-            return again
-        advance(label, 0.0)
-        arrays = job.compute(lambda share: advance(label, share * job.work))
-        self.store.save(job.key, arrays)
-        return arrays
+            with self.track(phase, sum(job.effort for job in missing)) as advance:
+                found += compute_results(missing, cache, lambda _: _computed(missing, advance))
+        arrays: dict[str, Any] = {result.job.name: result.value for result in found}
+        return [arrays[job.name] for job in jobs]
 
     def problems(self, config: ObjectiveConfig, frames: int) -> list[Problem]:
         """The recordings as problems.
@@ -151,7 +143,7 @@ class Study:
 
     def run_job(
         self, problem: Problem, contestant: Contestant, velocity_weight: float, seed: int = 0
-    ) -> Job:
+    ) -> Job[Compute]:
         """A solver on a problem, as a cell."""
         seed = seed if contestant.random else 0
 
@@ -160,7 +152,7 @@ class Study:
 
         term = f", w_v {velocity_weight:g}" if velocity_weight else ""
         more = f", seed {seed}" if contestant.random else ""
-        return Job(
+        return cell_job(
             f"{contestant.label} on {problem.name}{term}{more}",
             {
                 "kind": f"run-{contestant.family}",
@@ -173,6 +165,17 @@ class Study:
             compute,
         )
 
-    def run_all(self, phase: str, jobs: Sequence[Job]) -> list[Run]:
+    def run_all(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[Run]:
         """Those cells as runs."""
         return [Run.of(cell) for cell in self.finish(phase, jobs)]
+
+
+def _computed(
+    jobs: Sequence[Job[Compute]], advance: Advance
+) -> Iterator[TaskResult[dict[str, np.ndarray]]]:
+    """The cells one after the other, in this process; what a job raises is not caught."""
+    for index, job in enumerate(jobs):
+        label = f"{index + 1} of {len(jobs)}: {job.label}"
+        advance(label, 0.0)
+        arrays = job.task(lambda share, job=job, label=label: advance(label, share * job.effort))  # type: ignore[misc]
+        yield TaskResult(index, arrays, None, 0.0, 1)

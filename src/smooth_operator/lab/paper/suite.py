@@ -16,6 +16,7 @@ from smooth_operator.lab.paper.sizes import DEFAULT, PUBLISHED, QUICK, Size, tri
 from smooth_operator.lab.paper.store import Store
 from smooth_operator.lab.paper.study import Study, Track, silent
 from smooth_operator.reporting.drawing import styled
+from smooth_operator.result_cache import Note, no_note
 
 SIZES: Final = {size.name: size for size in (QUICK, DEFAULT, PUBLISHED)}
 
@@ -80,6 +81,7 @@ def run_experiments(
     sources: Sequence[Source],
     track: Track = silent,
     done: Callable[[str, Outcome], None] = lambda name, outcome: None,
+    note: Note = no_note,
 ) -> list[tuple[str, Outcome]]:
     """Runs the experiments one after the other, and writes each as soon as it is done.
 
@@ -88,6 +90,7 @@ def run_experiments(
         sources: of ``load_recordings``.
         track: shows the progress.
         done: called after each.
+        note: called with kept cells that can't be used.
 
     Raises:
         SmoothOperatorError: the hand is unknown, a recording unusable, or a file can't be written.
@@ -96,7 +99,7 @@ def run_experiments(
     store = Store(settings.output, {
         "experiments": settings.experiments, "recordings": [source.facts for source in sources],
         "hand": settings.hand, "frames": settings.frames, "size": settings.how_much,
-    })  # fmt: skip
+    }, note)  # fmt: skip
     study = Study(sources, settings.hand, settings.how_much, store, track)
     outcomes = []
     for name in settings.experiments:

@@ -13,7 +13,7 @@ import numpy as np
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import to_json
 from smooth_operator.lab.benchmark.built import built_for
-from smooth_operator.lab.benchmark.cells import Cell, fingerprint
+from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
 from smooth_operator.lab.benchmark.latency import measure_latency
 from smooth_operator.lab.benchmark.published import PAPER_NOTE, PAPER_TABLE
 from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, merit, shown_value
@@ -26,7 +26,7 @@ from smooth_operator.lab.paper.figures_more import Panel, table_figure
 from smooth_operator.lab.paper.follow import Field, effort_ms, field_of
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, mean_of, typical
 from smooth_operator.lab.paper.more_sizes import more_size
-from smooth_operator.lab.paper.study import Job, Study
+from smooth_operator.lab.paper.study import Study, cell_job
 from smooth_operator.lab.paper.takes import LEAD, led, middle, recording_of
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
 from smooth_operator.methods.request import Plan
@@ -185,11 +185,12 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
     }
     settings = Settings(output=Path())
     jobs = [
-        Job(
+        cell_job(
             f"{label} on {name}",
             {"kind": f"table-{cell.method}", "lead": LEAD, "cell": fingerprint(cell, settings)},
             1500.0 + effort_ms(label) * len(recording_of(cell.source)),
             lambda _, c=cell: _quality(c),  # type: ignore[misc]
+            benchmark_code(),
         )
         for (name, label), cell in cells.items()
     ]
@@ -208,12 +209,13 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
         for source in study.sources
     }
     jobs = [
-        Job(
+        cell_job(
             f"latency on {name}",
             {"kind": "table-latency", "cells": [fingerprint(cell, settings) for cell in group],
              "machine": machine, "frames": size.latency_frames},
             sum(effort_ms(label) for label in field.choices) * (size.latency_frames + 50.0),
             lambda advance, g=group: _latency(g, size.latency_frames, advance),  # type: ignore[misc]
+            benchmark_code(),
         )
         for name, group in groups.items()
     ]  # fmt: skip

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.io import to_json
-from smooth_operator.lab.benchmark.cells import code_digest, hand_identity
+from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.store import check_folder
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
@@ -89,9 +87,9 @@ class Tuning:
     scoring: Scoring
 
     @property
-    def identity(self) -> str:
-        """What a trial depends on but for its values, as one word."""
-        content = {
+    def key(self) -> dict[str, Any]:
+        """What a trial depends on but for its values and for code."""
+        return {
             "method": self.settings.method,
             "config": self.config,
             "hand": [
@@ -100,9 +98,7 @@ class Tuning:
             ],
             "frames": [source.digest for source in self.sources],
             "seed": self.settings.seed,
-            "code": code_digest(),
         }
-        return hashlib.sha256(to_json(content).encode()).hexdigest()
 
 
 def plan_tuning(settings: TuningSettings) -> Tuning:

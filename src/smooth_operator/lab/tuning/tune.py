@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.io.environment import environment
+from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.benchmark.store import write_json
 from smooth_operator.lab.tuning.log import Trial, TrialLog
 from smooth_operator.lab.tuning.pareto import save_pareto
@@ -23,6 +24,7 @@ from smooth_operator.lab.tuning.variables import values_at
 from smooth_operator.methods.preset_file import PresetFile, write_preset_file
 from smooth_operator.methods.request import PROGRAM
 from smooth_operator.parallel import Crew
+from smooth_operator.result_cache import Note, no_note
 
 CONFIG: Final = "config.json"
 LOG: Final = "trials.jsonl"
@@ -65,7 +67,11 @@ class Tuned:
     preset: Path
 
 
-def tune(todo: Tuning, progress: Progress = lambda count, best, reason: None) -> Tuned:
+def tune(
+    todo: Tuning,
+    progress: Progress = lambda count, best, reason: None,
+    note: Note = no_note,
+) -> Tuned:
     """Searches, and writes what is found into the folder of the search.
 
     Trials that an earlier run has left in the log are taken from it. A search that is stopped has
@@ -73,7 +79,8 @@ def tune(todo: Tuning, progress: Progress = lambda count, best, reason: None) ->
 
     Args:
         todo: of ``plan_tuning``.
-        progress: told of each trial.
+        progress: called after each trial that is made now.
+        note: called with trials of the log that can't be used.
 
     Raises:
         ConfigError: the configuration that the search begins at can't be measured.
@@ -84,7 +91,7 @@ def tune(todo: Tuning, progress: Progress = lambda count, best, reason: None) ->
     folder.mkdir(parents=True, exist_ok=True)
     config = {"program": PROGRAM, "command": COMMAND, "settings": settings}
     write_json(folder / CONFIG, config | environment(), indent=2)
-    log = TrialLog(folder / LOG, todo.identity)
+    log = TrialLog(folder / LOG, todo.key, benchmark_code(), note)
     run = _Run(todo, log, progress)
     points = search(
         np.array([v.share(v.start) for v in todo.variables]), settings.trials, settings.seed
@@ -123,23 +130,18 @@ class _Run:
         every = [values_at(todo.variables, point) for point in batch]
         if not self.trials:  # to the last digit where the search begins
             every[0] = {v.path: int(v.start) if v.whole else v.start for v in todo.variables}
-        tasks, waiting = [], []
-        for i, values in enumerate(every):
-            if self.log.find(values) is None and values not in every[:i]:
-                tasks.append(self._task(values))
-                waiting.append(values)
-        self.done += len(every) - len(tasks)
-        for result in crew.run(tasks):
-            self.log.add(Trial(waiting[result.index], result.value, result.error, result.seconds))
-            self.done, self.fresh = self.done + 1, self.fresh + 1
-            best = self.best
-            self.progress(self.done, math.inf if best is None else best[0], result.error)
-        out = []
-        for values in every:
-            known = self.log.find(values)
-            assert known is not None  # it was done just now, or before
-            out.append(self._scored(known))
-        return out
+        once = [values for i, values in enumerate(every) if values not in every[:i]]
+        self.done += len(every) - len(once)
+        trials: list[Trial | None] = [None] * len(once)
+        tasks = [(values, self._task(values)) for values in once]
+        for i, trial, fresh in self.log.run(tasks, crew.run):
+            trials[i] = trial
+            self.done, self.fresh = self.done + 1, self.fresh + fresh
+            if fresh:
+                best = self.best
+                self.progress(self.done, math.inf if best is None else best[0], trial.reason)
+        known = [trial for trial in trials if trial is not None]  # all of them
+        return [self._scored(known[once.index(values)]) for values in every]
 
     def _scored(self, trial: Trial) -> float:
         if not self.trials:
