@@ -132,12 +132,17 @@ def time_libraries(study: Study, hand: Hand) -> Timing:
     gaps = {name: why for name in LIBRARIES if (why := missing(name)) is not None}
     made: Callable[[str], Library] = cache(lambda name: make_library(name, hand))
     here = [name for name in LIBRARIES if name not in gaps]
-    machine = {key: study.store.environment[key] for key in ("cpu", "cpu_cores", "device")}
 
     def key(kind: str, names: Sequence[str], **more: Any) -> dict[str, Any]:
         versions = {name: library_version(name) for name in names}
         model = [write_urdf(hand).text, to_json(hand.limits), digest(Path(fk_libraries.__file__))]
-        return {"kind": kind, "libraries": versions, "model": model, "machine": machine, **more}
+        return {
+            "kind": kind,
+            "libraries": versions,
+            "model": model,
+            "machine": study.store.machine,
+            **more,
+        }
 
     def checked(name: str, advance: object) -> dict[str, np.ndarray]:
         return {"worst": np.array(disagreement(made(name), hand, random_poses(hand, CHECKED, 0)))}

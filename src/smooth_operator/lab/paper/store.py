@@ -63,6 +63,11 @@ class Store:
             folder / CONFIG, config | self.environment | {"code": experiment_code()}, indent=2
         )
 
+    @property
+    def machine(self) -> dict[str, Any]:
+        """What times depend on: processor, cores and device."""
+        return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
+
     def experiment_folder(self, name: str) -> Path:
         """Where an experiment's results stand; made if need be.
 

@@ -203,7 +203,6 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
                 if isinstance(value, (int, float)):
                     values.setdefault((definition, label, metric.name), {})[name] = float(value)
 
-    machine = {key: study.store.environment[key] for key in ("cpu", "cpu_cores", "device")}
     groups = {
         source.name: [cells[source.name, label] for label in field.choices]
         for source in study.sources
@@ -212,7 +211,7 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
         cell_job(
             f"latency on {name}",
             {"kind": "table-latency", "cells": [fingerprint(cell, settings) for cell in group],
-             "machine": machine, "frames": size.latency_frames},
+             "machine": study.store.machine, "frames": size.latency_frames},
             sum(effort_ms(label) for label in field.choices) * (size.latency_frames + 50.0),
             lambda advance, g=group: _latency(g, size.latency_frames, advance),  # type: ignore[misc]
             benchmark_code(),
