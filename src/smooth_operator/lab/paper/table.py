@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -41,7 +42,6 @@ PAPERS: Final = {
 """Our label -> the paper's, in the order of its columns; all but GeoRT as published."""
 
 METHODS: Final = (*PAPERS, "sbr", "dexpilot", "hybrid", "keyvector", "ako", "joint_angle")
-
 LATENCY: Final = "latency_ms.p50"
 
 _TITLES: Final = {
@@ -52,7 +52,6 @@ _TITLES: Final = {
     "workspace_utilisation": "workspace utilisation (↑)",
     LATENCY: "latency [ms] (↓)",
 }
-
 _BOUNDS: Final = {"cosine_similarity": (-1, 1), "motion_preservation": (-1, 1),
                   "workspace_utilisation": (0, 1)}  # fmt: skip
 
@@ -189,7 +188,7 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
             f"{label} on {name}",
             {"kind": f"table-{cell.method}", "lead": LEAD, "cell": fingerprint(cell, settings)},
             1500.0 + effort_ms(label) * len(recording_of(cell.source)),
-            lambda _, c=cell: _quality(c),  # type: ignore[misc]
+            partial(_quality, cell),
             benchmark_code(),
         )
         for (name, label), cell in cells.items()
@@ -213,7 +212,7 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
             {"kind": "table-latency", "cells": [fingerprint(cell, settings) for cell in group],
              "machine": study.store.machine, "frames": size.latency_frames},
             sum(effort_ms(label) for label in field.choices) * (size.latency_frames + 50.0),
-            lambda advance, g=group: _latency(g, size.latency_frames, advance),  # type: ignore[misc]
+            partial(_latency, group, size.latency_frames),
             benchmark_code(),
         )
         for name, group in groups.items()
@@ -225,8 +224,8 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
             for definition in ("paper", "sound"):
                 if np.isfinite(p50):
                     values.setdefault((definition, label, LATENCY), {})[name] = float(p50)
-    known = [share for share in shares if np.isfinite(share)]
-    return Benchmark(list(field.choices), values, study.unit_of, max(known, default=None))
+    known = max((share for share in shares if np.isfinite(share)), default=None)
+    return Benchmark(list(field.choices), values, study.unit_of, known)
 
 
 def _cut(source: Source, frames: int) -> Source:
@@ -238,7 +237,7 @@ def _cut(source: Source, frames: int) -> Source:
     )
 
 
-def _quality(cell: Cell) -> dict[str, np.ndarray]:
+def _quality(cell: Cell, advance: object) -> dict[str, np.ndarray]:
     todo = _plan(cell)
     outcome = execute(replace(todo, recording=led(todo.recording)), built_for(todo))
     trace, metrics = measure(todo, settled(outcome))
