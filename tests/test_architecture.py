@@ -19,6 +19,7 @@ ROOT = "__init__"
 CORE = {
     "errors": 0,
     "lazy_names": 0,
+    "moved_names": 0,
     "version": 1,
     "landmarks": 0,
     "geometry": 0,

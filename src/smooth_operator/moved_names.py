@@ -1,0 +1,71 @@
+"""Old names of packages and modules: importing one says what it is called now."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+TYPE_CHECKING = False  # as typing's, which takes longer to import than all of this package
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+    from typing import Final
+
+MOVED: Final[dict[str, tuple[str, ...]]] = {
+    "ablations": ("lab.paper",),
+    "benchmark": ("lab.benchmark", "reporting"),
+    "checkup": ("lab.validation",),
+    "documents": ("io.documents",),
+    "hands.discovery": ("lab.discovery",),
+    "hands.renderer": ("simulation.renderer",),
+    "human.calibration": ("calibration",),
+    "live": ("teleop.control",),
+    "metrics.plots": ("reporting.metric_plots",),
+    "offline": ("lab.offline", "methods"),
+    "recording": ("io", "teleop.recording"),
+    "retargeters": ("methods",),
+    "runtime": ("teleop.runtime", "teleop"),
+    "sinks": ("teleop.sinks", "teleop", "simulation"),
+    "solvers.damped": ("solvers.newton",),
+    "sources": ("teleop.sources", "teleop", "synthetic"),
+    "study.design.checks": ("simulation.tasks.checks",),
+    "study.design.rubrics": ("simulation.tasks.rubrics",),
+    "study.tasks": ("simulation.tasks",),
+    "training": ("lab.training",),
+    "tuning": ("lab.tuning",),
+    "ui": ("teleop.pages",),
+}
+"""Old module -> the modules that hold its content now; both below ``smooth_operator``."""
+
+
+class MovedNames:
+    """A finder at the end of ``sys.meta_path``: it sees only what no other finder knows."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> None:
+        """None, which leaves the usual error, or an error that gives the new name.
+
+        Raises:
+            ModuleNotFoundError: the module has another name now.
+        """
+        package, _, old = name.partition(".")
+        if package == __package__ and old in MOVED:
+            # Without name=: `from smooth_operator import old` would hide an error about that name.
+            raise ModuleNotFoundError(_message(name, MOVED[old]))
+
+
+def _message(old: str, homes: tuple[str, ...]) -> str:
+    """The new modules, and the public names of those that are public packages."""
+    modules = [f"{__package__}.{home}" for home in homes]
+    message = f"{old} is now {' and '.join(modules)}"
+    for home, module in zip(homes, modules, strict=True):
+        if "." not in home and (names := getattr(import_module(module), "__all__", ())):
+            message += f"; {module} has {', '.join(names)}"
+    return message
+
+
+def install() -> None:
+    """Puts the finder at the end of the list, once."""
+    if not any(isinstance(finder, MovedNames) for finder in sys.meta_path):
+        sys.meta_path.append(MovedNames())
