@@ -25,11 +25,15 @@ from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.sources.camera import opencv
 from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker, Points
-from smooth_operator.teleop.sources.video_file import VideoFile
-from smooth_operator.teleop.sources.webcam import Video
+from smooth_operator.teleop.sources.webcam.camera import opencv
+from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    PictureConfig,
+    PictureTracker,
+    Points,
+)
+from smooth_operator.teleop.sources.webcam.video_file import VideoFile
+from smooth_operator.teleop.sources.webcam.webcam_source import Video
 from smooth_operator.types import Side
 
 QUALITY = {

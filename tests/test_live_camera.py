@@ -14,10 +14,10 @@ import pytest
 from smooth_operator.landmarks import BONES
 from smooth_operator.teleop.pages.live.camera import CameraFeed, camera
 from smooth_operator.teleop.pages.palette import FINGER_COLORS, css
-from smooth_operator.teleop.sources import picture_tracker
-from smooth_operator.teleop.sources.hand_labels import SeenHand
-from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker
-from smooth_operator.teleop.sources.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.webcam import picture_tracker
+from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
+from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
+from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 
 
 class Landmarker:

@@ -48,7 +48,7 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, Sa
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival, Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 
 RATE = 50.0
 PATIENT_S = 30.0

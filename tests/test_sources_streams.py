@@ -24,11 +24,11 @@ from smooth_operator.cli.app import main
 from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.sources.glove_faults import GloveFaults
-from smooth_operator.teleop.sources.glove_simulator import Glove, GloveSimulator
 from smooth_operator.teleop.sources.live import ThreadedSource
-from smooth_operator.teleop.sources.manus_message import read_manus, write_manus
-from smooth_operator.teleop.sources.manus_stream import ManusStream
+from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
+from smooth_operator.teleop.sources.manus.glove_simulator import Glove, GloveSimulator
+from smooth_operator.teleop.sources.manus.manus_message import read_manus, write_manus
+from smooth_operator.teleop.sources.manus.manus_stream import ManusStream
 from smooth_operator.teleop.sources.payload import MAX_BYTES, read_payload
 from smooth_operator.teleop.sources.udp import UdpSource
 from smooth_operator.teleop.sources.zmq_stream import ZmqSource

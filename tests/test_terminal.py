@@ -14,7 +14,7 @@ from smooth_operator.cli import main
 from smooth_operator.cli.console import Progressing
 from smooth_operator.errors import RecordingError
 from smooth_operator.teleop.recording import LogWriter
-from smooth_operator.teleop.sources.manus_message import read_manus
+from smooth_operator.teleop.sources.manus.manus_message import read_manus
 from smooth_operator.terminal import open_console, printable
 from smooth_operator.types import JointCommand, Status
 

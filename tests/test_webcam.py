@@ -19,17 +19,17 @@ from smooth_operator.geometry import umeyama
 from smooth_operator.io import read_recording
 from smooth_operator.io.checks import PALM_RANGE_M
 from smooth_operator.landmarks import TIPS
-from smooth_operator.teleop.sources import camera as camera_module
-from smooth_operator.teleop.sources import picture_tracker
-from smooth_operator.teleop.sources.camera import Camera, CameraMode
-from smooth_operator.teleop.sources.hand_labels import SeenHand
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
-from smooth_operator.teleop.sources.mediapipe_hands import HandLandmarker
-from smooth_operator.teleop.sources.model_file import SWITCH
-from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker
 from smooth_operator.teleop.sources.registry import build_source
-from smooth_operator.teleop.sources.video_recording import track_video
-from smooth_operator.teleop.sources.webcam import Video, Webcam
+from smooth_operator.teleop.sources.webcam import camera as camera_module
+from smooth_operator.teleop.sources.webcam import picture_tracker
+from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode
+from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
+from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker
+from smooth_operator.teleop.sources.webcam.model_file import SWITCH
+from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
+from smooth_operator.teleop.sources.webcam.video_recording import track_video
+from smooth_operator.teleop.sources.webcam.webcam_source import Video, Webcam
 
 cv2 = pytest.importorskip("cv2", reason="the extra webcam is not installed")
 PINCHES = {"index": 8, "middle": 12, "ring": 16, "little": 20}
@@ -452,7 +452,7 @@ def test_a_model_that_is_none_is_one_sentence(media: Path, tmp_path: Path) -> No
 def test_the_start_is_quiet_and_hides_no_word_of_others(
     media: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = importlib.import_module("smooth_operator.teleop.sources.mediapipe_hands")
+    module = importlib.import_module("smooth_operator.teleop.sources.webcam.mediapipe_hands")
     find = HandLandmarker.find
 
     def speaking(self: HandLandmarker, *given: Any) -> list[SeenHand]:
@@ -473,7 +473,7 @@ def test_a_program_that_ends_without_stopping_ends_in_peace(media: Path, clip: P
 import time
 from pathlib import Path
 from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.webcam import Video
+from smooth_operator.teleop.sources.webcam.webcam_source import Video
 source = Video(Path({str(clip)!r}), loop=True, model=Path({str(media)!r}) / "hand_landmarker.task")
 source.start(Mailbox())
 time.sleep(0.5)

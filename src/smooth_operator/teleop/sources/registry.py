@@ -11,7 +11,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.teleop.sources.stream import Hands
-from smooth_operator.teleop.sources.video_file import is_video
+from smooth_operator.teleop.sources.webcam.video_file import is_video
 
 _HERE: Final = "smooth_operator.teleop.sources"
 
@@ -22,13 +22,18 @@ SOURCES: Final = Registry(
         "synthetic": Entry(
             f"{_HERE}.synthetic_live:SyntheticSource", "the built-in operator; needs no tracker"
         ),
-        "webcam": Entry(f"{_HERE}.webcam:Webcam", "a camera, by MediaPipe (extra webcam)"),
-        "video": Entry(f"{_HERE}.webcam:Video", "a video file, by MediaPipe: video:FILE"),
+        "webcam": Entry(
+            f"{_HERE}.webcam.webcam_source:Webcam", "a camera, by MediaPipe (extra webcam)"
+        ),
+        "video": Entry(
+            f"{_HERE}.webcam.webcam_source:Video", "a video file, by MediaPipe: video:FILE"
+        ),
         "webxr": Entry(
             f"{_HERE}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
         ),
         "manus": Entry(
-            f"{_HERE}.manus_stream:ManusStream", "the ZeroMQ stream of glove bridges (extra zmq)"
+            f"{_HERE}.manus.manus_stream:ManusStream",
+            "the ZeroMQ stream of glove bridges (extra zmq)",
         ),
         "zmq": Entry(f"{_HERE}.zmq_stream:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
         "udp": Entry(f"{_HERE}.udp:UdpSource", "landmarks over UDP: udp:PORT"),

@@ -12,7 +12,7 @@ import numpy as np
 from smooth_operator.landmarks import BONES, WRIST
 from smooth_operator.teleop.pages.palette import FINGER_COLORS, PALM, css
 from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 
 _WIDTH: Final = 320  # of what is sent, at most [pixels]
 _EVERY_S: Final = 0.1

@@ -17,9 +17,9 @@ from smooth_operator.io import read_recording
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel
-from smooth_operator.teleop.sources.glove_faults import GloveFaults
 from smooth_operator.teleop.sources.live import Clock
-from smooth_operator.teleop.sources.manus_message import write_manus
+from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
+from smooth_operator.teleop.sources.manus.manus_message import write_manus
 from smooth_operator.teleop.sources.pacing import Stopping, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.teleop.sources.zmq_inbox import load_zmq

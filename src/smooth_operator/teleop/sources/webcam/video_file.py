@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from smooth_operator.errors import SourceError
-from smooth_operator.teleop.sources.camera import opencv
+from smooth_operator.teleop.sources.webcam.camera import opencv
 
 SUFFIXES: Final = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
 """Of files that are taken for videos by their name."""

@@ -11,11 +11,11 @@ from jaxtyping import Float, UInt8
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.one_euro import OneEuroConfig, OneEuroState, one_euro
-from smooth_operator.teleop.sources.camera import opencv
-from smooth_operator.teleop.sources.hand_labels import SeenHand, Tracks, assign_sides
-from smooth_operator.teleop.sources.mediapipe_hands import HandLandmarker
-from smooth_operator.teleop.sources.model_file import hand_model
-from smooth_operator.teleop.sources.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.webcam.camera import opencv
+from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand, Tracks, assign_sides
+from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker
+from smooth_operator.teleop.sources.webcam.model_file import hand_model
+from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 from smooth_operator.types import HandFrame, Side
 
 Points: TypeAlias = Literal["world", "picture"]

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from smooth_operator.errors import MissingExtraError, SourceError
-from smooth_operator.teleop.sources.hand_labels import SeenHand
+from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand
 from smooth_operator.types import as_side
 
 _NOISE: Final = (b"W0000 ", b"I0000 ", b"INFO: ", b"WARNING: ")

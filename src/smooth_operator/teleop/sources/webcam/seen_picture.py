@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from smooth_operator.errors import SourceError
-from smooth_operator.teleop.sources.camera import opencv
+from smooth_operator.teleop.sources.webcam.camera import opencv
 from smooth_operator.types import Side
 
 _QUALITY: Final = 70  # of JPEG, 0 to 100

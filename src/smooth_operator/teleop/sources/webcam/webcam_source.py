@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.camera import Camera, CameraMode
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker, Points
-from smooth_operator.teleop.sources.seen_picture import SeenPicture
-from smooth_operator.teleop.sources.video_file import VideoFile
+from smooth_operator.teleop.sources.webcam.camera import Camera, CameraMode
+from smooth_operator.teleop.sources.webcam.picture_tracker import (
+    PictureConfig,
+    PictureTracker,
+    Points,
+)
+from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
+from smooth_operator.teleop.sources.webcam.video_file import VideoFile
 from smooth_operator.types import HandFrame
 
 

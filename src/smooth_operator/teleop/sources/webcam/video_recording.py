@@ -13,8 +13,8 @@ import numpy as np
 from smooth_operator.errors import RecordingError
 from smooth_operator.io.checks import check_recording
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.teleop.sources.picture_tracker import PictureConfig, PictureTracker
-from smooth_operator.teleop.sources.video_file import VideoFile
+from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
+from smooth_operator.teleop.sources.webcam.video_file import VideoFile
 from smooth_operator.types import HandFrame, HandRecording, Side
 
 

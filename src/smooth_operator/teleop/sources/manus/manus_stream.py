@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.sources.intake import Message
-from smooth_operator.teleop.sources.manus_message import read_manus
+from smooth_operator.teleop.sources.manus.manus_message import read_manus
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
 from smooth_operator.teleop.sources.zmq_inbox import Pattern, ZmqInbox
@@ -16,7 +16,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class ManusStream(StreamSource):
-    """Each message a hand or two, as ``smooth_operator.teleop.sources.manus_message`` says.
+    """Each message a hand or two, as ``smooth_operator.teleop.sources.manus.manus_message`` says.
 
     Attributes:
         address: of the bridge; it need not be running yet.

@@ -1,0 +1,1 @@
+"""MANUS gloves as a source: messages, their stream, and a simulator of gloves."""
