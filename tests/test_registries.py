@@ -6,11 +6,15 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError, UnknownNameError
 from smooth_operator.hands.catalogue import HANDS, MODELS, catalogue, hand_names, load_hand
+from smooth_operator.io import read_recording
+from smooth_operator.io.registry import Reader
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
+from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
     live_presets,
@@ -21,6 +25,8 @@ from smooth_operator.methods.presets import (
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import HandRecording
 
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
@@ -122,3 +128,59 @@ def test_a_plugins_hand_is_a_spec_file_or_a_folder(
 def test_a_built_in_part_that_is_broken_is_not_left_out(broken: str) -> None:
     with pytest.raises(ConfigError, match="no licence"):
         Registry("toy", {"toy": Entry(broken)}).loadable()
+
+
+def read_rows(path: Path, rate: float | None, side: Any, layout: str | None) -> HandRecording:
+    """A text of numbers, 63 in a row."""
+    frames = np.loadtxt(path, delimiter=",").reshape(-1, 21, 3)
+    return HandRecording(frames, np.arange(len(frames)) / (rate or 100.0), side or "right")
+
+
+ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",), count=lambda path: 7)
+WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))  # type: ignore
+
+
+def test_a_plugins_reader_recognises_its_files(
+    broken: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = SyntheticOperator(seed=1).record(0.1)
+    text = "\n".join(
+        ",".join(map(repr, row)) for row in recording.landmarks.reshape(-1, 63).tolist()
+    )
+    for suffix in ("rows", "wrong", "pkl", "other"):
+        (tmp_path / f"a.{suffix}").write_text(text)
+    with pytest.raises(RecordingError, match="not a recording: it starts with"):
+        read_recording(tmp_path / "a.rows")
+    offered = {
+        "cracked": Entry(broken),
+        "rows": Entry(f"{__name__}:ROWS"),
+        "wrong": Entry(f"{__name__}:WRONG"),
+        "thing": Entry(f"{__name__}:OWN"),
+    }
+    monkeypatch.setattr(
+        "smooth_operator.plugins._installed",
+        lambda group: offered if group == "smooth_operator.readers" else {},
+    )
+    read = read_recording(tmp_path / "a.rows", rate=50.0)
+    np.testing.assert_allclose(read.landmarks, recording.landmarks)
+    assert (read.rate_hz, read.side, read.meta["format"]) == (50.0, "right", "rows")
+    assert [f.frames for f in find_recordings(tmp_path)[0] if f.name == "a.rows"] == [7]
+    (tmp_path / "b.rows").write_text("1,2,three")
+    with pytest.raises(RecordingError, match=r"b\.rows: can't be read as a \.rows file: could not"):
+        read_recording(tmp_path / "b.rows")
+    with pytest.raises(ConfigError, match="must give a HandRecording, not str"):
+        read_recording(tmp_path / "a.wrong")
+    with pytest.raises(RecordingError, match="this is a pickle"):
+        read_recording(tmp_path / "a.pkl")
+    with pytest.raises(RecordingError, match=r"own \.h5 file, a \.rows file and a \.wrong file"):
+        read_recording(tmp_path / "a.other")
+    notes = capsys.readouterr().err.splitlines()
+    assert [note.partition(" is left out")[0] for note in notes] == [
+        "reader 'cracked'",
+        "reader 'thing'",
+    ]
+
+
+def test_a_reader_says_which_files_are_its_own() -> None:
+    with pytest.raises(ConfigError, match=r"must have magic \(first bytes\) or suffixes"):
+        Reader("anything", read_rows)

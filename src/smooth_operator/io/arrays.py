@@ -20,7 +20,8 @@ import numpy as np
 from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.io.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
 from smooth_operator.io.documents import check_plain_file
-from smooth_operator.io.sniff import NPY_MAGIC, PICKLE_REMEDY
+from smooth_operator.io.registry import NPY_MAGIC
+from smooth_operator.io.sniff import PICKLE_REMEDY
 
 _Bytes: TypeAlias = Any
 """A binary file or a member of a zip, which have no common type that holds at run time."""

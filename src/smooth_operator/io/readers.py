@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +22,8 @@ from smooth_operator.io.checks import (
     without_outliers,
 )
 from smooth_operator.io.manus import manus_nodes
-from smooth_operator.io.sniff import PICKLE_REMEDY, READABLE, file_kind
-from smooth_operator.plugins import Entry, Registry
+from smooth_operator.io.registry import find_reader, readable
+from smooth_operator.io.sniff import PICKLE_REMEDY, file_kind
 from smooth_operator.types import HandRecording, Side, as_side
 
 _Read = TypeVar("_Read")
@@ -36,20 +36,6 @@ _LAYOUTS: dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]] = {
 }
 LANDMARK_STAMPS = "landmark_timestamps"
 """Stamps of the frames in a file whose ``timestamps`` are those of commands."""
-
-FORMATS: Final = Registry(
-    "reader",
-    {
-        "log": Entry("smooth_operator.teleop.recording.log_reader:read_log_recording"),
-        "hdf5": Entry("smooth_operator.teleop.recording.hdf5:read_hdf5_recording"),
-    },
-)
-"""Kind of file -> ``read(path, rate, side)``, for formats that are more than an array."""
-
-COUNTERS: Final = {
-    "log": Entry("smooth_operator.teleop.recording.log_reader:count_log_frames"),
-}
-"""Kind of file -> ``count(path)``, the number of frames without reading them, or None."""
 
 _STAMP_KEYS = (LANDMARK_STAMPS, "timestamps", "stamps")
 _SIDE_KEYS = ("chirality", "side")
@@ -64,7 +50,7 @@ def read_recording(
 ) -> HandRecording:
     """Read a recording of one hand.
 
-    What the file is, its first bytes say. Read are:
+    What the file is, its first bytes say (of some plugins' formats, its suffix). Read are:
 
     - a MANUS ``.npz``: ``data`` (T, 25, 7) px py pz [m] and a quaternion, ``timestamps`` (T,) [s],
       ``keypoint_ids`` (25,), ``chirality``, ``quaternion_order``;
@@ -75,12 +61,14 @@ def read_recording(
       (T, 21), ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz are read too;
     - the log that ``LogWriter`` writes, also when it was
       cut off;
-    - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``).
+    - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
+    - what the readers of plugins recognise (``smooth_operator.io.registry``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
     "no hand") without flags of the file's own, are flagged in ``valid``. Where neither file nor
     caller says which hand it is, it is taken for a right one and ``meta["side_assumed"]`` is True.
-    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``. Frames and landmarks of
+    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``, or the name of a
+    plugin's reader. Frames and landmarks of
     a size that no hand has among others that have it are flagged invalid, their number being
     ``meta["implausible_frames"]``. A hand that is of the other side by its shape, or whose
     landmarks are in another order, is refused (``check_hand``).
@@ -108,10 +96,8 @@ def read_recording(
     side = None if side is None else as_side(side)
     layout_order(layout)  # an unknown one is refused, whatever the file
     kind = file_kind(path)
-    if kind in FORMATS:
-        recording = FORMATS[kind].load()(path, rate, side)
-    else:
-        recording = _from_arrays(open_arrays(path), rate, side, layout)
+    recording = find_reader(kind).read_file(path, rate, side, layout)
+    recording.meta.setdefault("format", kind)
     layout = recording.meta.get("layout")
     as_it_came = np.argsort(layout_order(layout))
     assert recording.valid is not None  # filled in by HandRecording
@@ -122,7 +108,9 @@ def read_recording(
         layout=layout,
     )
     if found is not None:
-        labelled = found.side is not None and side is None and not recording.meta["side_assumed"]
+        labelled = (
+            found.side is not None and side is None and not recording.meta.get("side_assumed")
+        )
         remedy = (
             f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
             if labelled
@@ -157,10 +145,15 @@ def rated_if_unstamped(
         return read(rate), rate
 
 
-def _from_arrays(
-    arrays: StoredArrays, rate: float | None, side: Side | None, layout: str | None
+def read_arrays(
+    path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    path = arrays.path
+    """The landmarks in a ``.npy`` or ``.npz``; the arguments are those of ``read_recording``.
+
+    Raises:
+        RecordingError: as ``read_recording``, before its checks of what a hand is.
+    """
+    arrays = open_arrays(path)
     where = str(path)
     data = arrays.get("data")
     meta: dict[str, Any]
@@ -252,7 +245,7 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
     if poses:
         return poses[0]
     raise RecordingError(
-        f"{path}: no array of landmarks in it, but {arrays.describe()}. What is read: {READABLE}"
+        f"{path}: no array of landmarks in it, but {arrays.describe()}. What is read: {readable()}"
     )
 
 

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.registry import READERS, find_reader, readable
 
-FileKind: TypeAlias = Literal["npy", "npz", "log", "hdf5"]
-
-NPY_MAGIC = b"\x93NUMPY"
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-_ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
 _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")
 
 # Formats that people bring, and the shortest way from them to one that is read here.
@@ -28,12 +22,6 @@ _OTHERS = {
     b"version https://git-lfs": "a Git LFS pointer, not the data; run 'git lfs pull'",
 }
 
-READABLE = (
-    "a MANUS .npz, a .npy or .npz of landmarks (T, 21, 3) [m], and this program's own .mcap log "
-    "and .h5 file"
-)
-"""What can be read, for error messages."""
-
 PICKLE_REMEDY = (
     "pickles can run any code when they are read and are never opened here. Convert it once, where "
     "you trust the file: numpy.savez('recording.npz', landmarks=<array of shape (T, 21, 3), in "
@@ -41,8 +29,11 @@ PICKLE_REMEDY = (
 )
 
 
-def file_kind(path: Path) -> FileKind:
-    """Find the format of a file from its content.
+def file_kind(path: Path) -> str:
+    """Find the format of a file: by its first bytes, or by its suffix where a plugin says so.
+
+    Returns:
+        Its name in ``READERS``.
 
     Raises:
         RecordingError: if there is no such file, it can't be opened, is empty, a pickle, or of a
@@ -65,37 +56,36 @@ def file_kind(path: Path) -> FileKind:
         raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
     if not head:
         raise RecordingError(f"{path}: the file is empty (0 bytes); record or copy it again")
-    if head.startswith(NPY_MAGIC):
-        return "npy"
-    if head.startswith(_ZIP_MAGICS):
-        return "npz"
-    if head.startswith(MCAP_MAGIC):
-        return "log"
-    if head.startswith(HDF5_MAGIC):
-        return "hdf5"
+    built_in = [find_reader(name) for name in READERS.built_in]
+    for name, reader in zip(READERS.built_in, built_in, strict=True):
+        if reader.recognises(path, head):
+            return name
+    # Protocols 2 to 5 announce themselves; 0 and 1 are text that only the name gives away.
+    pickled = (len(head) > 1 and head[0] == 0x80 and head[1] in range(2, 6)) or (
+        path.suffix.lower() in _PICKLE_SUFFIXES
+    )
+    if READERS.plugins and not pickled:
+        for name, reader in READERS.loadable(find_reader).items():
+            if reader.recognises(path, head):
+                return name
     if is_video_head(head):
         raise RecordingError(
             f"{path}: this is a video; track the hand in it first: smooth-operator convert {path} "
             f"--output {path.with_suffix('.npz').name}; or drive a hand from it live: "
             f"smooth-operator teleop --source video:{path} (extra webcam)"
         )
-    if len(head) < len(MCAP_MAGIC) and any(
-        magic.startswith(head) for magic in (NPY_MAGIC, MCAP_MAGIC, HDF5_MAGIC, *_ZIP_MAGICS)
-    ):
+    if any(magic.startswith(head) for reader in built_in for magic in reader.magic):
         raise RecordingError(
             f"{path}: the file is cut off after {len(head)} bytes, before its first frame; record "
             "or copy it again"
         )
-    # Protocols 2 to 5 announce themselves; 0 and 1 are text that only the name gives away.
-    if (len(head) > 1 and head[0] == 0x80 and head[1] in range(2, 6)) or (
-        path.suffix.lower() in _PICKLE_SUFFIXES
-    ):
+    if pickled:
         raise RecordingError(f"{path}: this is a pickle; {PICKLE_REMEDY}")
     for magic, what in _OTHERS.items():
         if head.startswith(magic):
-            raise RecordingError(f"{path}: this is {what}. What is read: {READABLE}")
+            raise RecordingError(f"{path}: this is {what}. What is read: {readable()}")
     raise RecordingError(
-        f"{path}: not a recording: it starts with {head[:8]!r}. What is read: {READABLE}"
+        f"{path}: not a recording: it starts with {head[:8]!r}. What is read: {readable()}"
     )
 
 

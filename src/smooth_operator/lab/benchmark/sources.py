@@ -21,7 +21,8 @@ import numpy as np
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.io import frame_slice, read_recording
 from smooth_operator.io.readers import rated_if_unstamped
-from smooth_operator.lab.offline.discovery import SUFFIXES, find_recordings
+from smooth_operator.io.registry import recording_suffixes
+from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 from smooth_operator.types import HandRecording, Side, as_side
@@ -284,7 +285,7 @@ def _read(request: Request) -> HandRecording:
     if request.path.is_dir():
         raise RecordingError(
             f"{request.path}: no recordings in it or in its folders; expected names that end in "
-            f"{', '.join(SUFFIXES)}"
+            f"{', '.join(recording_suffixes())}"
         )
     path = request.path
 

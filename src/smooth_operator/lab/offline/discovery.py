@@ -12,11 +12,8 @@ from typing import Final
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.io.arrays import StoredArrays, open_arrays
-from smooth_operator.io.readers import COUNTERS
+from smooth_operator.io.registry import find_reader, recording_suffixes
 from smooth_operator.io.sniff import file_kind
-
-SUFFIXES: Final = (".npz", ".npy", ".mcap", ".h5", ".hdf5")
-"""Names that a recording may end in; other files of a folder are nobody's business."""
 
 _COMMANDS: Final = ("joint_positions", "joint_names")
 _LANDMARKS: Final = ("landmarks", "joints", "data")
@@ -75,8 +72,8 @@ def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[lis
                     commands += 1
                     continue
                 frames, exact = _frames_of_arrays(arrays), True
-            elif kind in COUNTERS:
-                counted = COUNTERS[kind].load()(path)
+            else:
+                counted = find_reader(kind).count_frames(path)
                 frames, exact = (frames, False) if counted is None else (counted, True)
         found.append(Found(path, path.relative_to(folder).as_posix(), frames, exact))
     # By name among equals, so that the order is the same everywhere.
@@ -102,6 +99,7 @@ def _files(folder: Path, leave_out: Path | None) -> Iterator[Path]:
 
     skipped = None if leave_out is None else leave_out.resolve()
     seen: set[Path] = set()
+    suffixes = recording_suffixes()  # other files of a folder are left alone
     for at, folders, files in os.walk(folder, onerror=refuse, followlinks=True):
         real = Path(at).resolve()
         if real in seen or real == skipped:
@@ -111,7 +109,7 @@ def _files(folder: Path, leave_out: Path | None) -> Iterator[Path]:
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in files:
             path = Path(at, name)
-            if path.suffix.lower() in SUFFIXES and not name.startswith("."):
+            if path.suffix.lower() in suffixes and not name.startswith("."):
                 yield path
 
 

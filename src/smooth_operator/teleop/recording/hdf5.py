@@ -121,8 +121,10 @@ def read_hdf5_episode(
     return Episode(recording, trajectory, config, stages, task, name, notes)
 
 
-def read_hdf5_recording(path: Path, rate: float | None, side: Side | None) -> HandRecording:
-    """The hand frames of an episode.
+def read_hdf5_recording(
+    path: Path, rate: float | None, side: Side | None, layout: str | None = None
+) -> HandRecording:
+    """The hand frames of an episode, which has an order of landmarks of its own.
 
     Raises:
         RecordingError: as ``read_hdf5_episode``; there are no frames in it.

@@ -15,7 +15,8 @@ from mcap.records import Channel, Metadata
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief, listed
 from smooth_operator.io.checks import check_side
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.sniff import READABLE, file_kind
+from smooth_operator.io.registry import readable
+from smooth_operator.io.sniff import file_kind
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.log_records import DamagedError, read_records, read_summary
 from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track
@@ -130,8 +131,10 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     return Log(recording, trajectory, config, truncated, stages, origin, loop, methods)
 
 
-def read_log_recording(path: Path, rate: float | None, side: Side | None) -> HandRecording:
-    """The hand frames of a log, which has stamps and a side of its own.
+def read_log_recording(
+    path: Path, rate: float | None, side: Side | None, layout: str | None = None
+) -> HandRecording:
+    """The hand frames of a log, which has stamps, a side and an order of landmarks of its own.
 
     Raises:
         RecordingError: as ``read_log``; no frames in it; another side than ``side``.
@@ -183,7 +186,7 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], _Notes, bool]:
     if foreign and not any(messages.values()):
         raise RecordingError(
             f"{path}: an MCAP file of another program, with the topics "
-            f"{listed(sorted(foreign))}. What is read: {READABLE}"
+            f"{listed(sorted(foreign))}. What is read: {readable()}"
         )
     return messages, notes, truncated
 

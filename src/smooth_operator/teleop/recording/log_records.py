@@ -24,7 +24,7 @@ from mcap.records import Channel, Metadata, Statistics
 
 from smooth_operator.errors import RecordingError, brief
 from smooth_operator.io.bounds import LOG_RATIO, Allowance
-from smooth_operator.io.sniff import MCAP_MAGIC
+from smooth_operator.io.registry import MCAP_MAGIC
 
 _HEAD: Final = struct.Struct("<BQ")  # opcode, length
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of a name

@@ -74,4 +74,6 @@ def _word_for(path: Path) -> str | None:
     """The source that a file is for, by its name."""
     if is_video(path):
         return "video"
-    return "replay" if path.suffix.lower() in (".npz", ".npy", ".mcap", ".h5", ".hdf5") else None
+    from smooth_operator.io.registry import recording_suffixes  # which --help does not need
+
+    return "replay" if path.suffix.lower() in recording_suffixes() else None

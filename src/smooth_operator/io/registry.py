@@ -1,0 +1,160 @@
+"""The formats of recordings by name, built-in and of plugins: how a file is recognised and read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.types import HandRecording, Side
+
+NPY_MAGIC: Final = b"\x93NUMPY"
+MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
+
+_HERE: Final = "smooth_operator.io.registry"
+_RECORDING: Final = "smooth_operator.teleop.recording"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A format of recordings.
+
+    Attributes:
+        what: what its files are, for messages: ``a .csv file of landmarks``.
+        read: ``read(path, rate, side, layout)`` gives the recording: ``rate`` [Hz] for a file
+            without stamps, ``side`` and ``layout`` (the order of 21 landmarks, by its name) as the
+            caller says, each None where the caller says nothing. Raises ``RecordingError`` where
+            the file can't be used. What it gives is checked as other recordings are. A function, or
+            where it is, to be imported when a file is read.
+        magic: what its files begin with, one of these.
+        suffixes: what their names end with, in lower case (``.csv``): which files of a folder are
+            looked at; for a format without ``magic``, also which files are its own.
+        count: ``count(path)`` gives the number of frames without reading them all, or None; None if
+            there is no such function.
+
+    Raises:
+        ConfigError: neither ``magic`` nor ``suffixes`` is given.
+    """
+
+    what: str
+    read: Callable[[Path, float | None, Side | None, str | None], HandRecording] | Entry
+    magic: tuple[bytes, ...] = ()
+    suffixes: tuple[str, ...] = ()
+    count: Callable[[Path], int | None] | Entry | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.magic or self.suffixes):
+            raise ConfigError(
+                f"a reader of {self.what} must have magic (first bytes) or suffixes: nothing else "
+                "says which files are its own"
+            )
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Whether a file is of this format.
+
+        Args:
+            path: the file.
+            head: its first 128 bytes, or fewer.
+        """
+        if self.magic:
+            return head.startswith(self.magic)
+        return path.suffix.lower() in self.suffixes
+
+    def read_file(
+        self, path: Path, rate: float | None, side: Side | None, layout: str | None
+    ) -> HandRecording:
+        """Calls ``read``.
+
+        Raises:
+            RecordingError: the file can't be used.
+            ConfigError: ``read`` can't be imported, or gives something else.
+            MissingExtraError: the format needs an extra that is not installed.
+        """
+        read = _function(self.read)
+        try:
+            found: Any = read(path, rate, side, layout)
+        except SmoothOperatorError:
+            raise
+        except (OSError, ValueError) as error:  # of a plugin that leaves a bad file to NumPy
+            raise RecordingError(f"{path}: can't be read as {self.what}: {error}") from error
+        if not isinstance(found, HandRecording):
+            raise ConfigError(
+                f"the reader of {self.what} must give a HandRecording, not {type(found).__name__}"
+            )
+        return found
+
+    def count_frames(self, path: Path) -> int | None:
+        """The number of frames in a file; None where that is not known without reading it."""
+        found: int | None = None if self.count is None else _function(self.count)(path)
+        return found
+
+
+def _function(given: Any) -> Any:
+    return given.load() if isinstance(given, Entry) else given
+
+
+_ARRAYS: Final = Entry("smooth_operator.io.readers:read_arrays")
+
+NPY: Final = Reader("a .npy of landmarks (T, 21, 3) [m]", _ARRAYS, (NPY_MAGIC,), (".npy",))
+NPZ: Final = Reader(
+    "a MANUS .npz or an .npz of landmarks", _ARRAYS, (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)
+)
+LOG: Final = Reader(
+    "this program's own .mcap log",
+    Entry(f"{_RECORDING}.log_reader:read_log_recording"),
+    (MCAP_MAGIC,),
+    (".mcap",),
+    count=Entry(f"{_RECORDING}.log_reader:count_log_frames"),
+)
+HDF5: Final = Reader(
+    "this program's own .h5 file",
+    Entry(f"{_RECORDING}.hdf5:read_hdf5_recording"),
+    (b"\x89HDF\r\n\x1a\n",),
+    (".h5", ".hdf5"),
+)
+
+READERS: Final = Registry(
+    "reader",
+    {
+        "npy": Entry(f"{_HERE}:NPY", NPY.what),
+        "npz": Entry(f"{_HERE}:NPZ", NPZ.what),
+        "log": Entry(f"{_HERE}:LOG", LOG.what),
+        "hdf5": Entry(f"{_HERE}:HDF5", HDF5.what),
+    },
+    needs=("what", "recognises", "read_file", "count_frames"),
+)
+"""Name -> ``Reader``. A file belongs to the first that recognises it."""
+
+
+def find_reader(name: str) -> Reader:
+    """The reader of a name.
+
+    Raises:
+        UnknownNameError: there is none.
+        ConfigError: it is a plugin's, and can't be loaded or is no ``Reader``.
+    """
+    found: Reader = READERS.load(name)
+    READERS.check(name, found)
+    return found
+
+
+def recording_suffixes() -> tuple[str, ...]:
+    """What the names of recordings end with, in lower case."""
+    readers = READERS.loadable(find_reader).values()
+    return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))
+
+
+def readable() -> str:
+    """What can be read, for error messages."""
+    readers = READERS.loadable(find_reader)
+    *most, last = (
+        "a MANUS .npz",
+        "a .npy or .npz of landmarks (T, 21, 3) [m]",
+        LOG.what,
+        HDF5.what,
+        *(readers[name].what for name in READERS.plugins if name in readers),
+    )
+    return f"{', '.join(most)} and {last}"
