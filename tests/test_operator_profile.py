@@ -331,19 +331,21 @@ def test_a_bad_file_says_what_is_wrong_with_it(hand: Hand, tmp_path: Path) -> No
     refused("describes no operator", [1, 2])
     refused("describes no operator", {"program": "smooth-operator"})
     refused("version 2 of the format.*upgrade", good | {"version": 2})
-    refused("lacks 'scale'", {k: v for k, v in good.items() if k != "scale"})
-    refused("has the unknown 'sclae'", good | {"sclae": 1})
-    refused("scale must be a finite number, not 'big'", good | {"scale": "big"})
-    refused("scale must be a finite number, not True", good | {"scale": True})
+    refused("scale: is missing; expected a number", {k: v for k, v in good.items() if k != "scale"})
+    refused(r"sclae: no such entry. Did you mean 'scale'\?", good | {"sclae": 1})
+    refused("scale: expected a finite number, not 'big'", good | {"scale": "big"})
+    refused("scale: expected a finite number, not True", good | {"scale": True})
     refused("scale must be from", good | {"scale": 1000})
     refused("side must be", good | {"side": "both"})
     refused("unknown component", good | {"apply": ["everything"]})
-    refused("apply must be a list", good | {"apply": "tips"})
-    refused("palm_rotation must be 4 numbers", good | {"palm_rotation": [1, 0, 0]})
-    refused("fingers must be an object", good | {"fingers": []})
+    refused("apply: expected a list", good | {"apply": "tips"})
+    refused("palm_rotation: expected 4 numbers", good | {"palm_rotation": [1, 0, 0]})
+    refused("fingers: expected a table", good | {"fingers": []})
     refused("unknown finger 'toe'", good | {"fingers": {"toe": good["fingers"]["thumb"]}})
     thumb = {k: v for k, v in good["fingers"]["thumb"].items() if k != "bones"}
-    refused("'thumb' lacks 'bones'", good | {"fingers": good["fingers"] | {"thumb": thumb}})
+    refused(
+        "fingers.thumb.bones: is missing", good | {"fingers": good["fingers"] | {"thumb": thumb}}
+    )
 
 
 # The default method

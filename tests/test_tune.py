@@ -97,13 +97,19 @@ def test_a_preset_file_stands_for_a_preset(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("format = 2", "format = 1"),
-        ("format = 1\nmethod = 3\nbase = 'x'", "must be a name"),
-        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = 'b'", "a number"),
-        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = nan", "a number"),
+        ("format = 2", "format: expected 1, not 2"),
+        ("format = 1\nmethod = 3\nbase = 'x'", "method: expected a text, not 3"),
+        (
+            "format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = 'b'",
+            "settings.a: expected a finite",
+        ),
+        (
+            "format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = nan",
+            "settings.a: expected a finite",
+        ),
         ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\nnone = 1.0", "'none'"),
         ("format = 1\nmethod = 'sbr'\nbase = 'other.toml'", "name of a preset"),
-        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\nmore = 1", "unknown entries more"),
+        ("format = 1\nmethod = 'sbr'\nbase = 'realtime'\nmore = 1", "more: no such entry"),
         ("{", "TOML"),
     ],
 )

@@ -25,9 +25,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import ConfigError, DocumentError, brief, listed
+from smooth_operator.errors import ConfigError
 from smooth_operator.io import atomic_write
-from smooth_operator.io.documents import read_toml
+from smooth_operator.io.entries import read_entries
 
 FORMAT: Final = 1
 SUFFIX: Final = ".toml"
@@ -59,34 +59,18 @@ def read_preset_file(path: Path) -> PresetFile:
     Raises:
         ConfigError: there is none, or it is something else; the message says what is expected.
     """
-    try:
-        content = read_toml(path, most_bytes=_MOST_BYTES)
-    except FileNotFoundError:
-        raise ConfigError(f"no preset file at {path}") from None
-    except OSError as error:
-        raise ConfigError(f"can't read the preset file {path}: {error.strerror}") from error
-    except DocumentError as error:
-        raise ConfigError(f"{path} is not well-formed TOML: {error}") from error
-    if content.get("format") != FORMAT:
-        raise ConfigError(
-            f"{path}: expected a preset file, with 'format = {FORMAT}', not "
-            f"{brief(content.get('format'))}"
-        )
-    names = {key: content.get(key) for key in ("method", "base")}
-    for key, name in names.items():
-        if not isinstance(name, str) or not name:
-            raise ConfigError(f"{path}: {key!r} must be a name, not {brief(name)}")
-    settings, made = content.get("settings", {}), content.get("made", {})
-    for key, table in (("settings", settings), ("made", made)):
-        if not isinstance(table, dict):
-            raise ConfigError(f"{path}: {key!r} must be a table, not {brief(table)}")
-    for key, value in settings.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not math.isfinite(value):
-            raise ConfigError(f"{path}: setting {brief(key)} must be a number, not {brief(value)}")
-    if unknown := sorted(set(content) - {"format", "method", "base", "settings", "made"}):
-        raise ConfigError(f"{path}: unknown entries {listed(unknown)}")
-    return PresetFile(str(names["method"]), str(names["base"]), settings, made)
+    entries = read_entries(path, "preset file", most_bytes=_MOST_BYTES)
+    entries.check_format(FORMAT)
+    entries.only("format", "method", "base", "settings", "made")
+    settings = entries.table("settings", {})
+    for name in settings.names:
+        settings.number(name)
+    return PresetFile(
+        entries.text("method", empty=False),
+        entries.text("base", empty=False),
+        settings.values,
+        entries.table("made", {}).values,
+    )
 
 
 def write_preset_file(path: Path, preset: PresetFile) -> None:

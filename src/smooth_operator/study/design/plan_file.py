@@ -49,11 +49,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import DocumentError, SmoothOperatorError, StudyError
+from smooth_operator.errors import StudyError
 from smooth_operator.io.atomic import atomic_write
-from smooth_operator.io.documents import read_toml
+from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.study.design.enrolment import Enrolment, Orders
-from smooth_operator.study.design.entries import Entries
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import (
     POINTS,
@@ -82,7 +81,9 @@ def read_plan(path: str | Path) -> Plan:
             names the entry and what is expected there.
     """
     path = Path(path)
-    return plan_of(_parse(path / NAME if path.is_dir() else path), str(path))
+    path = path / NAME if path.is_dir() else path
+    hint = f"; smooth-operator study new {path.parent} makes one"
+    return _plan(read_entries(path, "plan", StudyError, most_bytes=_MOST_BYTES, hint=hint))
 
 
 def plan_of(table: dict[str, Any], file: str) -> Plan:
@@ -95,22 +96,7 @@ def plan_of(table: dict[str, Any], file: str) -> Plan:
     Raises:
         StudyError: it is no plan; the message names the entry.
     """
-    entries = Entries(file, table)
-    version = entries.whole("format")
-    if version != FORMAT:
-        newer = "; a newer smooth-operator wrote it: update yours" if version > FORMAT else ""
-        raise entries.error("format", f"expected {FORMAT}, not {version}{newer}")
-    try:
-        protocol = _protocol(entries)
-        if "orders" not in table:
-            if "enrolled" in table:
-                raise entries.error("enrolled", "rows mean nothing without [orders]; add those")
-            return make_plan(protocol)
-        return Plan(protocol, _orders(entries), _enrolled(entries))
-    except SmoothOperatorError as error:
-        if str(error).startswith(file):
-            raise
-        raise StudyError(f"{file}: {str(error)[:400]}") from error
+    return _plan(Entries(file, table, StudyError))
 
 
 def write_plan(plan: Plan, path: str | Path) -> Path:
@@ -144,17 +130,15 @@ def plan_table(plan: Plan) -> dict[str, Any]:
     return tomllib.loads(plan_text(plan))
 
 
-def _parse(path: Path) -> dict[str, Any]:
-    try:
-        return read_toml(path, most_bytes=_MOST_BYTES)
-    except FileNotFoundError:
-        raise StudyError(
-            f"no plan at {path}; smooth-operator study new {path.parent} makes one"
-        ) from None
-    except OSError as error:
-        raise StudyError(f"can't read the plan {path}: {error.strerror}") from error
-    except DocumentError as error:
-        raise StudyError(f"{path} is not well-formed TOML: {error}") from error
+def _plan(entries: Entries) -> Plan:
+    entries.check_format(FORMAT)
+    with entries.name_file():
+        protocol = _protocol(entries)
+        if "orders" not in entries.names:
+            if "enrolled" in entries.names:
+                raise entries.error("enrolled", "rows mean nothing without [orders]; add those")
+            return make_plan(protocol)
+        return Plan(protocol, _orders(entries), _enrolled(entries))
 
 
 def _protocol(entries: Entries) -> Protocol:
@@ -166,9 +150,6 @@ def _protocol(entries: Entries) -> Protocol:
     )  # fmt: skip
     conditions = entries.table("conditions")
     tasks = entries.table("tasks")
-    order = entries.text("task_order", "balanced")
-    if order not in ("balanced", "listed"):
-        raise entries.error("task_order", f"expected 'balanced' or 'listed', not {order!r}")
     asked = entries.texts("questionnaires", POINTS)
     for point in asked:
         if point not in POINTS:
@@ -185,7 +166,7 @@ def _protocol(entries: Entries) -> Protocol:
         resets=entries.whole("resets", 1),
         reset_cap=entries.number("reset_cap", 0.5),
         break_s=entries.number("break_s", 120.0),
-        task_order="balanced" if order == "balanced" else "listed",
+        task_order=entries.choice("task_order", ("balanced", "listed"), "balanced"),
         seed=entries.whole("seed", 0),
         rate_hz=entries.number("rate_hz") if "rate_hz" in entries.names else None,
     )

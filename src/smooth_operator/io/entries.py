@@ -1,0 +1,214 @@
+"""Checked look-ups in the table of a settings file (TOML or JSON).
+
+Each error names the file, the entry and what is expected there, and corrects a misspelt name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar
+
+from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, brief
+from smooth_operator.io.documents import read_toml
+
+_T = TypeVar("_T", bound=str)
+
+
+@dataclass(frozen=True)
+class Entries:
+    """A table of a settings file.
+
+    Every look-up raises ``refuse`` if the entry is missing and has no default, or is something
+    else than what is asked for.
+
+    Attributes:
+        file: as messages call it.
+        values: what the table holds.
+        refuse: class of the errors.
+        where: dotted name of the table in the file; empty for the file itself.
+    """
+
+    file: str
+    values: Mapping[str, Any]
+    refuse: type[SmoothOperatorError] = ConfigError
+    where: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its entries, in the order of the file."""
+        return tuple(self.values)
+
+    def only(self, *known: str) -> None:
+        """Refuses entries that nobody reads."""
+        for name in self.values:
+            if name not in known:
+                close = get_close_matches(name, known, n=1)
+                hint = f" Did you mean {close[0]!r}?" if close else ""
+                raise self.error(name, f"no such entry.{hint} Known here: {', '.join(known)}")
+
+    def check_format(self, version: int) -> None:
+        """Refuses a file whose entry ``format`` is another version of its format."""
+        found = self.whole("format")
+        if found != version:
+            newer = "; a newer smooth-operator wrote it: update yours" if found > version else ""
+            raise self.error("format", f"expected {version}, not {found}{newer}")
+
+    def text(
+        self, name: str, default: str | None = None, *, empty: bool = True, lines: bool = False
+    ) -> str:
+        """A text.
+
+        Args:
+            name: of the entry.
+            default: where it is missing; None if it may not be.
+            empty: whether it may be empty.
+            lines: whether it may have several lines and other control characters.
+        """
+        value = self._get(name, default, "a text")
+        if not isinstance(value, str):
+            raise self.error(name, f"expected a text, not {brief(value)}")
+        if not lines and not value.isprintable():
+            raise self.error(name, f"expected a text on one line, not {brief(value)}")
+        if not empty and not value:
+            raise self.error(name, "expected a text, not an empty text")
+        return value
+
+    def choice(self, name: str, options: Sequence[_T], default: _T | None = None) -> _T:
+        """One of some words."""
+        value = self._get(name, default, "a text")
+        for option in options:
+            if value == option:
+                return option
+        raise self.error(name, f"expected {' or '.join(map(repr, options))}, not {brief(value)}")
+
+    def texts(
+        self, name: str, default: Sequence[str] | None = None, *, what: str = "a list of texts"
+    ) -> list[str]:
+        """A list of texts; ``what`` is how a message calls it."""
+        value = self._get(name, default, what)
+        if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
+            raise self.error(name, f"expected {what}, not {brief(value)}")
+        return list(value)
+
+    def whole(self, name: str, default: int | None = None) -> int:
+        """A whole number; true is none, though Python says so."""
+        value = self._get(name, default, "a whole number")
+        if isinstance(value, bool) or not isinstance(value, int) or abs(value) > 2**63:
+            raise self.error(name, f"expected a whole number, not {brief(value)}")
+        return value
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """A finite number."""
+        return self._finite(name, self._get(name, default, "a number"))
+
+    def number_or_none(self, name: str) -> float | None:
+        """A finite number, or null."""
+        value = self.values.get(name, "")
+        return None if value is None else self.number(name)
+
+    def numbers(
+        self, name: str, count: int, default: Sequence[float] | None = None, *, what: str = ""
+    ) -> Any:
+        """A tuple of so many finite numbers; ``what`` is how a message calls them."""
+        what = what or f"{count} numbers"
+        value = self._get(name, default, what)
+        if not isinstance(value, list | tuple) or len(value) != count:
+            raise self.error(name, f"expected {what}, not {brief(value)}")
+        return tuple(self._finite(name, each) for each in value)
+
+    def flag(self, name: str, default: bool) -> bool:
+        """True or false."""
+        value = self._get(name, default, "true or false")
+        if not isinstance(value, bool):
+            raise self.error(name, f"expected true or false, not {brief(value)}")
+        return value
+
+    def table(self, name: str, default: Mapping[str, Any] | None = None) -> Entries:
+        """A table in this one."""
+        value = self._get(name, default, "a table")
+        if not isinstance(value, Mapping):
+            raise self.error(name, f"expected a table, not {brief(value)}")
+        return replace(self, values=value, where=self._full(name))
+
+    def tables(self, name: str) -> list[Entries]:
+        """A list of tables."""
+        value = self._get(name, None, "a list of tables")
+        if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
+            raise self.error(name, f"expected a list of tables, not {brief(value)}")
+        full = self._full(name)
+        return [replace(self, values=v, where=f"{full}[{k}]") for k, v in enumerate(value, 1)]
+
+    def error(self, name: str, text: str) -> SmoothOperatorError:
+        """What is wrong with an entry."""
+        # A damaged file may hold names of any length.
+        return self.refuse(f"{self.file}: {_cut(self._full(name), 80)}: {_cut(text, 400)}")
+
+    @contextmanager
+    def name_file(self) -> Iterator[None]:
+        """Errors of this package that are raised in this block name the file.
+
+        Raises:
+            SmoothOperatorError: of the class ``refuse``.
+        """
+        try:
+            yield
+        except SmoothOperatorError as error:
+            if str(error).startswith(self.file):
+                raise
+            raise self.refuse(f"{self.file}: {_cut(str(error), 400)}") from error
+
+    def _get(self, name: str, default: Any, kind: str) -> Any:
+        if name in self.values:
+            return self.values[name]
+        if default is None:
+            raise self.error(name, f"is missing; expected {kind}")
+        return default
+
+    def _finite(self, name: str, value: Any) -> float:
+        right = isinstance(value, int | float) and not isinstance(value, bool)
+        if not right or abs(value) > 1e300 or not math.isfinite(value):
+            raise self.error(name, f"expected a finite number, not {brief(value)}")
+        return float(value)
+
+    def _full(self, name: str) -> str:
+        return f"{self.where}.{name}" if self.where else name
+
+
+def read_entries(
+    path: Path,
+    what: str,
+    refuse: type[SmoothOperatorError] = ConfigError,
+    *,
+    most_bytes: int,
+    hint: str = "",
+) -> Entries:
+    """The table of a TOML file.
+
+    Args:
+        path: of the file.
+        what: it is, for messages.
+        refuse: class of the errors, of the look-ups too.
+        most_bytes: longest file that is read.
+        hint: where such a file comes from, for the message that there is none.
+
+    Raises:
+        SmoothOperatorError: of the class ``refuse``: there is no such file, it can't be read, or
+            is no TOML.
+    """
+    try:
+        return Entries(str(path), read_toml(path, most_bytes=most_bytes), refuse)
+    except FileNotFoundError:
+        raise refuse(f"no {what} at {path}{hint}") from None
+    except OSError as error:
+        raise refuse(f"can't read the {what} {path}: {error.strerror}") from error
+    except DocumentError as error:
+        raise refuse(f"{path} is not well-formed TOML: {error}") from error
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."
