@@ -23,6 +23,7 @@ from smooth_operator.errors import (
     MissingExtraError,
     OutputError,
     RecordingError,
+    install_command,
 )
 from smooth_operator.io import Episode, read_commands, read_recording, write_commands
 from smooth_operator.landmarks import LAYOUTS
@@ -800,7 +801,7 @@ def test_missing_extras(
     log = write(tmp_path, episode(), "mcap")
     for loaded in [m for m in sys.modules if m.split(".")[0] == module]:
         monkeypatch.setitem(sys.modules, loaded, None)
-    hint = f"python -m pip install 'smooth-retargeting[{extra}]'"
+    hint = install_command(extra)
     status, err = run(path, "--output", tmp_path / "x.npz")
     assert (status, hint in err, err.count("\n")) == (2, True, 1), err
     status, err = run(log, "--output", tmp_path / f"new{path.suffix}")

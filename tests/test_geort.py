@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from smooth_operator.errors import (
     OutputError,
     RecordingError,
     UnknownNameError,
+    install_command,
 )
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.human.alignment import align_recording
@@ -456,7 +458,7 @@ def test_training_without_optax_says_what_to_install(
     hand: Hand, operator: HandRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "optax", None)
-    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[train\]"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("train"))):
         trainer(hand, operator)
 
 

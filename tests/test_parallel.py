@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
+from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError, install_command
 from smooth_operator.parallel import TaskResult, run_tasks, usable_cores
 
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
@@ -116,8 +117,7 @@ def test_what_goes_wrong_with_one_touches_no_other(workers: int) -> None:
         "ValueError: the first line and the second",
         None,
         "SystemExit: 3",
-        "MissingExtraError: this needs the extra 'that': "
-        "python -m pip install 'smooth-retargeting[that]'",
+        f"MissingExtraError: this needs the extra 'that': {install_command('that')}",
         None,
     ]
     if workers:
@@ -314,7 +314,7 @@ def test_workers_that_do_not_start_are_an_error(tmp_path: Path) -> None:
 
 def test_without_ray_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[cluster\]"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("cluster"))):
         run_tasks(square, [1.0], cluster="auto")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 import textwrap
@@ -18,7 +19,7 @@ import pytest
 from rich.console import Console
 from ticks import make_tick
 
-from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, install_command
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.registry import SINKS, build_sink
@@ -362,7 +363,7 @@ def test_bad_settings(text: str) -> None:
 
 def test_missing_extra(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zmq", None)
-    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[zmq\]"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("zmq"))):
         ZmqSink().open({"right": hand}, {})
 
 

@@ -28,8 +28,9 @@ from smooth_operator.hands.spec import HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.hands.spec_writer import write_hand_spec
 from smooth_operator.hands.user_folder import user_hands_folder
+from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_page import HandPage
-from smooth_operator.teleop.pages.hand_view import HandView, joint_rows
+from smooth_operator.teleop.pages.hand_view import HandView
 
 TEXT = """
 format = 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 import time
@@ -14,7 +15,13 @@ import numpy as np
 import pytest
 
 from smooth_operator.cli import main
-from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
+from smooth_operator.errors import (
+    ConfigError,
+    MissingExtraError,
+    RecordingError,
+    SourceError,
+    install_command,
+)
 from smooth_operator.geometry import umeyama
 from smooth_operator.io import read_recording
 from smooth_operator.io.checks import PALM_RANGE_M
@@ -207,7 +214,7 @@ def test_without_the_extra_one_line_says_so(
     clip = write_video(tmp_path / "clip.mp4", [plain(0)])
     monkeypatch.setattr(picture_tracker, "hand_model", lambda given: clip)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[webcam\]"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("webcam"))):
         Video(clip).start(Mailbox())
 
 

@@ -20,7 +20,13 @@ import numpy as np
 import pytest
 from emulated_headset import NoEmulator, fetch_emulator, new_headset
 
-from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
+from smooth_operator.errors import (
+    ConfigError,
+    MissingExtraError,
+    RecordingError,
+    SourceError,
+    install_command,
+)
 from smooth_operator.io.checks import check_units
 from smooth_operator.landmarks import BONES, FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
@@ -584,7 +590,7 @@ def test_a_missing_extra_is_one_line(
     cache: Path, monkeypatch: pytest.MonkeyPatch, module: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=r"smooth-retargeting\[webxr\]"):
+    with pytest.raises(MissingExtraError, match=re.escape(install_command("webxr"))):
         WebXr(port=0).start(Mailbox())
 
 

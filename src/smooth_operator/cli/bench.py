@@ -18,7 +18,7 @@ from rich.progress import (
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
@@ -51,6 +51,8 @@ def bench(options: Bench) -> None:
         SystemExit: with ``SOME_FAILED``.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
+    if not options.no_report:
+        require("the report (--no-report leaves it out)", "lab", "matplotlib")
     console = open_console(stderr=True)
     dispatch_here()  # before planning, which may start JAX
     # What a user can get wrong comes before what takes long.

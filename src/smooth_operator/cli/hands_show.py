@@ -17,6 +17,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import POINTS
+from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.terminal import open_console, printable
 
 _WIDTH_OF_A_FILE: Final = 120
@@ -59,8 +60,6 @@ def render_hand(options: Render) -> None:
 
 def describe(hand: Hand) -> dict[str, Any]:
     """A hand as plain values, for ``--json``."""
-    from smooth_operator.teleop.pages.hand_view import joint_rows
-
     spec, followed = hand.spec, {c.joint: c for c in hand.couplings}
     joints = []
     for row in joint_rows(hand):
@@ -112,8 +111,6 @@ def _point(point: Point) -> dict[str, Any]:
 
 
 def _print_tables(hand: Hand) -> None:
-    from smooth_operator.teleop.pages.hand_view import joint_rows
-
     spec = hand.spec
     console = open_console()
     if not console.is_terminal:

@@ -16,7 +16,7 @@ class Train(Ordered, Common):
     """Train a learning-based method for a robot hand: geort."""
 
     work: ClassVar[str] = "smooth_operator.cli.train:train"
-    details: ClassVar[str] = """Needs the extra: pip install "smooth-retargeting[train]".
+    details: ClassVar[str] = """Needs the extra lab.
 
 DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv, losses.png and
 checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume goes on from there, and

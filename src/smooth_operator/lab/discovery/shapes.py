@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.errors import require
 from smooth_operator.hands.model_files import resolve_in_package
 
 _RINGS: Final = 13  # along a cylinder or the edge of a box
@@ -77,6 +78,7 @@ def urdf_mesh_points(
 
 
 def _vertices(path: Path) -> np.ndarray | None:
+    require("the shape of a mesh", "lab", "trimesh")
     import trimesh
 
     try:

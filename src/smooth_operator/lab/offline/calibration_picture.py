@@ -10,9 +10,12 @@ import numpy as np
 
 from smooth_operator.calibration.estimate import Calibration
 from smooth_operator.calibration.report import closed_gaps
+from smooth_operator.errors import require
 from smooth_operator.io import atomic_write
 from smooth_operator.landmarks import FINGER_COLORS, FINGERS
 from smooth_operator.types import HandRecording
+
+require("the picture of a calibration", "lab", "matplotlib")
 
 _COLORS: Final = dict(zip(FINGERS, FINGER_COLORS, strict=True))
 _POSES: Final = {"flat": "#94a3b8", "spread": "#64748b", "fist": "#334155"}

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_operator.errors import install_command
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io import to_json
@@ -238,7 +239,7 @@ def _paper_verdict(found: Timing) -> Verdict:
             told, "fastest, no figure", "not measured", "not shown",
             f"The paper: of Pinocchio, PyTorch Kinematics and MJX only the last has the speed that "
             f"is needed at large batches. Here that can't be said: {named}. "
-            "`python -m pip install 'smooth-retargeting[fk]'` brings them. Verdict: not shown.",
+            f"`{install_command('fk')}` brings them. Verdict: not shown.",
         )  # fmt: skip
     ratios = {name: found.over(name, MJX, largest) for name in rivals}
     held = judge(Direction(1.0, upwards=True), list(ratios.values()), missing=len(absent))

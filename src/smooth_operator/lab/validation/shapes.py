@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.errors import require
 from smooth_operator.hands.hand import Hand
 
 _G: Final = mujoco.mjtGeom
@@ -69,6 +70,7 @@ def _corner(past: np.ndarray) -> float:
 
 
 def _mesh_distance(model: mujoco.MjModel, mesh: int, p: np.ndarray) -> float:
+    require("the shape of a mesh", "lab", "trimesh")
     import trimesh
 
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])

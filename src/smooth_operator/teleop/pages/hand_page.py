@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.pages.hand_view import HandView, JointRow, joint_rows
+from smooth_operator.teleop.joint_rows import JointRow, joint_rows
+from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.markup import plain
 from smooth_operator.teleop.pages.palette import PALM, finger_colors, linear
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import mujoco
@@ -16,51 +15,6 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.teleop.pages.meshes import above, body_meshes, finger_of_body
 
 _POSES = 24  # in which the bodies of a finger are told from the motion of its tip
-
-
-@dataclass(frozen=True)
-class JointRow:
-    """A joint, for a table or a slider.
-
-    Attributes:
-        name: in the model.
-        low: lower limit [rad, or m for a slide].
-        high: upper limit; of an actuated joint such that the joints that follow it keep theirs.
-        neutral: position in the neutral pose.
-        actuated: whether it is commanded.
-        follows: of a coupled joint, what it follows: ``1.06 index_1 - 0.05``.
-    """
-
-    name: str
-    low: float
-    high: float
-    neutral: float
-    actuated: bool
-    follows: str = ""
-
-
-def joint_rows(hand: Hand) -> list[JointRow]:
-    """All joints of a hand, in the model's own order."""
-    limits = hand.joint_limits.copy()
-    limits[list(hand.actuated)] = hand.limits
-    neutral = hand.expand(hand.neutral)
-    words = {
-        c.joint: (f"{c.multiplier:.4g} " if c.multiplier != 1 else "")
-        + c.follows
-        + (f" {'-' if c.offset < 0 else '+'} {abs(c.offset):.4g}" if c.offset else "")
-        for c in hand.couplings
-    }
-    return [
-        JointRow(
-            name,
-            float(limits[i, 0]),
-            float(limits[i, 1]),
-            float(neutral[i]),
-            i in hand.actuated,
-            words.get(name, ""),
-        )
-        for i, name in enumerate(hand.joint_names)
-    ]
 
 
 class HandView:

@@ -1,7 +1,5 @@
 """File formats of the live loop and its episodes: MCAP logs, HDF5 and LeRobot datasets."""
 
-from smooth_operator.teleop.recording.convert import read_episode as read_episode
-from smooth_operator.teleop.recording.convert import write_episode as write_episode
-from smooth_operator.teleop.recording.log import LogWriter as LogWriter
-from smooth_operator.teleop.recording.log_reader import Log as Log
-from smooth_operator.teleop.recording.log_reader import read_log as read_log
+from smooth_operator.lazy_names import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

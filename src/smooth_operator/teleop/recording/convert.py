@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import types
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,12 +22,6 @@ from smooth_operator.teleop.recording.lerobot import (
     is_own_dataset,
     open_dataset,
     read_dataset_episode,
-)
-from smooth_operator.teleop.recording.log_episode import (
-    is_own_log,
-    log_losses,
-    read_log_episode,
-    write_log_episode,
 )
 from smooth_operator.teleop.recording.npz import is_own_npz, read_npz_episode, write_npz_episode
 from smooth_operator.types import Side, as_side
@@ -106,7 +102,8 @@ def read_episode(
         return read_dataset_episode(open_dataset(path), episode, rate=rate, side=side)
     kind = file_kind(path)
     if kind == "log":
-        return read_log_episode(path, rate=rate, side=side)
+        logged: Episode = _logs().read_log_episode(path, rate=rate, side=side)
+        return logged
     if kind == "hdf5":
         return read_hdf5_episode(path, rate=rate, side=side)
     if kind == "npz":
@@ -140,13 +137,18 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
             f"{path}: a LeRobot dataset is a folder of episodes, not a file; write it with "
             "smooth_operator.teleop.recording.lerobot.write_dataset"
         )
-    writers = {"mcap": write_log_episode, "npz": write_npz_episode, "hdf5": write_hdf5_episode}
-    writers[kind](path, episode)
+    if kind == "mcap":
+        _logs().write_log_episode(path, episode)
+    elif kind == "npz":
+        write_npz_episode(path, episode)
+    else:
+        write_hdf5_episode(path, episode)
 
 
 def losses(episode: Episode, to: Format) -> list[str]:
     """What a format can't hold of an episode, for a person."""
-    return log_losses(episode) if to == "mcap" else []
+    lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
+    return lost
 
 
 def format_of(path: Path, to: Format | None) -> Format:
@@ -266,6 +268,11 @@ def files_of(path: Path, to: Format) -> list[Path]:
     return [path, config_path(path)] if to == "npz" else [path]
 
 
+def _logs() -> types.ModuleType:
+    """MCAP files, which need the extra ``teleop``: not imported for the other formats."""
+    return importlib.import_module("smooth_operator.teleop.recording.log_episode")
+
+
 def _walk(folder: Path, left: set[Path]) -> Iterator[Path]:
     """Files and datasets below a folder, by name."""
     for path in sorted(folder.iterdir()):
@@ -292,7 +299,7 @@ def _is_own(path: Path, to: Format) -> bool:
     except RecordingError:
         return False
     if to == "mcap":
-        return kind == "log" and is_own_log(path)
+        return kind == "log" and bool(_logs().is_own_log(path))
     if to == "npz":
         return kind == "npz" and is_own_npz(path)
     return kind == "hdf5" and is_own_hdf5(path)

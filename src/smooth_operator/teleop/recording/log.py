@@ -17,14 +17,18 @@ from types import TracebackType
 from typing import IO, Any, Literal
 
 import numpy as np
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.io.atomic import output_error
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
 from smooth_operator.teleop.recording.loop_state import LoopState
+from smooth_operator.teleop.recording.mcap_library import (
+    CompressionType,
+    MessageEncoding,
+    SchemaEncoding,
+    Writer,
+)
 from smooth_operator.teleop.recording.messages import hand_message, number
 from smooth_operator.teleop.recording.schemas import (
     COMMAND,

@@ -10,7 +10,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
-from mcap.records import Channel, Metadata
 
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief, listed
 from smooth_operator.io.checks import check_side
@@ -20,6 +19,7 @@ from smooth_operator.io.sniff import file_kind
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.log_records import DamagedError, read_records, read_summary
 from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track
+from smooth_operator.teleop.recording.mcap_library import Channel, Metadata
 from smooth_operator.teleop.recording.schemas import (
     COMMAND,
     CONFIG,

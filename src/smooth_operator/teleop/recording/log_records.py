@@ -16,15 +16,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple, TypeAlias
 
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Statistics
-
 from smooth_operator.errors import RecordingError, brief
 from smooth_operator.io.bounds import LOG_RATIO, Allowance
 from smooth_operator.io.registry import MCAP_MAGIC
+from smooth_operator.teleop.recording.mcap_library import (
+    Channel,
+    McapError,
+    Metadata,
+    Opcode,
+    ReadDataStream,
+    Statistics,
+    zstandard,
+)
 
 _HEAD: Final = struct.Struct("<BQ")  # opcode, length
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of a name

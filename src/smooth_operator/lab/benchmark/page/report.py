@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.figure import Figure
 
 from smooth_operator.io import atomic_write, output_error
 from smooth_operator.lab.benchmark import figures, uses
@@ -25,6 +25,9 @@ from smooth_operator.lab.benchmark.store import PLOTS, REPORT
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 from smooth_operator.reporting.html import Html, details, element, escape, figure, join, paragraph
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BUSY = 0.25
 """Share of the cores in others' hands from which a latency is warned of."""

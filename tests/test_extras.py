@@ -1,0 +1,277 @@
+"""Extras: what the base does without, and the one line that names what is missing."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from smooth_operator import errors
+from smooth_operator.errors import MissingExtraError, install_command, require
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "smooth_operator"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+BASE = {"jax", "jaxtyping", "mujoco", "nlopt", "numpy", "rich", "scipy", "tyro"}
+"""Distributions that everyone gets; their modules have the same names."""
+EXTRAS = [
+    "teleop",
+    "lab",
+    "study",
+    "all",
+    "bench",
+    "cluster",
+    "fk",
+    "hdf5",
+    "lerobot",
+    "menagerie",
+    "postgres",
+    "train",
+    "webcam",
+    "webxr",
+    "zmq",
+    "docs",
+    "test",
+]
+"""Names that stand in scripts."""
+LIBRARIES = [
+    "cryptography",
+    "cv2",
+    "h5py",
+    "mcap",
+    "mediapipe",
+    "matplotlib",
+    "mujoco_menagerie",
+    "optax",
+    "psycopg",
+    "pyarrow",
+    "ray",
+    "segno",
+    "sqlalchemy",
+    "statsmodels",
+    "trimesh",
+    "viser",
+    "websockets",
+    "zmq",
+    "zstandard",
+]
+"""Modules of the extras."""
+AT_THE_TOP = ("teleop/pages/", "teleop/recording/mcap_library.py")
+"""Where they may be imported with the module: its package says first what is missing."""
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[\[<>=;]", text)[0] for text in requirements}
+
+
+def test_the_base_needs_eight_distributions() -> None:
+    assert names(PROJECT["dependencies"]) == BASE
+
+
+def test_every_extra_has_the_wing_that_it_is_part_of() -> None:
+    extras = PROJECT["optional-dependencies"]
+    assert sorted(extras) == sorted(EXTRAS)
+
+    def brought(extra: str) -> set[str]:
+        """Extras that an extra includes, itself among them."""
+        found = {extra}
+        for text in extras[extra]:
+            if text.startswith("smooth-retargeting["):
+                inner = re.split(r"[\[\]]", text)[1]
+                found |= {name for part in inner.split(",") for name in brought(part)}
+        return found
+
+    assert {"teleop", "lab", "study"} <= brought("all") & brought("test")
+    for extra in EXTRAS[4:-2]:  # what worked with one of them alone works still
+        assert brought(extra) & {"teleop", "lab", "study"}, extra
+    assert "teleop" in brought("study")
+
+
+def imported_with_the_module(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, top-level module) of the imports outside functions and ``TYPE_CHECKING``."""
+    todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.lineno, (node.module or "").split(".")[0]
+        typed = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if not typed and not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            todo += ast.iter_child_nodes(node)
+
+
+def test_only_the_base_is_imported_with_a_module() -> None:
+    known = sys.stdlib_module_names | BASE | {"smooth_operator"}
+    wrong = [
+        f"{path.relative_to(SOURCE).as_posix()}:{line}: import {name} inside the function"
+        for path in SOURCE.rglob("*.py")
+        if not path.relative_to(SOURCE).as_posix().startswith(AT_THE_TOP)
+        for line, name in imported_with_the_module(path)
+        if name not in known
+    ]
+    assert wrong == []
+
+
+@pytest.fixture
+def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Makes the package look as if it was installed in some way."""
+
+    class Distribution:
+        def __init__(self, record: str | None) -> None:
+            self.record = record
+
+        def read_text(self, name: str) -> str | None:
+            assert name == "direct_url.json"
+            return self.record
+
+    def pretend(record: object = None, *, there: bool = True) -> None:
+        def distribution(name: str) -> Distribution:
+            assert name == "smooth-retargeting"
+            if not there:
+                raise metadata.PackageNotFoundError(name)
+            text = record if isinstance(record, str | None) else json.dumps(record)
+            return Distribution(text)
+
+        monkeypatch.setattr(metadata, "distribution", distribution)
+        errors._installed_from.cache_clear()
+
+    yield pretend
+    monkeypatch.undo()
+    errors._installed_from.cache_clear()
+
+
+def test_an_extra_is_added_to_what_is_installed(
+    installed: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    by_name = 'python -m pip install "smooth-retargeting[zmq]"'
+    wheel = {"url": (tmp_path / "a.whl").as_uri(), "archive_info": {}}
+    damaged = ["{", "[]", "{}", '{"url": 3, "dir_info": {}}', '{"dir_info": {}}']
+    for record in (None, wheel, *damaged):
+        installed(record)
+        assert install_command("zmq") == by_name, record
+
+    folder = {"url": ROOT.as_uri(), "dir_info": {}}
+    monkeypatch.chdir(ROOT)
+    installed(folder)
+    assert install_command("zmq") == 'python -m pip install ".[zmq]"'
+    installed(folder | {"dir_info": {"editable": True}})
+    assert install_command("zmq") == 'python -m pip install -e ".[zmq]"'
+    installed(there=False)
+    assert install_command("zmq") == 'python -m pip install ".[zmq]"'
+
+    monkeypatch.chdir(tmp_path)
+    assert install_command("zmq") == f'python -m pip install "{ROOT}[zmq]"'
+    installed({"url": (tmp_path / "removed").as_uri(), "dir_info": {}})
+    assert install_command("zmq") == by_name
+
+
+def test_a_library_is_looked_for_and_not_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    require("this", "study", "json", "antigravity")
+    assert "antigravity" not in sys.modules
+    monkeypatch.setitem(sys.modules, "wave", None)
+    with pytest.raises(MissingExtraError) as caught:
+        require("this", "study", "json", "wave")
+    assert str(caught.value) == f"this needs the extra 'study': {install_command('study')}"
+
+
+# Runs in a fresh interpreter that has the base alone: what each command and import comes to.
+PROBE = """
+import contextlib, importlib, io, json, sys
+commands, modules, libraries = json.loads(sys.argv[1])
+sys.modules.update(dict.fromkeys(libraries))
+from smooth_operator.cli import main
+from smooth_operator.errors import MissingExtraError
+found = {}
+for command in commands:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(command.split())
+    found[command] = [status, err.getvalue()]
+for module in modules:
+    try:
+        importlib.import_module(module)
+    except MissingExtraError as error:
+        found[module] = [None, str(error)]
+print(json.dumps(found))
+"""
+
+WORK = [
+    "--help",
+    "hands list",
+    "hands show leap_hand --no-view",
+    "sample in.npz --duration 0.5 --quiet",
+    "retarget in.npz --method joint_angle --output out.npz --quiet",
+    "convert in.npz --output copy.npz --quiet",
+    "teleop --no-view --method joint_angle --duration 0.3 --quiet",
+    "study new plan --no-wizard",
+]
+LACK = {
+    "demo": "lab",
+    "teleop": "teleop",
+    "teleop --no-view --sink record:x.mcap": "teleop",
+    "teleop --no-view --source webcam": "webcam",
+    "teleop --no-view --source webxr": "webxr",
+    "view out.npz in.npz": "teleop",
+    "latency x.mcap": "teleop",
+    "sample x.mcap": "teleop",
+    "hands show leap_hand": "teleop",
+    "hands render leap_hand": "teleop",
+    "convert in.npz --output x.h5": "hdf5",
+    "bench in.npz --output bench": "lab",
+    "paper --output paper": "lab",
+    "calibrate in.npz --output operator.json": "lab",
+    "tune sbr in.npz --vary pose_weight=0.01:0.1:log --output tuned": "lab",
+    "train geort in.npz --output trained": "lab",
+    "glove-simulator": "zmq",
+    "study analyze x.csv --output analysis": "study",
+    "study power plan": "study",
+    "study run plan": "study",
+}
+MODULES = {
+    "smooth_operator.teleop.pages.player": "teleop",
+    "smooth_operator.teleop.pages.live.page": "teleop",
+    "smooth_operator.teleop.recording.log": "teleop",
+    "smooth_operator.teleop.recording.log_reader": "teleop",
+    "smooth_operator.teleop.sinks.record": "teleop",
+    "smooth_operator.reporting.drawing": "lab",
+    "smooth_operator.lab.tuning": "lab",
+    "smooth_operator.study.analysis": "study",
+}
+
+
+def test_without_extras_a_command_works_or_names_what_it_lacks(tmp_path: Path) -> None:
+    asked = json.dumps([[*WORK, *LACK], list(MODULES), LIBRARIES])
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE, asked],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    for command in WORK:
+        assert found[command][0] == 0, (command, found[command])
+    for what, extra in (LACK | MODULES).items():
+        status, text = found.get(what, (None, "it was imported"))
+        assert status in (2, None), (what, text)
+        assert re.search(rf"needs the extra '{extra}': python -m pip install .*\[{extra}\]", text)
+        assert text.strip().count("\n") == 0, (what, text)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "in.npz",
+        "out.npz",
+        "out.json",
+        "copy.npz",
+        "plan",
+    }
