@@ -25,7 +25,6 @@ from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Opera
 from smooth_operator.io import to_json
 from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
-from smooth_operator.methods.operated import operated_by
 from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -48,7 +47,7 @@ def judge(
     """Retargets a recording, and measures against the human as tracked."""
     config = method_config(method)
     if operator is not None:
-        config = operated_by(config, operator)
+        config = config.with_operator(operator)
     commands, _ = Retargeter(hand, config=config).run(recording)
     trace = assemble_trace(recording, commands, hand, reach_samples=0)
     metrics = evaluate(trace)

@@ -28,7 +28,6 @@ from report import BenchmarkError, Report, cores
 from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.lab.offline.dataset import retarget_all, survey
-from smooth_operator.methods.method import HostMethod
 from smooth_operator.methods.program import compiled, frame_step
 from smooth_operator.methods.request import request
 from smooth_operator.methods.scan import CHUNK, Scan
@@ -152,7 +151,7 @@ def one_process(report: Report, settings: Settings) -> None:
 
     reference = loop()
     rows: list[list[object]] = [["one by one", 1, *timed(report, "loop", recording, 1, loop), 0.0]]
-    if isinstance(retargeter.method, HostMethod):
+    if retargeter.method.host is not None:
         report.notes.append("the solver of this method runs on the host: no chunks, no batches")
     else:
         scan = Scan(retargeter)

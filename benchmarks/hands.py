@@ -42,7 +42,7 @@ from smooth_operator.lab.training import (
     synthetic_recordings,
     training_data,
 )
-from smooth_operator.lab.validation import round_trip, without_pull
+from smooth_operator.lab.validation import round_trip
 from smooth_operator.methods.geort import GeortConfig, built_in_model
 from smooth_operator.methods.geort_model import write_geort_model
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
@@ -222,7 +222,7 @@ def measured(todo: Plan, built: tuple[Retargeter, float]) -> dict[str, float | N
 
 def trip(built: Retargeter, todo: Plan, settings: Settings) -> dict[str, float]:
     """From random poses to landmarks and back: as configured, and without the pull to neutral."""
-    free = build(replace(todo, config=without_pull(todo.config)))[0]
+    free = build(replace(todo, config=todo.config.without_pull()))[0]
     figures: dict[str, float] = {}
     for name, retargeter in (("", built), ("free_", free)):
         found = round_trip(retargeter, poses=settings.poses, seed=settings.seed)

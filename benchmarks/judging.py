@@ -15,7 +15,6 @@ from smooth_operator.lab.benchmark.targets import HumanFigures, human_figures
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.operated import aligned_by
 from smooth_operator.methods.request import Plan
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import (
@@ -124,7 +123,7 @@ def _figures(task: _Task) -> dict[str, Any]:
     todo = Plan(task.recording, hand, "", "", task.config, task.seed)
     outcome = execute(todo, built_for(todo))
     if task.per_frame:  # of the human that is measured against, not of the one that was retargeted
-        todo = replace(todo, config=aligned_by(task.config, scale=None, operator=None))
+        todo = replace(todo, config=task.config.with_alignment(scale=None, operator=None))
     trace, metrics = measure(todo, outcome)
     return {"metrics": metrics, "human": asdict(human_figures(trace.human, trace.fingers))}
 

@@ -34,6 +34,7 @@ from smooth_operator.lab.benchmark.results import Row
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request, unique_names
 from smooth_operator.landmarks import BASES, TIPS
+from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.metrics import METRICS, Metric, evaluate
@@ -47,7 +48,7 @@ NAMED = {metric.name: metric for metric in METRICS}
 
 
 @dataclass(frozen=True)
-class PickyConfig:
+class PickyConfig(MethodConfig):
     """A method that can't serve any hand there is."""
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)

@@ -28,7 +28,6 @@ from smooth_operator.human.operator_file import read_operator
 from smooth_operator.io import read_recording
 from smooth_operator.lab.offline.dataset import survey
 from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.methods.operated import operated_by
 from smooth_operator.methods.request import request
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -167,7 +166,7 @@ def test_without_pinches_the_rest_is_calibrated(hand: Hand) -> None:
     assert (operator.project, operator.escape, operator.residual_gap) == (None, None, None)
     assert all((f.tip_along, f.tip_pad, f.pinch_gap) == (0, 0, None) for f in operator.fingers)
     config = method_config("dexpilot")
-    assert operated_by(config, operator).objective == config.objective  # type: ignore[attr-defined]
+    assert config.with_operator(operator).objective == config.objective  # type: ignore[attr-defined]
 
 
 def test_without_a_flat_hand_reach_is_the_bones(hand: Hand) -> None:
@@ -298,7 +297,7 @@ def test_the_second_half_gains_from_a_fit_on_the_first(shared: Path, hand: Hand)
         return metrics["pinch_error_mm"], abs(metrics["scale_ratio"] - 1)
 
     config = method_config("sbr")
-    before, after = judged(config), judged(operated_by(config, operator))
+    before, after = judged(config), judged(config.with_operator(operator))
     assert after[0] < 0.97 * before[0]
     assert after[1] < 0.9 * before[1]
 
@@ -323,7 +322,7 @@ def test_the_default_method_closes_pinches_and_keeps_its_directions(
         )
 
     config = method_config("smooth")
-    before, after = judged(config), judged(operated_by(config, operator))
+    before, after = judged(config), judged(config.with_operator(operator))
     assert after[0] < before[0] - 0.2
     assert after[1] > before[1] - 0.003
     assert after[2] > before[2] - 0.005

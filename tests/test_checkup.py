@@ -22,7 +22,9 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.hands.spec_writer import write_hand_spec
 from smooth_operator.lab.discovery import discover
-from smooth_operator.lab.validation import Checkup, check_hand, round_trip, without_pull
+from smooth_operator.lab.validation import Checkup, check_hand, round_trip
+from smooth_operator.lab.validation import methods as validation_methods
+from smooth_operator.lab.validation.methods import check_method
 from smooth_operator.lab.validation.pinches import closest_pinch
 from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
 from smooth_operator.lab.validation.samples import Samples
@@ -344,15 +346,39 @@ def test_a_round_trip_tells_a_hand_that_never_moves() -> None:
         round_trip(cast(Retargeter, idle), poses=0, seed=1)
 
 
-def test_without_pull_changes_the_pull_only() -> None:
-    config = method_config("sbr")
-    free = without_pull(config)
+@pytest.mark.parametrize("method", ["smooth", "sbr", "keyvector", "hybrid", "dexpilot"])
+def test_without_pull_changes_the_pull_only(method: str) -> None:
+    config: Any = method_config(method)
+    free = config.without_pull()
     assert free.objective.pose_weight == pytest.approx(1e-4)  # type: ignore[attr-defined]
     back = replace(
         free, objective=replace(free.objective, pose_weight=config.objective.pose_weight)
     )  # type: ignore[type-var,attr-defined]
     assert back == config
-    assert without_pull(method_config("joint_angle")) == method_config("joint_angle")
+    assert method_config("joint_angle").without_pull() == method_config("joint_angle")
+
+
+def test_without_pull_reaches_the_causal_method_of_a_trajectory() -> None:
+    config: Any = method_config("smooth", "offline")
+    assert config.without_pull() == replace(config, causal=config.causal.without_pull())
+    assert config.without_pull() != config
+
+
+def test_the_default_method_is_judged_without_its_pull(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pull to the neutral pose is the method's taste, and no fault of the hand."""
+    given: list[Any] = []
+
+    def refuse(hand: Hand, *, config: Any) -> Retargeter:
+        given.append(config)
+        raise ConfigError("looked at")
+
+    monkeypatch.setattr(validation_methods, "Retargeter", refuse)
+    check = check_method(load_hand("mimic_p050"), DEFAULT_METHOD, poses=1, seed=0)
+    assert check.verdict == "skipped"
+    config: Any = method_config(DEFAULT_METHOD)
+    assert config.objective.pose_weight > 0.01
+    assert given[0].objective.pose_weight == pytest.approx(1e-4)
+    assert given == [config.without_pull()]
 
 
 # The command

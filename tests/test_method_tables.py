@@ -22,9 +22,9 @@ from smooth_operator.lab.tuning.pareto import (
 )
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import run_trial
+from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.setting_paths import with_settings
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.reporting.drawing import name_points
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "smooth.md"
@@ -270,7 +270,7 @@ def test_the_constants_of_the_page_are_the_presets() -> None:
 @pytest.mark.parametrize("method", ["smooth", "sbr"])
 def test_the_constants_of_the_offline_presets_are_the_pages(method: str) -> None:
     config = method_config(method, "offline")
-    assert isinstance(config, WholeConfig)
+    assert isinstance(config, TrajectoryMethodConfig)
     values = {
         "w_a": [config.future.acceleration_weight],
         "w_m": [config.future.motion_weight],

@@ -17,14 +17,13 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import read_commands, read_recording
 from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
-from smooth_operator.lab.offline import whole as whole_module
+from smooth_operator.lab.offline import trajectory_retargeter as trajectory_module
 from smooth_operator.lab.offline.segments import windows
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.methods.operated import aligned_by
+from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, live_presets, method_config
 from smooth_operator.methods.request import plan, request
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.solvers.newton import NewtonConfig
@@ -228,7 +227,7 @@ CAUSAL = SbrConfig(
     sampling=SamplingConfig(samples=64, elites=12, cycles=3, draws="quasi"),
     polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
 )
-CONFIG = WholeConfig(
+CONFIG = TrajectoryMethodConfig(
     CAUSAL, TrajectoryConfig(acceleration_weight=1e-7, speed_limit=28.0), leap=0.03
 )
 LED = replace(CONFIG, future=replace(CONFIG.future, motion_weight=0.05, motion_speed=0.6))
@@ -252,8 +251,8 @@ def recording() -> HandRecording:
 
 @pytest.fixture
 def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(whole_module, "WINDOW", 50)
-    monkeypatch.setattr(whole_module, "AHEAD_S", 0.6)
+    monkeypatch.setattr(trajectory_module, "WINDOW", 50)
+    monkeypatch.setattr(trajectory_module, "AHEAD_S", 0.6)
 
 
 def lost(recording: HandRecording, *frames: slice) -> HandRecording:
@@ -314,7 +313,7 @@ def test_windows_do_not_show(
 ):
     parts, _ = whole.run(recording)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(whole_module, "WINDOW", 1000)
+        patch.setattr(trajectory_module, "WINDOW", 1000)
         once, _ = whole.run(recording)
     assert len(windows(len(recording), 50, 36)) > 2
     assert np.abs(parts.joint_positions - once.joint_positions).max() < 5e-3
@@ -383,7 +382,7 @@ def test_live_use_is_refused(hand: Any):
 
 
 def test_methods_without_derivatives_are_refused(hand: Any):
-    config = WholeConfig(method_config("joint_angle"), CONFIG.future)
+    config = TrajectoryMethodConfig(method_config("joint_angle"), CONFIG.future)
     with pytest.raises(ConfigError, match="sbr and smooth can"):
         check_method(config, hand)
     check_method(CONFIG, hand)
@@ -392,8 +391,8 @@ def test_methods_without_derivatives_are_refused(hand: Any):
 
 
 def test_an_alignment_reaches_the_method_within():
-    changed = aligned_by(CONFIG, scale=0.8)
-    assert isinstance(changed, WholeConfig)
+    changed = CONFIG.with_alignment(scale=0.8)
+    assert isinstance(changed, TrajectoryMethodConfig)
     assert (changed.alignment.scale, changed.future) == (0.8, CONFIG.future)
 
 

@@ -27,7 +27,6 @@ from smooth_operator.human.operator import (
 )
 from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.methods.operated import left_out, operated_by
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.targets import DexPilotTargets
 from smooth_operator.types import HandRecording, Side
@@ -225,7 +224,7 @@ def test_every_method_is_driven_by_the_corrected_hand(
     operator = profile(hand, "tips", "fingers")
     _, seen = corrected(hand, frames.landmarks, operator)
     plain = Retargeter(hand, method=method)
-    config = operated_by(method_config(method), operator)
+    config = method_config(method).with_operator(operator)
     driven = Retargeter(hand, config=config).run(frames)[0].joint_positions
     # The palm's landmarks are the robot's frame already, so this hand is not aligned any further.
     by_hand, _ = plain.run(replace(frames, landmarks=seen))
@@ -236,22 +235,22 @@ def test_every_method_is_driven_by_the_corrected_hand(
 def test_latches_close_at_the_operators_distances(hand: Hand) -> None:
     operator = profile(hand, "pinch")
     for method in ("sbr", "dexpilot"):
-        config: Any = operated_by(method_config(method), operator)
+        config: Any = method_config(method).with_operator(operator)
         targets = config.objective.targets
         assert isinstance(targets, DexPilotTargets)
         assert (targets.project, targets.escape) == (0.011, 0.017)
-        without: Any = operated_by(method_config(method), operator.without("pinch"))
+        without: Any = method_config(method).with_operator(operator.without("pinch"))
         original: Any = method_config(method)
         assert without.objective == original.objective
     unseen = replace(operator, project=None, escape=None)
-    config = operated_by(method_config("dexpilot"), unseen)
+    config = method_config("dexpilot").with_operator(unseen)
     assert config.objective == method_config("dexpilot").objective  # type: ignore[attr-defined]
 
 
 def test_a_frame_without_what_the_correction_needs_is_held(
     hand: Hand, recording: HandRecording
 ) -> None:
-    config = operated_by(method_config("geort"), profile(hand, "tips"))
+    config = method_config("geort").with_operator(profile(hand, "tips"))
     retargeter = Retargeter(hand, config=config)
     landmarks = recording.landmarks[0].copy()
     landmarks[TIPS[3] - 1] = np.nan  # GeoRT itself asks for no such landmark
@@ -353,12 +352,12 @@ def test_a_bad_file_says_what_is_wrong_with_it(hand: Hand, tmp_path: Path) -> No
 
 def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand: Hand) -> None:
     operator = profile(hand, "scale", "pinch")
-    config: Any = operated_by(method_config("smooth"), operator)
+    config: Any = method_config("smooth").with_operator(operator)
     used = config.alignment.operator
     assert used is not None
     assert used.apply == ()  # neither does a scale for all frames
-    assert left_out(config, operator) == ("scale",)
-    assert left_out(method_config("sbr"), operator) == ()
+    assert config.unused_components(operator) == ("scale",)
+    assert method_config("sbr").unused_components(operator) == ()
     targets = config.objective.targets
     gaps = dict(targets.pinch_gaps)
     assert gaps == pytest.approx({f: g * operator.scale for f, g in operator.pinch_gaps.items()})

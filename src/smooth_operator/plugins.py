@@ -101,14 +101,19 @@ class Registry(Mapping[str, Entry]):
         kind: what a part is, in one word, for messages: ``sink``.
         built_in: name -> part.
         needs: names of the attributes that every part has.
+        advice: how to come by them, for the message where one is absent.
     """
 
     def __init__(
-        self, kind: str, built_in: Mapping[str, Entry], needs: tuple[str, ...] = ()
+        self,
+        kind: str,
+        built_in: Mapping[str, Entry],
+        needs: tuple[str, ...] = (),
+        advice: str = "",
     ) -> None:
         self.kind = kind
         self.built_in = dict(built_in)
-        self.needs = needs
+        self.needs, self.advice = needs, advice
 
     @property
     def group(self) -> str:
@@ -204,6 +209,7 @@ class Registry(Mapping[str, Entry]):
         if missing:
             raise ConfigError(
                 f"{self.find(name).target} can't be a {self.kind}: it lacks {', '.join(missing)}"
+                + (f"; {self.advice}" if self.advice else "")
             )
 
     def describe(self) -> str:

@@ -36,7 +36,6 @@ from smooth_operator.lab.benchmark.store import REPORT, RESULTS, write_json
 from smooth_operator.lab.benchmark.suite import Advance
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.methods.dispatch import dispatch_here
-from smooth_operator.methods.notes import method_notes
 from smooth_operator.terminal import open_console
 
 SOME_FAILED = 1
@@ -130,7 +129,7 @@ def _say_what_is_odd(cells: Sequence[Cell], console: Console) -> None:
             hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         except SmoothOperatorError:
             continue  # the cell says so itself
-        said |= set(method_notes(cell.config, hand))
+        said |= set(cell.config.notes(hand))
     for note in sorted(said):
         _note(console, note)
 

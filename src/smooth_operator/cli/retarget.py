@@ -8,9 +8,7 @@ from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.io import frame_slice, read_recording, reading_notes, to_json, write_commands
-from smooth_operator.methods.operated import left_out
 from smooth_operator.methods.request import configuration, plan
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.types import Status
 
 
@@ -48,7 +46,7 @@ def retarget(options: Retarget) -> None:
     total = len(recording)
     frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
     todo = plan(recording[frames], asked)
-    if asked.operator is not None and (unused := left_out(todo.config, asked.operator)):
+    if asked.operator is not None and (unused := todo.config.unused_components(asked.operator)):
         progress.note(f"{todo.method} does not use {', '.join(unused)} of the operator")
     with folder_for(options.output.parent):
         outcome = execute_shown(todo, progress)
@@ -65,7 +63,7 @@ def retarget(options: Retarget) -> None:
     if held:
         done = (
             "had no usable hand: short gaps are bridged, over longer ones the last pose is held"
-            if isinstance(todo.config, WholeConfig)
+            if todo.config.trajectory is not None
             else "repeat the last good command"
         )
         progress.note(f"{held} of {len(outcome.commands)} frames {done}")

@@ -9,7 +9,6 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.notes import method_notes
 from smooth_operator.methods.request import Plan, Request, request
 from smooth_operator.metrics import Definition, Trace
 from smooth_operator.types import Side
@@ -53,7 +52,7 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
 
 def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
     """Says what a person should know of a method on a hand."""
-    for note in method_notes(config, hand):
+    for note in config.notes(hand):
         progress.note(note, matters=True)
 
 

@@ -2,7 +2,6 @@ from smooth_operator.methods.method import HostMethod as HostMethod
 from smooth_operator.methods.method import Method as Method
 from smooth_operator.methods.method import MethodConfig as MethodConfig
 from smooth_operator.methods.method import MethodOutput as MethodOutput
-from smooth_operator.methods.operated import operated_by as operated_by
 from smooth_operator.methods.presets import method_config as method_config
 from smooth_operator.methods.presets import method_names as method_names
 from smooth_operator.methods.retargeter import Retargeter as Retargeter

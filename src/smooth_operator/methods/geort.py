@@ -5,14 +5,14 @@ Here is only what runs; ``smooth_operator.lab.training`` makes the networks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
@@ -26,7 +26,7 @@ from smooth_operator.methods.geort_model import (
     read_geort_model,
     training_command,
 )
-from smooth_operator.methods.method import MethodOutput
+from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
 
@@ -34,7 +34,7 @@ _MODELS: Final = Path(__file__).parent / "models"
 
 
 @dataclass(frozen=True)
-class GeortConfig:
+class GeortConfig(MethodConfig):
     """Settings of GeoRT.
 
     Attributes:
@@ -43,8 +43,7 @@ class GeortConfig:
             for the one that comes with the hand.
     """
 
-    shareable: ClassVar[bool] = False
-    """A model is a file, which may change, and is of one side."""
+    shareable: ClassVar[bool] = False  # a model is a file, which may change, and is of one side
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     model: Path | None = None
@@ -66,6 +65,10 @@ class GeortConfig:
         model = read_geort_model(path)
         return Geort(hand, self, model, model.mirrored_for(hand))
 
+    def with_file(self, path: Path) -> GeortConfig:
+        """The same with another model."""
+        return replace(self, model=path)
+
 
 def built_in_model(hand: str) -> Path | None:
     """The model that comes with the package for a hand, by its name; None if there is none."""
@@ -82,7 +85,7 @@ class GeortState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Geort:
+class Geort(Method):
     """GeoRT for one hand.
 
     Attributes:
@@ -100,7 +103,7 @@ class Geort:
 
     @cached_property
     def objective(self) -> Objective:
-        """By which the answer's tracking loss is told: Eq. (1) without latches."""
+        """Eq. (1) without latches, which gives the tracking loss."""
         return Objective(self.hand, ObjectiveConfig(targets=PlainTargets()))
 
     @property
@@ -113,14 +116,11 @@ class Geort:
         del seed
         return GeortState()
 
-    def latched(self, state: GeortState) -> None:
-        """None: the method has no latches."""
-        del state
-
     def step(
-        self, state: GeortState, aligned: Float[Array, "21 3"]
+        self, state: GeortState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[GeortState, MethodOutput]:
         """One frame."""
+        del ticks
         layout, model = self.objective.layout, self.model
         tips = aligned[np.array(human_tips(self.hand))]
         flip = np.array([-1.0 if self.mirrored else 1.0, 1.0, 1.0])

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.geometry import AnyKind, namespace
 from smooth_operator.hands.hand import Hand
@@ -22,7 +22,7 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.joint_angles import PalmAxes, joint_angles
 from smooth_operator.human.joint_map import format_map, human_palm_axes, joint_map, map_matrix
 from smooth_operator.landmarks import BASES
-from smooth_operator.methods.method import MethodOutput
+from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
 
@@ -80,7 +80,7 @@ class JointAngleMap:
 
 
 @dataclass(frozen=True)
-class JointAngleConfig:
+class JointAngleConfig(MethodConfig):
     """Settings of the joint-angle method; the map itself is the hand's.
 
     Attributes:
@@ -113,7 +113,7 @@ class JointAngleState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class JointAngle:
+class JointAngle(Method):
     """The joint-angle method for one hand."""
 
     hand: Hand
@@ -138,14 +138,11 @@ class JointAngle:
         """Neutral pose; nothing here is random."""
         return JointAngleState(jnp.asarray(self.hand.neutral, jnp.float32))
 
-    def latched(self, state: JointAngleState) -> None:
-        """None: the method has no latches."""
-        del state
-
     def step(
-        self, state: JointAngleState, aligned: Float[Array, "21 3"]
+        self, state: JointAngleState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[JointAngleState, MethodOutput]:
         """One frame."""
+        del ticks
         q = self.map.positions(aligned)
         layout = self.objective.layout
         policy = self.objective.config.targets

@@ -1,14 +1,33 @@
-"""What a retargeting method is: a pure step from aligned landmarks to joint positions."""
+"""What a retargeting method is, and what it can do: the base classes of methods and their settings.
+
+A method of your own is two classes: a frozen dataclass of settings, derived from ``MethodConfig``,
+whose ``build`` gives the method for one hand; and the method, derived from ``Method``, whose
+``step`` maps the aligned landmarks of one frame to joint positions. Everything else has a default.
+"""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+import dataclasses
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, NoReturn, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.operator import Component, OperatorProfile
+from smooth_operator.methods.frame_goals import FrameGoals
+from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+C = TypeVar("C", bound="MethodConfig")
+
+_FAINT = 1e-4
+"""A pull to the neutral pose this weak decides between equally good poses, and no more."""
 
 
 class MethodOutput(NamedTuple):
@@ -24,87 +43,267 @@ class MethodOutput(NamedTuple):
     tracking_loss: Float[Array, ""] | np.floating
 
 
-class MethodConfig(Protocol):
-    """Configuration of a method; knows how to build it for a hand."""
+class Method(ABC):
+    """A retargeting method for one hand: a compiled step with explicit state.
+
+    Immutable: what changes from frame to frame is in the state. Subclasses have an attribute
+    ``hand``, the robot hand.
+    """
+
+    hand: Hand
+
+    can_scan: ClassVar[bool] = True
+    """Whether to try running many frames of a recording in one compiled loop
+    (``smooth_operator.methods.scan``). False where that is known to round differently."""
 
     @property
-    def alignment(self) -> AlignmentConfig:
-        """How landmarks reach the palm frame."""
+    @abstractmethod
+    def needs(self) -> tuple[int, ...]:
+        """Indices of the human landmarks without which no command can be computed."""
 
-    def build(self, hand: Hand) -> Method | HostMethod:
+    @abstractmethod
+    def init(self, seed: int) -> Any:
+        """The state before the first frame: a pytree of arrays, not None at its leaves.
+
+        Args:
+            seed: of the random numbers; ignored by methods without any.
+        """
+
+    @abstractmethod
+    def step(
+        self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[Any, MethodOutput]:
+        """One frame; traceable, without side effects.
+
+        Args:
+            state: from ``init`` or the last step.
+            aligned: (21, 3) landmarks in the palm frame [m]; those in ``needs`` are finite.
+            ticks: the frame's stamp in microseconds modulo 2^32; see ``ticks_of`` in
+                ``smooth_operator.methods.program``. It may stay the same from frame to frame.
+
+        Returns:
+            the next state and the output.
+        """
+
+    @property
+    def host(self) -> HostMethod | None:
+        """The method as one whose solver runs on the host; None if it is one compiled program."""
+        return None
+
+    def latched(self, state: Any) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None for a method without latches.
+
+        Args:
+            state: from ``init`` or a step.
+        """
+        del state
+        return None
+
+    def frame_goals(self) -> FrameGoals | None:
+        """What each frame of a recording asks, for trajectory optimisation over all its frames.
+
+        None for a method without an objective whose derivatives are known.
+        """
+        return None
+
+
+class HostMethod(Method):
+    """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
+
+    can_scan = False
+
+    @abstractmethod
+    def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
+        """The problem of one frame, as a pytree; traceable, without side effects.
+
+        Args:
+            state, aligned, ticks: as for ``step``.
+        """
+
+    @abstractmethod
+    def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
+        """Solves the problem; NumPy in and out, without side effects.
+
+        Args:
+            state: the one that the problem was prepared from.
+            problem: from ``prepare``.
+        """
+
+    def step(
+        self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[Any, MethodOutput]:
+        """One frame, on the host; not traceable."""
+        return self.solve(state, self.prepare(state, aligned, ticks))
+
+    @property
+    def host(self) -> HostMethod:
+        """The method itself."""
+        return self
+
+
+class MethodConfig(ABC):
+    """Settings of a method. Subclasses are frozen dataclasses with a field ``alignment``."""
+
+    alignment: AlignmentConfig
+    """How landmarks reach the palm frame."""
+
+    shareable: ClassVar[bool] = True
+    """Whether retargeters with equal settings, and those of a mirrored hand, may share one compiled
+    program. False where the settings do not determine the program, such as the path of a file."""
+
+    @abstractmethod
+    def build(self, hand: Hand) -> Method:
         """The method for one hand.
 
         Raises:
             SmoothOperatorError: if the hand can't be served, with the reason.
         """
 
+    @property
+    def trajectory(self) -> TrajectoryMethodConfig | None:
+        """The settings as those of trajectory optimisation, which needs the whole recording; None
+        for a method that answers frame by frame."""
+        return None
 
-class Stateful(Protocol):
-    """What all methods share. Frozen: all that changes is in the state."""
+    def with_alignment(self: C, **changes: Any) -> C:
+        """These settings with another alignment.
+
+        Args:
+            changes: fields of ``AlignmentConfig``.
+
+        Raises:
+            ConfigError: a value is out of range.
+        """
+        return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
+
+    def with_operator(self: C, operator: OperatorProfile) -> C:
+        """These settings for a calibrated operator.
+
+        Args:
+            operator: the calibration; ``unused_components`` of it have no effect.
+        """
+        return self.with_alignment(operator=operator)
+
+    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
+        """Which components of a calibration the method does not use."""
+        del operator
+        return ()
+
+    def with_file(self: C, path: Path) -> C | None:
+        """These settings with a file that a user names in place of a preset, such as a trained
+        model; None if the method takes no file."""
+        del path
+        return None
+
+    def without_pull(self: C) -> C:
+        """These settings with next to no pull to the neutral pose, to judge a hand or a solver.
+
+        A trace of it stays, to decide between joint positions that serve the landmarks equally.
+        """
+        return self
+
+    def notes(self, hand: Hand) -> tuple[str, ...]:
+        """Sentences about what the method lacks on a hand, for a person; none for most hands."""
+        del hand
+        return ()
+
+
+class ObjectiveMethodConfig(MethodConfig):
+    """Settings of a method that minimises Eq. (1): those with a field ``objective``."""
+
+    objective: ObjectiveConfig
+    """Targets and weights of Eq. (1)."""
+
+    def with_operator(self: C, operator: OperatorProfile) -> C:
+        """These settings for a calibrated operator: target policy and alignment share the work."""
+        objective = cast(ObjectiveMethodConfig, self).objective
+        targets, corrected = objective.targets.with_operator(operator)
+        changed = self.with_alignment(operator=corrected)
+        return _replaced(changed, objective=dataclasses.replace(objective, targets=targets))
+
+    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
+        """Which components of a calibration the target policy does not use."""
+        unused: tuple[Component, ...] = self.objective.targets.unused_components(operator)
+        return unused
+
+    def without_pull(self: C) -> C:
+        """These settings with a pose weight of at most 1e-4."""
+        objective = cast(ObjectiveMethodConfig, self).objective
+        weight = min(objective.pose_weight, _FAINT)
+        return _replaced(self, objective=dataclasses.replace(objective, pose_weight=weight))
+
+
+@dataclass(frozen=True)
+class TrajectoryMethodConfig(MethodConfig):
+    """Settings of trajectory optimisation: with the future known, all frames are solved together.
+
+    Attributes:
+        causal: the method that answers frame by frame. Its answer is where the optimisation begins,
+            and its objective, without the terms about the last frame, is the cost of each frame.
+        future: what motion between the frames costs.
+        bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
+        leap: step of a landmark in one frame of which half is followed, the rest before and after
+            it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
+        noise: by how many times the tracker's noise that step is longer.
+    """
+
+    causal: MethodConfig
+    future: TrajectoryConfig
+    bridge: float = 0.25
+    leap: float = 0.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.leap < float("inf"):
+            raise ConfigError(f"leap must be a step of 0 m or more, not {self.leap}")
+        if not 0 <= self.noise < float("inf"):
+            raise ConfigError(f"noise must be a factor of 0 or more, not {self.noise}")
+        if not 0 <= self.bridge < float("inf"):
+            raise ConfigError(f"bridge must be a time of 0 s or more, not {self.bridge}")
 
     @property
-    def hand(self) -> Hand:
-        """The robot hand."""
+    def alignment(self) -> AlignmentConfig:  # type: ignore[override]
+        """How landmarks reach the palm frame."""
+        return self.causal.alignment
 
     @property
-    def needs(self) -> tuple[int, ...]:
-        """Human landmarks without which no command can be computed."""
+    def trajectory(self) -> TrajectoryMethodConfig:
+        """The settings themselves."""
+        return self
 
-    def init(self, seed: int) -> Any:
-        """The state before the first frame: a pytree of arrays, not None at its leaves."""
+    def build(self, hand: Hand) -> NoReturn:
+        """Refuses: there is no answer to a single frame.
 
-    def latched(self, state: Any) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None for a method without latches."""
-
-
-class Method(Stateful, Protocol):
-    """A method that is one compiled program."""
-
-    def step(self, state: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, MethodOutput]:
-        """One frame; traceable, without side effects.
-
-        Args:
-            state: from ``init`` or the last step.
-            aligned: (21, 3) landmarks in the palm frame [m]; those in ``needs`` are finite.
+        Raises:
+            ConfigError: always.
         """
+        raise ConfigError(
+            "this preset looks at the whole recording, the future included, so it can't answer "
+            "frame by frame: use it with `smooth-operator retarget`, and choose another preset for "
+            "live use"
+        )
+
+    def with_alignment(self, **changes: Any) -> TrajectoryMethodConfig:
+        """These settings with another alignment of the frame-by-frame method."""
+        return dataclasses.replace(self, causal=self.causal.with_alignment(**changes))
+
+    def with_operator(self, operator: OperatorProfile) -> TrajectoryMethodConfig:
+        """These settings for a calibrated operator."""
+        return dataclasses.replace(self, causal=self.causal.with_operator(operator))
+
+    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
+        """Which components of a calibration the frame-by-frame method does not use."""
+        return self.causal.unused_components(operator)
+
+    def without_pull(self) -> TrajectoryMethodConfig:
+        """These settings with next to no pull to the neutral pose."""
+        return dataclasses.replace(self, causal=self.causal.without_pull())
+
+    def notes(self, hand: Hand) -> tuple[str, ...]:
+        """What the frame-by-frame method lacks on a hand."""
+        return self.causal.notes(hand)
 
 
-class TimedMethod(Stateful, Protocol):
-    """A method that is one compiled program, and goes by the frames' stamps."""
-
-    @property
-    def timed(self) -> bool:
-        """True."""
-
-    def step(
-        self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
-    ) -> tuple[Any, MethodOutput]:
-        """One frame, as of ``Method``.
-
-        Args:
-            state: from ``init`` or the last step.
-            aligned: (21, 3) landmarks in the palm frame [m]; those in ``needs`` are finite.
-            ticks: the frame's stamp in microseconds modulo 2^32. It may stand still where frames
-                have no stamps.
-        """
-
-
-@runtime_checkable
-class HostMethod(Stateful, Protocol):
-    """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
-
-    def prepare(self, state: Any, aligned: Float[Array, "21 3"]) -> Any:
-        """The problem of one frame, as a pytree; traceable, without side effects.
-
-        Args:
-            state: from ``init`` or the last step.
-            aligned: (21, 3) landmarks in the palm frame [m]; those in ``needs`` are finite.
-        """
-
-    def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solve it; NumPy in and out, without side effects.
-
-        Args:
-            state: that the problem was prepared from.
-            problem: of ``prepare``.
-        """
+def _replaced(config: C, **changes: Any) -> C:
+    # settings are dataclasses, which their base class can't say
+    return cast(C, dataclasses.replace(cast(Any, config), **changes))

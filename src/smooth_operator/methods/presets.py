@@ -11,14 +11,13 @@ from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.geort import GeortConfig
 from smooth_operator.methods.joint_angle import JointAngleConfig
-from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.methods.slsqp_method import SlsqpMethodConfig
 from smooth_operator.methods.smooth import SmoothConfig
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.objective.key_objectives import AkoTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, PlainTargets, TipTargets
@@ -149,7 +148,7 @@ _FUTURE: Final = TrajectoryConfig(
     acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
 )
 
-SBR_OFFLINE: Final = WholeConfig(
+SBR_OFFLINE: Final = TrajectoryMethodConfig(
     replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
     _FUTURE,
     leap=0.03,
@@ -163,7 +162,7 @@ recording, 1,000 of the set that GeoRT trains on and 8 s of the built-in operato
 of noise).
 """
 
-SMOOTH_OFFLINE: Final = WholeConfig(
+SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     SMOOTH_TELEOP,
     replace(_FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
     leap=0.02,
@@ -242,7 +241,7 @@ def loadable_presets() -> dict[str, Mapping[str, MethodConfig]]:
 def live_presets() -> dict[str, list[str]]:
     """Names of the presets that answer frame by frame, by method."""
     return {
-        method: [name for name, config in presets.items() if not isinstance(config, WholeConfig)]
+        method: [name for name, config in presets.items() if config.trajectory is None]
         for method, presets in loadable_presets().items()
     }
 
@@ -280,9 +279,10 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     if preset not in presets and preset.endswith(SUFFIX):
         return _from_file(method, Path(preset))
     if preset not in presets:
-        usual = presets[default]
-        if isinstance(usual, GeortConfig) and Path(preset).is_file():
-            return replace(usual, model=Path(preset))
+        file = Path(preset)
+        own = presets[default].with_file(file) if file.is_file() else None
+        if own is not None:
+            return own
         raise UnknownNameError(f"preset of method {method!r}:", preset, presets, _elsewhere(preset))
     return presets[preset]
 

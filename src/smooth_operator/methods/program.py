@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, TypeAlias
@@ -19,7 +20,7 @@ from smooth_operator.human.alignment import (
     reference_landmarks,
 )
 from smooth_operator.human.joint_map import human_palm_axes
-from smooth_operator.methods.method import HostMethod, Method, Stateful
+from smooth_operator.methods.method import HostMethod, Method
 from smooth_operator.types import Status
 
 
@@ -55,8 +56,8 @@ class FrameResult(NamedTuple):
 
 
 Step: TypeAlias = Callable[..., tuple[RetargetState, FrameResult]]
-"""State, (21, 3) landmarks [m], (21,) validity and, for a method that is timed, the frame's ticks
-(``ticks_of``) to the next state and the result; traceable."""
+"""State, (21, 3) landmarks [m], (21,) validity and the frame's ticks (``ticks_of``) to the next
+state and the result; traceable."""
 
 Program: TypeAlias = Callable[..., tuple[RetargetState, FrameResult]]
 """The same on the host, compiled."""
@@ -69,10 +70,10 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
         state: RetargetState,
         landmarks: Float[Array, "21 3"],
         valid: Bool[Array, "21"],
-        *ticks: UInt32[Array, ""],
+        ticks: UInt32[Array, ""],
     ) -> tuple[RetargetState, FrameResult]:
         frame = align_frame(method, alignment, landmarks, valid)
-        after, output = method.step(state.method, frame.aligned, *ticks)
+        after, output = method.step(state.method, frame.aligned, ticks)
         solved = jnp.isfinite(output.q).all()
         status = jnp.where(
             (frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status
@@ -84,24 +85,24 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     return step
 
 
-def frame_program(method: Method | HostMethod, alignment: AlignmentConfig) -> Program:
+def frame_program(method: Method, alignment: AlignmentConfig) -> Program:
     """The program of one frame; it compiles when it is first called."""
-    if isinstance(method, HostMethod):
-        return _host_program(method, alignment)
+    if method.host is not None:
+        return _host_program(method.host, alignment)
     step = frame_step(method, alignment)
 
     def packed(
-        state: RetargetState, landmarks: Array, valid: Array, *ticks: Array
+        state: RetargetState, landmarks: Array, valid: Array, ticks: Array
     ) -> tuple[RetargetState, Array]:
-        state, result = step(state, landmarks, valid, *ticks)
+        state, result = step(state, landmarks, valid, ticks)
         return state, _pack(result.q, result.status, result.tracking_loss, result.scale)
 
     run = compiled(packed)
 
     def program(
-        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, *ticks: np.uint32
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
     ) -> tuple[RetargetState, FrameResult]:
-        state, flat = run(state, landmarks, valid, *ticks)
+        state, flat = run(state, landmarks, valid, ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
         return state, FrameResult(numbers[:-3], int(status), loss, scale)
@@ -134,7 +135,7 @@ class AlignedFrame(NamedTuple):
 
 
 def align_frame(
-    method: Stateful, alignment: AlignmentConfig, landmarks: Array, valid: Array
+    method: Method, alignment: AlignmentConfig, landmarks: Array, valid: Array
 ) -> AlignedFrame:
     """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
     hand, operator = method.hand, alignment.operator
@@ -157,16 +158,16 @@ def align_frame(
 
 
 def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
-    def prepare(state: Any, landmarks: Array, valid: Array) -> tuple[Any, Array]:
+    def prepare(state: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
         frame = align_frame(method, alignment, landmarks, valid)
-        return method.prepare(state, frame.aligned), _pack(frame.status, frame.scale)
+        return method.prepare(state, frame.aligned, ticks), _pack(frame.status, frame.scale)
 
     before = compiled(prepare)
 
     def program(
-        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
     ) -> tuple[RetargetState, FrameResult]:
-        problem, flat = before(state.method, landmarks, valid)
+        problem, flat = before(state.method, landmarks, valid, ticks)
         code, scale = np.asarray(flat).tolist()
         if code != Status.OK:
             return state, FrameResult(state.q, int(code), np.nan, scale)
@@ -188,6 +189,11 @@ def ticks_of(stamp: Float[ArrayLike, "*n"]) -> UInt32[np.ndarray, "*n"]:
     """
     whole = np.round(np.nan_to_num(np.asarray(stamp, float), posinf=0.0, neginf=0.0) * 1e6)
     return np.asarray(np.mod(whole, 2.0**32)).astype(np.uint32)
+
+
+def tick_of(stamp: float) -> np.uint32:
+    """``ticks_of`` of one stamp [s], in a tenth of its time."""
+    return np.uint32(round(stamp * 1e6) % 2**32 if math.isfinite(stamp) else 0)
 
 
 @cache

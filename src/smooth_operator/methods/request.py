@@ -17,7 +17,6 @@ from smooth_operator.human.operator_file import read_operator
 from smooth_operator.io.environment import environment
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.operated import aligned_by, operated_by
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.types import HandRecording, Side
 
@@ -168,7 +167,7 @@ def settled_config(
     config = asked.config
     if asked.operator is not None:
         asked.operator.check(robot)
-        config = operated_by(config, asked.operator)
+        config = config.with_operator(asked.operator)
     if asked.scale is not None:
         fixed: float | None
         if asked.scale == "calibrate":
@@ -183,7 +182,7 @@ def settled_config(
         operator = config.alignment.operator
         # What the user says of the scale goes before what the calibration found.
         operator = None if operator is None else operator.without("scale")
-        config = aligned_by(config, scale=fixed, operator=operator)
+        config = config.with_alignment(scale=fixed, operator=operator)
     return config
 
 

@@ -20,11 +20,10 @@ from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.io.checks import stamps_from_rate
 from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.methods.method import HostMethod, Method, MethodConfig
-from smooth_operator.methods.notes import method_notes
+from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import RetargetState as RetargetState
-from smooth_operator.methods.program import ticks_of
+from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.shared import shared_program
 from smooth_operator.types import (
     CommandTrajectory,
@@ -98,20 +97,15 @@ class Retargeter:
         self._clock = clock
         self._stamped: bool | None = None
         self._input = HandCheck(self.hand.spec.side)
-        self.method: Method | HostMethod = self.config.build(self.hand)
+        self.method: Method = self.config.build(self.hand)
         self.shared = shared_program(self.hand, self.config)
         self._state = self.init()
-
-    @property
-    def timed(self) -> bool:
-        """Whether the method goes by the frames' stamps."""
-        return bool(getattr(self.method, "timed", False))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know of this method on this hand, such as collision shapes that are
         estimated because the model's mesh files can't be read; empty for most hands."""
-        return method_notes(self.config, self.hand)
+        return self.config.notes(self.hand)
 
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
@@ -144,11 +138,9 @@ class Retargeter:
                 f"{self.hand.name!r}: load the {frame.side} one, or mirror the landmarks"
             )
         assert frame.valid is not None  # filled in on construction
-        ticks = (ticks_of(stamp),) if self.timed else ()
         before = state if state.stamp is None else state._replace(stamp=None)
-        state, output = self.shared.run(
-            before, self.program_landmarks(frame.landmarks), frame.valid, *ticks
-        )
+        landmarks = self.program_landmarks(frame.landmarks)
+        state, output = self.shared.run(before, landmarks, frame.valid, tick_of(stamp))
         if self.rate is not None:
             state = state._replace(stamp=stamp)
         q, status = np.asarray(output.q, float), Status(int(output.status))

@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.method import MethodOutput
+from smooth_operator.methods.frame_goals import FrameGoals, SbrGoals
+from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
@@ -22,7 +23,7 @@ from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 
 
 @dataclass(frozen=True)
-class SbrConfig:
+class SbrConfig(ObjectiveMethodConfig):
     """Settings of SBR.
 
     Attributes:
@@ -73,7 +74,7 @@ class SbrState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Sbr:
+class Sbr(Method):
     """SBR for one hand."""
 
     hand: Hand
@@ -102,8 +103,15 @@ class Sbr:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
-    def step(self, state: SbrState, aligned: Float[Array, "21 3"]) -> tuple[SbrState, MethodOutput]:
+    def frame_goals(self) -> FrameGoals:
+        """Eq. (1) without its velocity term."""
+        return SbrGoals(self.objective)
+
+    def step(
+        self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[SbrState, MethodOutput]:
         """One frame."""
+        del ticks
         config, limits, layout = self.config, self.hand.limits, self.objective.layout
         targets, policy_state = config.objective.targets(
             state.targets, layout, layout.human(aligned)

@@ -7,14 +7,13 @@ Measured on one core, preset realtime: 0.22 ms a frame against 0.6 to 0.9 ms.
 
 from __future__ import annotations
 
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.human.alignment import reference_landmarks
-from smooth_operator.methods.method import HostMethod, Method
 from smooth_operator.methods.program import RetargetState, compiled, frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
@@ -34,7 +33,7 @@ class Scan:
 
     def __init__(self, retargeter: Retargeter) -> None:
         self._retargeter = retargeter
-        step = frame_step(cast(Method, retargeter.shared.method), retargeter.config.alignment)
+        step = frame_step(retargeter.shared.method, retargeter.config.alignment)
 
         def scan(state: RetargetState, *frames: Any) -> Any:
             return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, frames)
@@ -49,9 +48,7 @@ class Scan:
         whole = len(recording) // CHUNK * CHUNK
         landmarks = self._retargeter.program_landmarks(recording.landmarks)
         assert recording.valid is not None  # filled in on construction
-        frames = [landmarks, recording.valid]
-        if self._retargeter.timed:
-            frames.append(ticks_of(recording.stamps))
+        frames = [landmarks, recording.valid, ticks_of(recording.stamps)]
         positions, status, loss = [], [], []
         state = self._retargeter.init(seed)
         for start in range(0, whole, CHUNK):
@@ -84,10 +81,10 @@ def find_scan(retargeter: Retargeter) -> Scan | None:
     Returns:
         None where the method's solver runs on the host, or where the compiler, which may order sums
         otherwise in a longer program, gives other bits. What is tried is always the same, so on one
-        kind of machine the answer is too. Of a timed method (``smooth``) it did on every hand that
-        was tried, from a rounded landmark on, so there the 8 s that compiling takes are saved.
+        kind of machine the answer is too. It is not tried for methods that say it is in vain
+        (``Method.can_scan``).
     """
-    if isinstance(retargeter.method, HostMethod) or retargeter.timed:
+    if not retargeter.method.can_scan:
         return None
     scan, trial = Scan(retargeter), _trial(retargeter)
     (fast, fast_loss), (slow, slow_loss) = scan.run(trial), retargeter.run(trial)

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.methods.method import HostMethod, Method, MethodConfig
+from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.program import Program, frame_program
 
 _KEPT: Final = 16
@@ -44,7 +44,7 @@ class SharedProgram(NamedTuple):
         reflects: whether it is that of the hand's mirror image, and takes landmarks reflected.
     """
 
-    method: Method | HostMethod
+    method: Method
     run: Program
     reflects: bool
 
@@ -55,7 +55,7 @@ def shared_program(hand: Hand, config: MethodConfig) -> SharedProgram:
     Raises:
         SmoothOperatorError: the method can't serve the hand.
     """
-    if not getattr(config, "shareable", True):
+    if not config.shareable:
         return _made(hand, config, False)
     reflects = hand.spec.mirror
     served = load_hand_spec(hand.spec.mirrored) if reflects else hand

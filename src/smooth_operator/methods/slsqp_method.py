@@ -18,13 +18,13 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.methods.joint_angle import JointAngleMap
-from smooth_operator.methods.method import MethodOutput
+from smooth_operator.methods.method import HostMethod, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.methods.program import compiled
 from smooth_operator.methods.published_angles import PublishedAngles
 from smooth_operator.objective.local import LocalObjective
@@ -35,7 +35,7 @@ from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 
 @dataclass(frozen=True)
-class SlsqpMethodConfig:
+class SlsqpMethodConfig(ObjectiveMethodConfig):
     """Settings of a method that is solved by SLSQP.
 
     Attributes:
@@ -106,7 +106,7 @@ class SlsqpProblem(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class SlsqpMethod:
+class SlsqpMethod(HostMethod):
     """A method solved by SLSQP, for one hand."""
 
     hand: Hand
@@ -167,8 +167,11 @@ class SlsqpMethod:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
-    def prepare(self, state: SlsqpMethodState, aligned: Float[Array, "21 3"]) -> SlsqpProblem:
+    def prepare(
+        self, state: SlsqpMethodState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> SlsqpProblem:
         """Targets of the frame, and where SLSQP is to begin."""
+        del ticks
         config, layout = self.config.objective, self.objective.layout
         targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))
         previous = jnp.asarray(state.q)

@@ -20,10 +20,12 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.pursuit import Followed, PursuitConfig, is_off, pursue
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
-from smooth_operator.methods.method import MethodOutput
+from smooth_operator.methods.frame_goals import FrameGoals, SmoothGoals
+from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.clearance import ClearanceConfig
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
@@ -45,7 +47,7 @@ _SHORTEST: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class SmoothConfig:
+class SmoothConfig(ObjectiveMethodConfig):
     """Settings of ``smooth``. A weight of 0 leaves its term out.
 
     Attributes:
@@ -111,6 +113,11 @@ class SmoothConfig:
         """The method for one hand."""
         return Smooth(hand, self)
 
+    def notes(self, hand: Hand) -> tuple[str, ...]:
+        """Whether collision shapes are estimated."""
+        note = stand_in_note(hand) if self.clearance.weight else None
+        return (note,) if note else ()
+
 
 class SmoothState(NamedTuple):
     """All that ``smooth`` remembers between frames.
@@ -153,14 +160,13 @@ class _Clock(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Smooth:
+class Smooth(Method):
     """``smooth`` for one hand."""
 
     hand: Hand
     config: SmoothConfig
 
-    timed = True
-    """Its step takes the time of the frame, too."""
+    can_scan = False  # on every hand that was tried it rounded differently: 8 s of compiling saved
 
     @cached_property
     def objective(self) -> SmoothObjective:
@@ -191,11 +197,12 @@ class Smooth:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
+    def frame_goals(self) -> FrameGoals:
+        """The objective on landmarks without the filter, which a known future makes needless."""
+        return SmoothGoals(self.objective, self.needs)
+
     def step(
-        self,
-        state: SmoothState,
-        aligned: Float[Array, "21 3"],
-        ticks: UInt32[Array, ""] | int = 0,
+        self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
         config, now = self.config, jnp.asarray(ticks, jnp.uint32)

@@ -6,13 +6,13 @@ length costs more on it: a pinch is held closely without a latch that could jump
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.operator import pinch_nearness
+from smooth_operator.human.operator import Component, OperatorProfile, pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import StatelessTargets, Targets, base_weights
 
@@ -60,6 +60,23 @@ class CloseTargets(StatelessTargets[KeyvectorLayout]):
         for finger, gap in self.pinch_gaps:
             if not 0 <= gap < 0.1:
                 raise ConfigError(f"pinch_gaps: {finger} must have 0 to 0.1 m, not {gap}")
+
+    def with_operator(self, operator: OperatorProfile) -> tuple[CloseTargets, OperatorProfile]:
+        """Targets that close the operator's pinches by their length alone.
+
+        The thumb's vectors are held by direction and by length. To move landmarks would turn the
+        directions with them, which cost cosine similarity (docs/calibration.md).
+        """
+        kept = operator.without(*self.unused_components(operator))
+        if not operator.has("pinch"):
+            return self, kept
+        gaps = tuple((name, gap * operator.scale) for name, gap in operator.pinch_gaps.items())
+        return replace(self, pinch_gaps=gaps), kept.without("pinch")
+
+    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
+        """``scale``: one scale for all frames helped on no recording, and on video it preserved
+        motion less (docs/calibration.md). A scale in the configuration itself is used."""
+        return ("scale",) if operator.has("scale") else ()
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.human.operator import Component, OperatorProfile
 from smooth_operator.objective.keyvectors import KeyvectorLayout, TipLayout, VectorLayout
 
 
@@ -64,6 +65,25 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
         """(F - 1,) which fingers are latched to the thumb; None for a policy without latches."""
         del state
         return None
+
+    def with_operator(
+        self, operator: OperatorProfile
+    ) -> tuple[TargetPolicy[LayoutT, StateT], OperatorProfile]:
+        """The policy for a calibrated operator.
+
+        Args:
+            operator: the calibration.
+
+        Returns:
+            the policy, and the calibration with those components that remain for the alignment to
+            correct.
+        """
+        return self, operator
+
+    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
+        """Which components of a calibration are used neither by the policy nor for it."""
+        del operator
+        return ()
 
 
 class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
@@ -183,6 +203,18 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
         return KeyvectorLayout(fingers)
+
+    def with_operator(self, operator: OperatorProfile) -> tuple[DexPilotTargets, OperatorProfile]:
+        """Latches at the operator's distances.
+
+        Once tips are corrected, thumb and finger read nearly nothing in every pinch, so one pair of
+        distances serves all fingers. DexPilot's own (30 and 50 mm) allow for an operator that
+        nobody measured, and close the neighbours of a pinching finger with it.
+        """
+        project, escape = operator.project, operator.escape
+        if not operator.has("pinch") or project is None or escape is None:
+            return self, operator
+        return replace(self, project=project, escape=escape), operator
 
     def init(self, layout: KeyvectorLayout) -> LatchState:
         """Open latches."""

@@ -18,7 +18,6 @@ from smooth_operator.lab.benchmark.settings import Choice, Settings, method_labe
 from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.operated import operated_by
 from smooth_operator.result_cache import code_digest, key_digest
 from smooth_operator.types import Side
 
@@ -79,7 +78,7 @@ def cells_of(
 ) -> list[Cell]:
     """Every recording with every hand and every method, in this order."""
     operator = settings.operator
-    configs = [c.config if operator is None else operated_by(c.config, operator) for c in methods]
+    configs = [c.config if operator is None else c.config.with_operator(operator) for c in methods]
     return [
         Cell(source, hand, choice.method, choice.preset, config, settings.fingers)
         for source in sources

@@ -16,7 +16,6 @@ from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.request import Plan
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.metrics import Definition, Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory
@@ -51,12 +50,13 @@ def build(todo: Plan) -> tuple[Runner, float]:
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
-    if not isinstance(todo.config, WholeConfig):
+    config = todo.config.trajectory
+    if config is None:
         return build_retargeter(todo.hand, todo.config, todo.seed)
     started = time.perf_counter()
     dispatch_here()
     with healing(enable_cache()):
-        whole = TrajectoryRetargeter(todo.hand, todo.config, todo.seed)
+        whole = TrajectoryRetargeter(todo.hand, config, todo.seed)
         whole.warm_up()
     return whole, time.perf_counter() - started
 

@@ -18,9 +18,10 @@ from smooth_operator.io.results import encode_commands, write_encoded_commands
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.execution import Runner, build
 from smooth_operator.lab.offline.finished import digest, identity
-from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter, check_method
+from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.request import Plan, Request, configuration, plan
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan, find_scan
 from smooth_operator.types import HandRecording, Side, Status
 
@@ -182,10 +183,8 @@ def _tools(todo: Plan, *, reuse: bool) -> _Tools:
     key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
     if key not in _SHELF:
         retargeter, _ = build(todo)
-        if isinstance(retargeter, TrajectoryRetargeter):  # which does without
-            _SHELF[key] = _Tools(retargeter, None)
-        else:
-            _SHELF[key] = _Tools(retargeter, find_scan(retargeter))
+        scan = find_scan(retargeter) if isinstance(retargeter, Retargeter) else None
+        _SHELF[key] = _Tools(retargeter, scan)
         while len(_SHELF) > _SHELF_SIZE:
             _SHELF.popitem(last=False)
     _SHELF.move_to_end(key)

@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.offline.frame_goals import Goal, fingertips, frame_goals, stacked
 from smooth_operator.lab.offline.segments import (
     even_stamps,
     segments,
@@ -31,11 +32,11 @@ from smooth_operator.lab.offline.segments import (
     without_leaps,
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.frame_goals import FrameGoals, Goal
+from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.program import align_frame, compiled
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.solvers.trajectory import ORDERS, Led, smooth_trajectory
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
@@ -61,11 +62,11 @@ class TrajectoryRetargeter:
         ConfigError: the method can't be solved for a whole recording.
     """
 
-    def __init__(self, hand: Hand, config: WholeConfig, seed: int = 0) -> None:
+    def __init__(self, hand: Hand, config: TrajectoryMethodConfig, seed: int = 0) -> None:
         self.hand, self.config, self.seed = hand, config, seed
         self.causal = Retargeter(hand, config=config.causal, seed=seed)
         method = self.causal.shared.method  # that of the mirror image for hands described as one
-        goals = frame_goals(method)
+        goals = _frame_goals(method)
         objective, alignment = goals.objective, config.alignment
         tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
         self._begin = goals.begin
@@ -111,7 +112,7 @@ class TrajectoryRetargeter:
         """
         return self.causal.warm_up()
 
-    def priced(self, config: WholeConfig) -> TrajectoryRetargeter:
+    def priced(self, config: TrajectoryMethodConfig) -> TrajectoryRetargeter:
         """The same with other prices of motion, without compiling anything.
 
         Args:
@@ -185,7 +186,7 @@ class TrajectoryRetargeter:
         for part in chunks:
             memory, goal = self._follow(memory, _filled(points[part]), _filled(seen[part]))
             parts.append(goal)
-        goals, reaches = jax.tree.map(lambda values: values[:count], stacked(parts))
+        goals, reaches = jax.tree.map(lambda values: values[:count], _stacked(parts))
         return goals, reaches
 
     def _solved(
@@ -282,15 +283,42 @@ class TrajectoryRetargeter:
 
 
 def check_method(config: MethodConfig, hand: Hand) -> None:
-    """Looks whether a configuration can serve a hand, frame by frame or as a whole.
+    """Whether a configuration can serve a hand, frame by frame or as a trajectory.
 
     Raises:
         SmoothOperatorError: it can't, with the reason.
     """
-    if isinstance(config, WholeConfig):
-        frame_goals(config.causal.build(hand))
-    else:
+    whole = config.trajectory
+    if whole is None:
         config.build(hand)
+    else:
+        _frame_goals(whole.causal.build(hand))
+
+
+def _frame_goals(method: Method) -> FrameGoals:
+    goals = method.frame_goals()
+    if goals is None:
+        raise ConfigError(
+            f"{type(method).__name__} can't be solved for a whole recording at once; sbr and "
+            "smooth can"
+        )
+    return goals
+
+
+def fingertips(
+    hand: Hand, q: Float[Array, " m"]
+) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 m"]]:
+    """Fingertips at a pose [m] and their derivatives [m/rad]; traceable."""
+    matrix, offset = (jnp.asarray(part, q.dtype) for part in hand.expansion)
+    kinematics = PointKinematics(hand.tree, hand.tip_names)
+    motion = kinematics(matrix @ q + offset)
+    spread = matrix[np.array(kinematics.order)]
+    return motion.points, jnp.einsum("fjc,jm->fcm", motion.velocities, spread)
+
+
+def _stacked(goals: list[Goal]) -> Goal:
+    """Goals of several calls as one, frame by frame; NumPy."""
+    return jax.tree.map(lambda *parts: np.concatenate([np.asarray(p) for p in parts]), *goals)
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

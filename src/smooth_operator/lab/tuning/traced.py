@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from smooth_operator.methods.method import HostMethod, MethodConfig
+from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.program import RetargetState, compiled, frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.setting_paths import with_unchecked
@@ -41,7 +41,7 @@ class TracedRun:
                 config, {path: values[i] for i, path in enumerate(self._paths)}
             )
             method = traced.build(served)
-            assert not isinstance(method, HostMethod)  # looked at by can_trace
+            assert method.host is None  # looked at by can_trace
             step = frame_step(method, traced.alignment)
             return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, frames)
 
@@ -55,9 +55,11 @@ class TracedRun:
         """
         retargeter, hand = self._retargeter, self._retargeter.hand
         assert recording.valid is not None  # filled in on construction
-        frames = [retargeter.program_landmarks(recording.landmarks), recording.valid]
-        if retargeter.timed:
-            frames.append(ticks_of(recording.stamps))
+        frames = [
+            retargeter.program_landmarks(recording.landmarks),
+            recording.valid,
+            ticks_of(recording.stamps),
+        ]
         # What is too much is invalid, so that every call is of one shape.
         count, lacking = len(recording), -len(recording) % CHUNK
         frames = [np.concatenate([each, np.repeat(each[-1:], lacking, 0)]) for each in frames]
@@ -82,4 +84,4 @@ class TracedRun:
 def can_trace(retargeter: Retargeter, values: Mapping[str, float | int]) -> bool:
     """Whether it is worth a try: fractions only, and a method that is one program."""
     fractions = all(isinstance(value, float) for value in values.values())
-    return fractions and not isinstance(retargeter.method, HostMethod)
+    return fractions and retargeter.method.host is None

@@ -15,10 +15,9 @@ from smooth_operator.lab.benchmark.sources import Request, load_sources
 from smooth_operator.lab.offline import TrajectoryRetargeter
 from smooth_operator.lab.tuning.traced import TracedRun, can_trace
 from smooth_operator.methods.dispatch import dispatch_here
-from smooth_operator.methods.method import HostMethod, MethodConfig
+from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.setting_paths import with_settings
-from smooth_operator.methods.whole import WholeConfig
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory, HandRecording
@@ -90,14 +89,14 @@ _whole: dict[tuple[Any, ...], TrajectoryRetargeter] = {}
 
 
 def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
-    if isinstance(config, WholeConfig):
-        known = (task.hand, recording.side, config.causal, task.seed)
+    if (whole := config.trajectory) is not None:
+        known = (task.hand, recording.side, whole.causal, task.seed)
         if known not in _whole:
             _whole.clear()
             _whole[known] = TrajectoryRetargeter(
-                load_hand(task.hand, recording.side), config, task.seed
+                load_hand(task.hand, recording.side), whole, task.seed
             )
-        return _whole[known].priced(config).run(recording)[0]
+        return _whole[known].priced(whole).run(recording)[0]
     key = (task.hand, recording.side, task.config, tuple(task.values), task.seed)
     if key not in _traced:
         base = Retargeter(task.hand, side=recording.side, config=task.config, seed=task.seed)
@@ -114,6 +113,6 @@ def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -
 def _anew(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
     """Compiled for these values."""
     retargeter = Retargeter(task.hand, side=recording.side, config=config, seed=task.seed)
-    if isinstance(retargeter.method, HostMethod):
+    if retargeter.method.host is not None:
         return retargeter.run(recording)[0]
     return TracedRun(retargeter, ()).run(recording, {})

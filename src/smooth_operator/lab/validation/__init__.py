@@ -9,4 +9,3 @@ from smooth_operator.lab.validation.checks import Checkup as Checkup
 from smooth_operator.lab.validation.checkup import check_hand as check_hand
 from smooth_operator.lab.validation.round_trip import RoundTrip as RoundTrip
 from smooth_operator.lab.validation.round_trip import round_trip as round_trip
-from smooth_operator.lab.validation.round_trip import without_pull as without_pull

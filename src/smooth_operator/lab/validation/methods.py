@@ -8,7 +8,7 @@ from typing import Final
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.validation.checks import Check, Verdict
-from smooth_operator.lab.validation.round_trip import RoundTrip, round_trip, without_pull
+from smooth_operator.lab.validation.round_trip import RoundTrip, round_trip
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
@@ -34,7 +34,7 @@ def check_method(
     """One method's round trip; the pull to the neutral pose is taken away, to judge the hand."""
     name = f"round trip: {method}"
     try:
-        retargeter = Retargeter(hand, config=without_pull(method_config(method)))
+        retargeter = Retargeter(hand, config=method_config(method).without_pull())
     except SmoothOperatorError as error:
         return Check(name, "skipped", f"not served: {error}")
     trip = round_trip(retargeter, poses=poses, seed=seed, track=track)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -12,17 +12,13 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
-from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.slsqp_method import SlsqpMethodConfig
 from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.types import HandFrame, Status
 
 _APPROACH: Final = 20  # frames from the neutral pose to the pose
 _HOLD: Final = 15  # frames in which the human then holds still
 _PERIOD_S: Final = 0.01  # from frame to frame [s]
-_FAINT: Final = 1e-4  # a pull to the neutral pose this weak decides between equals, and no more
 _ROUNDING: Final = 1e-9  # of limits in float64 [rad]
 
 
@@ -75,7 +71,7 @@ def round_trip(
 
     What is measured is the method as it is configured. Many methods weigh a pull to the neutral
     pose against the landmarks, and so end millimetres off a pose that they could reach exactly. To
-    judge a hand, or a solver, take that pull away with ``without_pull``.
+    judge a hand, or a solver, take that pull away with ``MethodConfig.without_pull``.
 
     Args:
         retargeter: the method on its hand; its own state is left alone.
@@ -118,18 +114,4 @@ def round_trip(
         ok=good / (poses * len(share)),
         limit_violations=outside,
         frozen=float(np.mean(frozen)) if frozen else None,
-    )
-
-
-def without_pull(config: MethodConfig) -> MethodConfig:
-    """The same method with next to no pull to the neutral pose.
-
-    A trace of it stays, to decide between joint positions that serve the landmarks alike.
-    """
-    if not isinstance(config, SbrConfig | SlsqpMethodConfig):
-        return config
-    objective = config.objective
-    return replace(
-        config,
-        objective=replace(objective, pose_weight=min(objective.pose_weight, _FAINT)),
     )
