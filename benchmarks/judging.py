@@ -128,9 +128,9 @@ def _figures(task: _Task) -> dict[str, Any]:
     return {"metrics": metrics, "human": asdict(human_figures(trace.human, trace.fingers))}
 
 
-def code_of(config: object) -> str:
+def code_of(config: MethodConfig) -> str:
     """Digest of all modules of this package that a configuration's method or a metric needs."""
-    inner = getattr(config, "causal", config)  # of a preset for whole recordings
+    inner = config if config.trajectory is None else config.trajectory.causal
     home, _, module = type(inner).__module__.partition(".")
     if home != "smooth_operator":  # of a plugin: its own file stands for it
         plugin = digest(Path(inspect.getfile(type(inner))))
@@ -145,11 +145,11 @@ def _code(method: tuple[str, ...], whole: bool = False) -> str:
         "methods/retargeter.py", "metrics/evaluation.py", "metrics/assemble.py",
         "lab/offline/execution.py",
         # These know every method; what one is configured to is in its key anyway.
-        leave_out=("methods/__init__.py", "methods/presets.py", "lab/offline/whole.py"),
+        leave_out=("methods/__init__.py", "methods/presets.py", "lab/offline/trajectory_retargeter.py"),
     )  # fmt: skip
     if not whole:
         return code_digest(*needed)
     more = imported_modules(
-        "lab/offline/frame_goals.py", "lab/offline/segments.py", "solvers/trajectory.py"
+        "methods/frame_goals.py", "lab/offline/segments.py", "solvers/trajectory.py"
     )
-    return code_digest(*sorted({*needed, *more}), "lab/offline/whole.py")
+    return code_digest(*sorted({*needed, *more}), "lab/offline/trajectory_retargeter.py")
