@@ -145,7 +145,9 @@ def _code(method: tuple[str, ...], whole: bool = False) -> str:
         "methods/retargeter.py", "metrics/evaluation.py", "metrics/assemble.py",
         "lab/offline/execution.py",
         # These know every method; what one is configured to is in its key anyway.
-        leave_out=("methods/__init__.py", "methods/presets.py", "lab/offline/trajectory_retargeter.py"),
+        leave_out=(
+            "methods/__init__.py", "methods/presets.py", "lab/offline/trajectory_retargeter.py",
+        ),
     )  # fmt: skip
     if not whole:
         return code_digest(*needed)
