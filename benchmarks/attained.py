@@ -18,12 +18,12 @@ from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.settings import Choice, method_label
 from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline import execute
-from smooth_operator.methods.request import Plan
 from smooth_operator.metrics import accuracy, summary
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.planning import Plan
 from smooth_operator.reporting.drawing import INK, MARKERS, colors_of, name_points, styled
 from smooth_operator.types import Side
 

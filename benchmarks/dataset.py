@@ -29,8 +29,8 @@ from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.lab.offline.dataset import retarget_all, survey
 from smooth_operator.methods.program import compiled, frame_step
-from smooth_operator.methods.request import request
 from smooth_operator.methods.scan import CHUNK, Scan
+from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 
 
@@ -87,7 +87,7 @@ def throughput(report: Report, settings: Settings, ways: list[str], at: Path) ->
         path.parent.mkdir(exist_ok=True)
         np.savez(path, landmarks=recording.landmarks, timestamps=recording.stamps, side="right")
     frames = settings.recordings * len(recording)
-    asked = request(hand=settings.hand, method=settings.method, preset=settings.preset)
+    asked = make_request(hand=settings.hand, method=settings.method, preset=settings.preset)
     options: dict[str, dict[str, Any]] = {
         "one": {"workers": 0},
         "pool": {"workers": workers},

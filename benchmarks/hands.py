@@ -46,10 +46,10 @@ from smooth_operator.lab.validation import round_trip
 from smooth_operator.methods.geort import GeortConfig, built_in_model
 from smooth_operator.methods.geort_model import write_geort_model
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
-from smooth_operator.methods.request import Plan
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.planning import Plan
 from smooth_operator.types import Side
 
 SIDES = ("right", "left")

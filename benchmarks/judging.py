@@ -15,8 +15,8 @@ from smooth_operator.lab.benchmark.targets import HumanFigures, human_figures
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.request import Plan
 from smooth_operator.parallel import TaskResult, run_tasks
+from smooth_operator.planning import Plan
 from smooth_operator.result_cache import (
     Job,
     ResultCache,

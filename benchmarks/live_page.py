@@ -21,7 +21,7 @@ from pathlib import Path
 
 from smooth_operator.cli.teleop import _attentive
 from smooth_operator.methods.building import build_retargeter
-from smooth_operator.methods.request import request, settle
+from smooth_operator.planning import make_request, resolve
 from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.session import LiveSession
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -70,8 +70,8 @@ def main() -> None:
     parser.add_argument("--visits", type=int, default=50)
     parser.add_argument("--method", default="sbr")
     options = parser.parse_args()
-    asked = request(method=options.method)
-    hand, method = settle(asked, "right")
+    asked = make_request(method=options.method)
+    hand, method = resolve(asked, "right")
     retargeter, _ = build_retargeter(hand, method, 0)
     config = LoopConfig(rate=100.0)
 

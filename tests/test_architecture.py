@@ -45,6 +45,7 @@ SHARED = {
     "calibration": 5,
     "synthetic": 5,
     ROOT: 7,
+    "planning": 7,
     "reporting": 7,
 }
 """What several wings use: module -> level. It imports no wing."""

@@ -28,9 +28,9 @@ from smooth_operator.human.operator_file import read_operator
 from smooth_operator.io import read_recording
 from smooth_operator.lab.offline.dataset import survey
 from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.methods.request import request
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages import Playback
 from smooth_operator.types import HandRecording, Side
 
@@ -464,7 +464,7 @@ def test_a_folder_is_made_again_for_other_fingers_or_another_operator(
     assert status == 0, err
 
     def left(fingers: str | None, operator: Path | None) -> int:
-        asked = request(method="joint_angle", fingers=fingers, operator=operator)
+        asked = make_request(method="joint_angle", fingers=fingers, operator=operator)
         return len(survey(recordings, output, asked).jobs)
 
     assert left(THREE, file) == 0

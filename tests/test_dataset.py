@@ -29,8 +29,8 @@ from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.offline.jobs import Entry, checked
 from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.request import Request, request
 from smooth_operator.methods.scan import CHUNK, Scan, find_scan
+from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import LogWriter
@@ -38,7 +38,7 @@ from smooth_operator.types import HandRecording, Side, Status
 
 # A small SBR, quick to compile. Of the smallest (32 samples) a scan gives other bits.
 TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
-ASKED = Request("mimic_p050", "sbr", "tiny", TINY, seed=3)
+ASKED = RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3)
 TINY_SBR = ("--method", "sbr", "--preset", "tiny")
 FRAMES = {"a": 30, "b": 2 * CHUNK + 7, "deep/c": CHUNK, "deep/er/d": 90, "e": 1}
 
@@ -88,7 +88,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return at
 
 
-def do(folder: Path, output: Path, asked: Request = ASKED) -> tuple[Survey, list[Entry]]:
+def do(folder: Path, output: Path, asked: RetargetRequest = ASKED) -> tuple[Survey, list[Entry]]:
     """One after the other, in this process."""
     todo = survey(folder, output, asked)
     return todo, list(retarget_all(todo.jobs, workers=0))
@@ -138,7 +138,7 @@ def test_with_the_default_method_too(tmp_path: Path) -> None:
     """Of two recordings by one retargeter, neither leaves anything to the other."""
     for seed, frames in enumerate((CHUNK + 9, 30)):
         save(tmp_path / "in" / f"{seed}.npz", hand(frames, seed))
-    todo, entries = do(tmp_path / "in", tmp_path / "out", request(seed=3))
+    todo, entries = do(tmp_path / "in", tmp_path / "out", make_request(seed=3))
     assert len(todo.jobs) == 2
     assert {entry.state for entry in entries} == {"done"}
     for seed in (0, 1):
@@ -235,7 +235,7 @@ def copy(folder: Path, expected: Bytes, tmp_path: Path) -> tuple[Path, Path]:
     return recordings, output
 
 
-def left(recordings: Path, output: Path, asked: Request = ASKED, **more: Any) -> set[str]:
+def left(recordings: Path, output: Path, asked: RetargetRequest = ASKED, **more: Any) -> set[str]:
     return {job.found.name for job in survey(recordings, output, asked, **more).jobs}
 
 
@@ -364,14 +364,14 @@ def test_refused_before_any_work(tmp_path: Path) -> None:
 
 
 def test_a_request_is_checked_once_and_not_per_recording() -> None:
-    assert checked(request(preset="teleop")) == request()
+    assert checked(make_request(preset="teleop")) == make_request()
     with pytest.raises(UnknownNameError, match="unknown hand"):
-        checked(request(hand="foot"))
+        checked(make_request(hand="foot"))
     with pytest.raises(UnknownNameError, match="unknown method"):
-        request(method="sbrr")
+        make_request(method="sbrr")
     for wrong in ({"frames": "1-2"}, {"frames": "5:5"}, {"rate": -1.0}, {"scale": 40.0}):
         with pytest.raises(ConfigError):
-            checked(request(**wrong))  # type: ignore[arg-type]
+            checked(make_request(**wrong))  # type: ignore[arg-type]
 
 
 # Many frames at a time.

@@ -27,7 +27,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.methods.presets import PRESETS, live_presets
-from smooth_operator.methods.request import request
+from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.live import words
 from smooth_operator.teleop.pages.live.coach import Coach
@@ -206,7 +206,7 @@ def frames() -> list[HandFrame]:
 
 @pytest.fixture(scope="module")
 def stage(frames: list[HandFrame], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    asked = request(method="joint_angle")
+    asked = make_request(method="joint_angle")
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
     # a busy machine is late, which is no loss of the tracker here

@@ -22,10 +22,10 @@ from smooth_operator.lab.offline.segments import windows
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, live_presets, method_config
-from smooth_operator.methods.request import plan, request
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.planning import make_request, plan
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import (
@@ -400,7 +400,7 @@ def test_a_plan_with_the_preset_is_done_as_a_whole(
     recording: HandRecording, monkeypatch: pytest.MonkeyPatch, whole: TrajectoryRetargeter
 ):
     monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
-    todo = plan(recording, request(method="sbr", preset="tiny"))
+    todo = plan(recording, make_request(method="sbr", preset="tiny"))
     built = build(todo)
     assert isinstance(built[0], TrajectoryRetargeter)
     shown: list[int] = []

@@ -30,7 +30,7 @@ from smooth_operator.errors import (
     UnknownNameError,
 )
 from smooth_operator.human.operator_file import write_operator
-from smooth_operator.methods.request import request
+from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
 from smooth_operator.simulation.tasks.desk import TaskDesk
@@ -83,7 +83,7 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    asked = request(method="joint_angle")
+    asked = make_request(method="joint_angle")
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
     config = LoopConfig(rate=50.0)
@@ -313,7 +313,7 @@ def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
     shown = json.dumps(stage.session.look(text=True, fields=0))
     assert not [name for name in method_names() if name in shown]
     assert '"default"' not in shown  # nor the preset
-    open_eyed = LiveSession(stage.loop, request(), workshop=stage.workshop)
+    open_eyed = LiveSession(stage.loop, make_request(), workshop=stage.workshop)
     assert "joint_angle" in json.dumps(open_eyed.look(text=True, fields=0))
     assert not stage.session.configuration()
     assert stage.do("status")["method"] == "joint_angle"  # whom the page asked in vain

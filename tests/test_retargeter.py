@@ -28,11 +28,11 @@ from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.methods import program as program_module
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
-from smooth_operator.methods.request import request
 from smooth_operator.methods.retargeter import Retargeter, RetargetState
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.planning import make_request
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.types import HandFrame, HandRecording, Result, Status
@@ -348,8 +348,8 @@ def test_settings_are_checked() -> None:
 def test_who_names_no_method_gets_the_default_one(usual: Retargeter) -> None:
     assert DEFAULT_METHOD == "smooth"
     assert usual.config is method_config() is method_config(DEFAULT_METHOD, "teleop")
-    assert request().method == Retarget.method == Teleop.method == DEFAULT_METHOD
-    assert (request().preset, request().config) == ("teleop", usual.config)
+    assert make_request().method == Retarget.method == Teleop.method == DEFAULT_METHOD
+    assert (make_request().preset, make_request().config) == ("teleop", usual.config)
 
 
 def test_presets() -> None:

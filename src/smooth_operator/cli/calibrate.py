@@ -24,7 +24,7 @@ from smooth_operator.io import atomic_write, frame_slice, read_recording, readin
 from smooth_operator.io.environment import environment
 from smooth_operator.lab.offline.calibration_picture import draw_calibration
 from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.methods.request import PROGRAM
+from smooth_operator.planning import PROGRAM
 from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording

@@ -23,7 +23,7 @@ from smooth_operator.io.environment import environment
 from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
 from smooth_operator.lab.offline.finished import claimed, read_configuration
 from smooth_operator.lab.offline.jobs import Entry, checked
-from smooth_operator.methods.request import PROGRAM
+from smooth_operator.planning import PROGRAM
 from smooth_operator.terminal import open_console, printable
 
 _SHOWN_FAILURES = 40

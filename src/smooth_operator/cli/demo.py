@@ -13,8 +13,8 @@ from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.io import atomic_write, to_json, write_commands
 from smooth_operator.lab.offline import Outcome
-from smooth_operator.methods.request import configuration, plan
 from smooth_operator.metrics import Trace
+from smooth_operator.planning import configuration, plan
 from smooth_operator.reporting.metric_plots import save_plots
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.types import HandRecording, JointCommand, Status

@@ -8,7 +8,7 @@ from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.io import frame_slice, read_recording, reading_notes, to_json, write_commands
-from smooth_operator.methods.request import configuration, plan
+from smooth_operator.planning import configuration, plan
 from smooth_operator.types import Status
 
 

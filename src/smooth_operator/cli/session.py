@@ -9,8 +9,8 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.request import Plan, Request, request
 from smooth_operator.metrics import Definition, Trace
+from smooth_operator.planning import Plan, RetargetRequest, make_request
 from smooth_operator.types import Side
 
 
@@ -21,13 +21,13 @@ def requested(
     rate: float | None = None,
     layout: str | None = None,
     frames: str | None = None,
-) -> Request:
+) -> RetargetRequest:
     """What the options ask for, every text and file in them read.
 
     Raises:
         SmoothOperatorError: one of them can't be.
     """
-    return request(
+    return make_request(
         hand=options.hand,
         method=options.method,
         preset=options.preset,

@@ -25,8 +25,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.io import to_json
 from smooth_operator.methods.building import build_retargeter
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.request import Request, live_configuration, request
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.planning import RetargetRequest, live_configuration, make_request
 from smooth_operator.teleop.control.orders import Orders
 from smooth_operator.teleop.control.workshop import Workshop
 from smooth_operator.teleop.runtime.controls import Controls
@@ -62,7 +62,7 @@ def teleop(options: Teleop) -> None:
     config = LoopConfig(options.rate, options.safety, options.limits)
     source = build_source(options.source, options.side)
     acting = [build_sink(text) for text in with_task(options.sink, options.task)]
-    asked = request(
+    asked = make_request(
         hand=options.hand,
         method=options.method,
         preset=options.preset,
@@ -80,7 +80,7 @@ def teleop(options: Teleop) -> None:
 
 def _drive(
     options: Teleop,
-    asked: Request,
+    asked: RetargetRequest,
     config: LoopConfig,
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
     source: LiveSource,

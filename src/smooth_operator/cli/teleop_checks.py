@@ -9,7 +9,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.request import Request, settle
+from smooth_operator.planning import RetargetRequest, resolve
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
@@ -19,7 +19,7 @@ from smooth_operator.types import Side
 
 def checked(
     options: Teleop,
-    asked: Request,
+    asked: RetargetRequest,
     config: LoopConfig,
     sides: Sequence[Side],
     source: LiveSource,
@@ -33,7 +33,7 @@ def checked(
     Raises:
         SmoothOperatorError: what is wrong.
     """
-    settled = {side: settle(asked, side) for side in sides}
+    settled = {side: resolve(asked, side) for side in sides}
     hands = {side: hand for side, (hand, _) in settled.items()}
     for hand in hands.values():
         Limiter(hand, config.limits)

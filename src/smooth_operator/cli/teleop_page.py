@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.teleop_options import Teleop
-from smooth_operator.methods.request import Request
+from smooth_operator.planning import RetargetRequest
 from smooth_operator.teleop.control.workshop import Workshop
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.sinks.sink import Sink
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def begun_page(
-    options: Teleop, asked: Request, sides: tuple[Side, ...], acting: Sequence[Sink]
+    options: Teleop, asked: RetargetRequest, sides: tuple[Side, ...], acting: Sequence[Sink]
 ) -> Iterator[LivePage | None]:
     """The page's process, which gets ready while the method is compiled; None if it is left out."""
     if options.no_view:
@@ -47,7 +47,7 @@ def begun_page(
 def show_page(
     page: LivePage | None,
     loop: TeleopLoop,
-    asked: Request,
+    asked: RetargetRequest,
     acting: Sequence[Sink],
     workshop: Workshop,
     options: Teleop,

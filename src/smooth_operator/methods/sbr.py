@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.frame_goals import FrameGoals, SbrGoals
+from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.local import LocalObjective
 from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
@@ -105,7 +105,7 @@ class Sbr(Method):
 
     def frame_goals(self) -> FrameGoals:
         """Eq. (1) without its velocity term."""
-        return SbrGoals(self.objective)
+        return FrameGoals(LocalObjective(self.objective), self.objective)
 
     def step(
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

@@ -24,7 +24,7 @@ from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.pursuit import Followed, PursuitConfig, is_off, pursue
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
-from smooth_operator.methods.frame_goals import FrameGoals, SmoothGoals
+from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.clearance import ClearanceConfig
 from smooth_operator.objective.close_targets import CloseTargets
@@ -199,7 +199,12 @@ class Smooth(Method):
 
     def frame_goals(self) -> FrameGoals:
         """The objective on landmarks without the filter, which a known future makes needless."""
-        return SmoothGoals(self.objective, self.needs)
+
+        def wrap(goal: FrameGoal) -> SmoothGoal:
+            tips = jnp.zeros((len(self.hand.fingers), 3), goal.vectors.dtype)
+            return SmoothGoal(goal, tips, tips[:, 0])
+
+        return FrameGoals(self.objective, self.objective.objective, wrap)
 
     def step(
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

@@ -8,7 +8,7 @@ from typing import Final
 
 from smooth_operator.io import to_json
 from smooth_operator.lab.offline import Runner, build
-from smooth_operator.methods.request import Plan
+from smooth_operator.planning import Plan
 
 _KEPT: Final = 16
 _built: OrderedDict[str, tuple[Runner, float]] = OrderedDict()

@@ -19,9 +19,9 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.machine import Watch
-from smooth_operator.methods.request import Plan
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import service
+from smooth_operator.planning import Plan
 
 BLOCK: Final = 20
 """Frames that a method answers before the next takes its turn."""

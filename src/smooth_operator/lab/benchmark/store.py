@@ -29,7 +29,7 @@ from smooth_operator.lab.benchmark.latency import Latency
 from smooth_operator.lab.benchmark.quality import Measured
 from smooth_operator.lab.benchmark.settings import Settings
 from smooth_operator.lab.offline.finished import read_configuration
-from smooth_operator.methods.request import PROGRAM
+from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import Job, Note, ResultCache, no_note
 from smooth_operator.types import CommandTrajectory
 

@@ -14,8 +14,8 @@ from smooth_operator.io import config_path, to_json
 from smooth_operator.lab.offline.discovery import Found, clashes, find_recordings
 from smooth_operator.lab.offline.finished import finished, foreign, remove_leftovers
 from smooth_operator.lab.offline.jobs import Entry, Job, retarget_one
-from smooth_operator.methods.request import Request
 from smooth_operator.parallel import run_tasks
+from smooth_operator.planning import RetargetRequest
 
 SUMMARY: Final = "summary.json"
 """Name of the account of the last run, in the folder of results."""
@@ -53,7 +53,9 @@ def check_folders(folder: Path, output: Path) -> None:
         )
 
 
-def survey(folder: Path, output: Path, asked: Request, *, overwrite: bool = False) -> Survey:
+def survey(
+    folder: Path, output: Path, asked: RetargetRequest, *, overwrite: bool = False
+) -> Survey:
     """Looks what there is and what is left to do; deletes what a killed run left unfinished.
 
     Args:

@@ -14,10 +14,10 @@ from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetarget
 from smooth_operator.methods.building import build_retargeter as build_retargeter
 from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.methods.dispatch import dispatch_here
-from smooth_operator.methods.request import Plan
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Definition, Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory
 
 Runner: TypeAlias = Retargeter | TrajectoryRetargeter

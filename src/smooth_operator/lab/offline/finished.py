@@ -13,7 +13,7 @@ from typing import Any, Final
 from smooth_operator.errors import DocumentError, OutputError, RecordingError
 from smooth_operator.io import config_path, output_error, read_commands
 from smooth_operator.io.documents import check_plain_file, read_json
-from smooth_operator.methods.request import PROGRAM
+from smooth_operator.planning import PROGRAM
 from smooth_operator.version import package_version
 
 _MOST_BYTES: Final = 64_000_000  # that of a folder of thousands of recordings lists them

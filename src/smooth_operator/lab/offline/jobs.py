@@ -20,16 +20,16 @@ from smooth_operator.lab.offline.execution import Runner, build
 from smooth_operator.lab.offline.finished import digest, identity
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.methods.dispatch import dispatch_here
-from smooth_operator.methods.request import Plan, Request, configuration, plan
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan, find_scan
+from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import HandRecording, Side, Status
 
 State: TypeAlias = Literal["done", "kept", "failed"]
 """Made now, found whole from an earlier run, or not there."""
 
 
-def checked(asked: Request) -> Request:
+def checked(asked: RetargetRequest) -> RetargetRequest:
     """A request whose every part is possible, so that it does not fail once per recording.
 
     As ``build``, it lets JAX run on the calling thread.
@@ -73,7 +73,7 @@ class Job:
 
     found: Found
     output: Path
-    request: Request
+    request: RetargetRequest
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def retarget_one(job: Job) -> Entry:
     return entry
 
 
-def _read(path: Path, asked: Request) -> tuple[HandRecording, float | None]:
+def _read(path: Path, asked: RetargetRequest) -> tuple[HandRecording, float | None]:
     """The recording, and the rate if it needed one: others of the folder may have their own."""
 
     def read(rate: float | None) -> HandRecording:

@@ -29,10 +29,10 @@ from smooth_operator.lab.paper.intervals import (
 from smooth_operator.lab.paper.study import Compute, Study, cell_job
 from smooth_operator.lab.paper.takes import LEAD, Take
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.methods.request import Plan
 from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
+from smooth_operator.planning import Plan
 from smooth_operator.result_cache import Job
 
 PUBLISHED_SBR: Final = "sbr:paper"

@@ -16,7 +16,7 @@ from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark import store as benchmark_store
 from smooth_operator.lab.benchmark.store import write_json
 from smooth_operator.lab.offline.finished import read_configuration
-from smooth_operator.methods.request import PROGRAM
+from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import ArrayCache, Note, code_digest, no_note
 
 COMMAND: Final = "ablate"

@@ -30,8 +30,8 @@ from smooth_operator.lab.paper.more_sizes import more_size
 from smooth_operator.lab.paper.study import Study, cell_job
 from smooth_operator.lab.paper.takes import LEAD, led, middle, recording_of
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
-from smooth_operator.methods.request import Plan
 from smooth_operator.metrics import Metric, evaluate
+from smooth_operator.planning import Plan
 
 PAPERS: Final = {
     "dexpilot:published": "DexPilot",

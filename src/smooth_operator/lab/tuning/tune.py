@@ -22,8 +22,8 @@ from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.lab.tuning.variables import values_at
 from smooth_operator.methods.preset_file import PresetFile, write_preset_file
-from smooth_operator.methods.request import PROGRAM
 from smooth_operator.parallel import Crew
+from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import Note, no_note
 
 CONFIG: Final = "config.json"

@@ -16,8 +16,8 @@ from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.building import build_retargeter
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.request import Request, settled_config
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.planning import RetargetRequest, resolve_config
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.sinks.tick import Driver
@@ -69,7 +69,7 @@ class Workshop:
         refused: how many wishes failed, so that a page knows to show the old values again.
     """
 
-    def __init__(self, loop: TeleopLoop, asked: Request) -> None:
+    def __init__(self, loop: TeleopLoop, asked: RetargetRequest) -> None:
         self._loop, self._asked = loop, asked
         self._hands = {side: p.retargeter.hand for side, p in loop.pipelines.items()}
         self.operators: dict[Side, OperatorProfile | None] = dict.fromkeys(
@@ -149,7 +149,7 @@ class Workshop:
         preset = preset or default_preset(method)
         asked = replace(self._asked, method=method, preset=preset, config=base)
         configs = {
-            side: settled_config(replace(asked, operator=self.operators[side]), hand)
+            side: resolve_config(replace(asked, operator=self.operators[side]), hand)
             for side, hand in self._hands.items()
         }
         return Choice(method, preset, base, configs)

@@ -13,7 +13,7 @@ import numpy as np
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.io import to_json
 from smooth_operator.methods.presets import live_presets
-from smooth_operator.methods.request import Request, live_configuration
+from smooth_operator.planning import RetargetRequest, live_configuration
 from smooth_operator.teleop.control.workshop import Workshop, checked
 from smooth_operator.teleop.pages.live.camera import CameraFeed
 from smooth_operator.teleop.pages.live.coach import Coach
@@ -56,7 +56,7 @@ class LiveSession:
     def __init__(
         self,
         loop: TeleopLoop,
-        asked: Request,
+        asked: RetargetRequest,
         sinks: Sequence[Sink] = (),
         folder: Path = Path(),
         *,

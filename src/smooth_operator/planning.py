@@ -1,4 +1,4 @@
-"""What is to be done to one recording, every name looked up."""
+"""From what a user asks for to a plan: names looked up, scale and operator put in their place."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ Scale: TypeAlias = float | Literal["frame", "calibrate"]
 
 
 @dataclass(frozen=True)
-class Request:
-    """What is to be done to a recording, or to each of many; ``request`` makes one.
+class RetargetRequest:
+    """What is to be done to a recording, or to each of many; see ``make_request``.
 
     Attributes:
         hand: name of the robot hand.
@@ -60,7 +60,7 @@ class Request:
     operator: OperatorProfile | None = None
 
 
-def request(
+def make_request(
     *,
     hand: str = "mimic_p050",
     method: str = DEFAULT_METHOD,
@@ -73,7 +73,7 @@ def request(
     frames: str | None = None,
     fingers: str | None = None,
     operator: Path | None = None,
-) -> Request:
+) -> RetargetRequest:
     """A request from what a user says: names looked up, texts read, the operator's file too.
 
     Raises:
@@ -81,7 +81,7 @@ def request(
         HandModelError: the choice of fingers is none.
         ConfigError: the operator's file can't be used.
     """
-    return Request(
+    return RetargetRequest(
         hand,
         method,
         default_preset(method) if preset is None else preset,
@@ -121,7 +121,7 @@ class Plan:
     fingers: Mapping[str, str] | None = None
 
 
-def plan(recording: HandRecording, asked: Request) -> Plan:
+def plan(recording: HandRecording, asked: RetargetRequest) -> Plan:
     """Looks up the hand for the recording's side, and puts scale and operator in their place.
 
     Args:
@@ -135,12 +135,12 @@ def plan(recording: HandRecording, asked: Request) -> Plan:
             hand.
         RecordingError: the scale is to be calibrated on a recording without a usable palm.
     """
-    robot, config = settle(asked, recording.side, recording)
+    robot, config = resolve(asked, recording.side, recording)
     return Plan(recording, robot, asked.method, asked.preset, config, asked.seed, asked.fingers)
 
 
-def settle(
-    asked: Request, side: Side, recording: HandRecording | None = None
+def resolve(
+    asked: RetargetRequest, side: Side, recording: HandRecording | None = None
 ) -> tuple[Hand, MethodConfig]:
     """The hand and the configuration that are asked for, scale and operator in their place.
 
@@ -153,11 +153,11 @@ def settle(
         UnknownNameError, HandModelError, ConfigError, RecordingError: as ``plan``.
     """
     robot = load_hand(asked.hand, side, fingers=asked.fingers)
-    return robot, settled_config(asked, robot, recording)
+    return robot, resolve_config(asked, robot, recording)
 
 
-def settled_config(
-    asked: Request, robot: Hand, recording: HandRecording | None = None
+def resolve_config(
+    asked: RetargetRequest, robot: Hand, recording: HandRecording | None = None
 ) -> MethodConfig:
     """The configuration that is asked for, scale and operator in their place, of a loaded hand.
 
@@ -218,14 +218,14 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
 
 
 def live_configuration(
-    command: str, asked: Request, configs: Mapping[Side, MethodConfig], **more: Any
+    command: str, asked: RetargetRequest, configs: Mapping[Side, MethodConfig], **more: Any
 ) -> dict[str, Any]:
     """The same of a run without a recording.
 
     Args:
         command: which command made it.
         asked: what was asked for.
-        configs: side -> configuration of the method, as ``settle`` gave it.
+        configs: side -> configuration of the method, as ``resolve`` gave it.
         more: what only that command knows.
     """
     return {
