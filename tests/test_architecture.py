@@ -24,7 +24,6 @@ CORE = {
     "landmarks": 0,
     "geometry": 0,
     "terminal": 0,
-    "components": 1,
     "plugins": 1,
     "types": 1,
     "io": 2,

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from metrics_cases import make_trace
 
+from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, UnknownNameError
 from smooth_operator.hands.catalogue import HANDS, MODELS, catalogue, hand_names, load_hand
 from smooth_operator.io import read_recording
 from smooth_operator.io.registry import Reader
+from smooth_operator.lab.benchmark.ranking import columns
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.methods.presets import (
@@ -24,6 +27,7 @@ from smooth_operator.methods.presets import (
 )
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
@@ -184,3 +188,61 @@ def test_a_plugins_reader_recognises_its_files(
 def test_a_reader_says_which_files_are_its_own() -> None:
     with pytest.raises(ConfigError, match=r"must have magic \(first bytes\) or suffixes"):
         Reader("anything", read_rows)
+
+
+def _travel(trace: Trace) -> float:
+    return float(np.abs(np.diff(trace.joint_positions, axis=0)).sum())
+
+
+def _fails(trace: Trace) -> float:
+    raise ZeroDivisionError("no frames")
+
+
+TRAVEL = Metric("travel", "rad", "down", "way of all joints", compute=_travel, short="way")
+SEVERAL = (TRAVEL, Metric("fails", "", "up", "never there", "motion", _fails))
+
+
+def test_a_plugins_metric_is_measured_and_shown(
+    broken: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    human = np.broadcast_to(SyntheticOperator(seed=1).record(0.1).landmarks, (10, 21, 3))
+    q = np.linspace(0.0, 1.0, 10)[:, None] * [1.0, 2.0]
+    trace = make_trace(human, joint_positions=q, joint_limits=np.tile([-9.0, 9.0], (2, 1)))
+    before = evaluate(trace)
+    offered = {
+        "travel": Entry(f"{__name__}:TRAVEL"),
+        "fails": Entry(f"{__name__}:SEVERAL"),
+        "other": Entry(f"{__name__}:SEVERAL"),
+        "cracked": Entry(broken),
+    }
+    monkeypatch.setattr(
+        "smooth_operator.plugins._installed",
+        lambda group: offered if group == "smooth_operator.metrics" else {},
+    )
+    values = evaluate(trace, extra={"first_command_s": 1.0})
+    assert list(values) == [*before, "travel", "fails", "first_command_s"]
+    assert {name: values[name] for name in before} == before
+    assert values["travel"] == pytest.approx(3.0)
+    assert values["fails"] is None
+    notes = capsys.readouterr().err
+    assert "metric 'fails' is left out: ZeroDivisionError: no frames" in notes
+    assert "metric 'cracked' is left out: broken_plugin:CONFIG" in notes
+    assert "SEVERAL can't be a metric: it must be a Metric called 'other'" in notes
+    with pytest.raises(ConfigError, match=r"extra must not give metrics .* travel"):
+        evaluate(trace, extra={"travel": 1.0})
+    assert columns()[-1] is TRAVEL
+    print_metrics("title", values)
+    printed = capsys.readouterr().out
+    assert re.search(r"travel +3 +rad +↓ +way of all joints", printed)
+    assert re.search(r"fails +– +↑ +never there", printed)
+
+
+def test_directions_of_metrics_are_said_in_one_place() -> None:
+    said = {metric.goal: (metric.sign, metric.better) for metric in METRICS}
+    assert said == {
+        "->1": ("→ 1", "best at 1"),
+        "down": ("↓", "less is better"),
+        "up": ("↑", "more is better"),
+        "": ("", ""),
+    }
+    assert all(m.compute is not None for m in METRICS if m.name != "tracking_loss")

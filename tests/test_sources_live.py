@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from live_time import Kept, Waits, started, until
 
-from smooth_operator.components import build_component
 from smooth_operator.errors import (
     ConfigError,
     RecordingError,
@@ -23,6 +22,7 @@ from smooth_operator.errors import (
 )
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.components import build_component
 from smooth_operator.teleop.sources.intake import Intake
 from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource
 from smooth_operator.teleop.sources.pacing import on_time

@@ -12,12 +12,11 @@ from rich.text import Text
 
 from smooth_operator.lab.benchmark.comparison import Comparison
 from smooth_operator.lab.benchmark.ranking import (
-    COLUMNS,
-    SHORT,
     Line,
     best,
     by_hand,
     by_panel,
+    columns,
     failures,
     lines_of,
     overall,
@@ -35,7 +34,6 @@ _WIDTH_OF_ALL: Final = 104
 """Of a table with every column [characters]."""
 _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
 """What a narrower terminal does without; the report has it."""
-_GOALS: Final = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
 _STYLES: Final = {"better": "green", "worse": "red", "same": ""}
 _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
 
@@ -59,7 +57,7 @@ def print_results(rows: Sequence[Row]) -> None:
         if said:
             console.print(Text(f"{hand}: {said}"))
     if any(row["status"] == "ok" for row in rows):
-        hidden = len(COLUMNS) - len(shown)
+        hidden = len(columns()) - len(shown)
         more = f"; {hidden} columns more in the report, or in a wider terminal" if hidden else ""
         console.print(f"* best{more}", style="dim")
     for where, methods, reason in failures(rows):
@@ -134,11 +132,11 @@ def _empty(title: str, first: str, shown: Sequence[Metric]) -> Table:
 
 
 def _header(metric: Metric) -> str:
-    return f"{SHORT[metric.name]}\n{' '.join(filter(None, (metric.unit, _GOALS[metric.goal])))}"
+    return f"{metric.short}\n{' '.join(filter(None, (metric.unit, metric.sign)))}"
 
 
 def _columns(console: Console) -> list[Metric]:
-    return [m for m in COLUMNS if console.width >= _WIDTH_OF_ALL or m.name not in _LEFT_OUT]
+    return [m for m in columns() if console.width >= _WIDTH_OF_ALL or m.name not in _LEFT_OUT]
 
 
 def _console() -> Console:

@@ -22,7 +22,6 @@ from rich.text import Text
 from smooth_operator.terminal import open_console
 
 _REDRAW_S: Final = 0.1
-_GOALS: Final = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
 _EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling, once per start")}
 _WIDTH_OF_A_FILE: Final = 140
 _WIDTH_TO_EXPLAIN: Final = 115
@@ -121,7 +120,8 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
         title: above it.
         metrics: of ``evaluate``.
     """
-    from smooth_operator.metrics import GROUPS, METRICS
+    from smooth_operator.metrics.metric import GROUPS
+    from smooth_operator.metrics.registry import known_metrics
 
     console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
@@ -145,16 +145,19 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
             if own != 0:
                 table.add_row(f"  {part}", _shown(own))
 
-    known = {metric.name.split(".")[0] for metric in METRICS}
+    known = [metric for metric in known_metrics() if metric.key in metrics]
     for group, question in GROUPS.items():
         table.add_row(Text(question.split(":")[0], "bold"))
-        for metric in METRICS:
+        for metric in known:
             if metric.group == group:
-                goal = _GOALS[metric.goal]
-                add(metric.name, metric.of(metrics), metric.unit, goal, metric.meaning)
+                add(metric.name, metric.of(metrics), metric.unit, metric.sign, metric.meaning)
         table.add_section()
+    for metric in known:  # of a plugin, without a group
+        if metric.group not in GROUPS:
+            add(metric.name, metric.of(metrics), metric.unit, metric.sign, metric.meaning)
+    named = {metric.key for metric in known}
     for name, value in metrics.items():
-        if name not in known:
+        if name not in named:
             add(name, value, *_EXTRAS.get(name, ("", "", "")))
     console.print(table)
 

@@ -1,138 +1,193 @@
-"""The names of the metrics: what reports, plots and the command line call them."""
+"""The built-in metrics: name, unit, better direction, meaning and function of each, in one list."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, Literal
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeVar
+from weakref import WeakKeyDictionary
 
-from smooth_operator.errors import UnknownNameError
+import numpy as np
+from jaxtyping import Float
 
-
-@dataclass(frozen=True)
-class Metric:
-    """One line of the table.
-
-    Attributes:
-        name: key in the result of ``evaluate``; a dot steps into a
-            nested one.
-        unit: "" for a plain number.
-        goal: ``"->1"`` best at one, ``"down"`` or ``"up"``; ``""`` for a fact that is not a merit.
-        meaning: one line for a person.
-        group: key of ``GROUPS``; "" for a figure that stands alone.
-    """
-
-    name: str
-    unit: str
-    goal: Literal["->1", "down", "up", ""]
-    meaning: str
-    group: str = ""
-
-    def of(self, result: Mapping[str, object]) -> object:
-        """This metric's value in a result.
-
-        Raises:
-            UnknownNameError: if the result has no such key.
-        """
-        value: object = result
-        for key in self.name.split("."):
-            if not isinstance(value, Mapping) or key not in value:
-                available = value.keys() if isinstance(value, Mapping) else ()
-                raise UnknownNameError("metric", self.name, available)
-            value = value[key]
-        return value
-
-
-GROUPS: Final[Mapping[str, str]] = {
-    "accuracy": "Accuracy: does the robot hand have the human hand's shape?",
-    "grasping": "Grasping: do pinches close, and do fingers stay out of each other?",
-    "motion": "Motion: does the robot hand move as the human hand does?",
-    "smoothness": "Smoothness: does it move without jitter?",
-    "reach": "Reach: how much of its range is in use?",
-    "latency": "Latency: how long does a command take?",
-    "run": "Run: what was measured?",
-}
-"""Groups of metrics, in the order of reports, and the question that each answers."""
-
-METRICS: Final[tuple[Metric, ...]] = (
-    Metric("cosine_similarity", "", "->1", "direction of the thumb-to-tip vectors", "accuracy"),
-    Metric("cosine_similarity_all", "", "->1", "direction of all keyvectors", "accuracy"),
-    Metric(
-        "scale_ratio", "", "->1", "length of the thumb-to-tip vectors, robot over human", "accuracy"
-    ),
-    Metric("tracking_loss", "", "down", "mean of the method's own tracking objective", "accuracy"),
-    Metric(
-        "pinch_error_mm", "mm", "down", "robot tip gap while the human's is under 15 mm", "grasping"
-    ),
-    Metric(
-        "pinch_error_strict_mm",
-        "mm",
-        "down",
-        "robot tip gap while the human's is under 12 mm",
-        "grasping",
-    ),
-    Metric(
-        "pinch_error_per_finger_mm",
-        "mm",
-        "down",
-        "robot tip gap at 15 mm for each finger",
-        "grasping",
-    ),
-    Metric(
-        "self_collision.share",
-        "",
-        "down",
-        "share of frames with links over 2 mm inside",
-        "grasping",
-    ),
-    Metric(
-        "self_collision.mean_depth_mm",
-        "mm",
-        "down",
-        "depth of overlap, mean over frames",
-        "grasping",
-    ),
-    Metric("self_collision.max_depth_mm", "mm", "down", "depth of overlap, deepest", "grasping"),
-    Metric("motion_preservation", "", "->1", "direction of the fingertips' motion", "motion"),
-    Metric(
-        "velocity_correlation",
-        "",
-        "->1",
-        "correlation of fingertip velocity at that delay",
-        "motion",
-    ),
-    Metric(
-        "lag_ms", "ms", "down", "delay of the robot's fingertip motion behind the human's", "motion"
-    ),
-    Metric("frozen_share", "", "down", "share of human motion that the robot sits out", "motion"),
-    Metric(
-        "flatness",
-        "m²",
-        "down",
-        "squared second difference of fingertips, at this rate",
-        "smoothness",
-    ),
-    Metric("fingertip_acceleration", "m/s²", "down", "mean fingertip acceleration", "smoothness"),
-    Metric(
-        "joint_jitter", "rad", "down", "second difference of joints, at this rate", "smoothness"
-    ),
-    Metric("joint_jitter_rate_free", "rad/s²", "down", "mean joint acceleration", "smoothness"),
-    Metric("max_joint_step", "rad", "down", "largest change of a joint in one frame", "smoothness"),
-    Metric(
-        "workspace_utilisation", "", "up", "share of the reachable fingertip set in use", "reach"
-    ),
-    Metric("workspace_utilisation_per_finger", "", "up", "the same for each finger", "reach"),
-    Metric("limit_violation_rad", "rad", "down", "furthest command beyond a joint limit", "reach"),
-    Metric("limit_violation_share", "", "down", "share of frames beyond a joint limit", "reach"),
-    Metric("latency_ms.mean", "ms", "down", "time per command, mean", "latency"),
-    Metric("latency_ms.p50", "ms", "down", "time per command, median", "latency"),
-    Metric("latency_ms.p95", "ms", "down", "time per command, 95th percentile", "latency"),
-    Metric("latency_ms.p99", "ms", "down", "time per command, 99th percentile", "latency"),
-    Metric("latency_ms.first", "ms", "down", "time of the first command", "latency"),
-    Metric("frames", "", "", "frames measured", "run"),
-    Metric("rate_hz", "Hz", "", "median frame rate", "run"),
-    Metric("status", "", "", "frames by status", "run"),
-    Metric("definition", "", "", "which definitions these figures follow", "run"),
-    Metric("human_fit", "", "", "what the human hand was fitted to before comparing", "run"),
+from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.metrics import (
+    accuracy,
+    consistency,
+    joints,
+    published,
+    safety,
+    service,
+    summary,
 )
-"""Every key of a result, group by group, in the order of reports."""
+from smooth_operator.metrics.metric import Metric
+from smooth_operator.metrics.trace import Trace, keyvectors
+
+_Result = TypeVar("_Result")
+
+
+def _once(compute: Callable[[Trace], _Result]) -> Callable[[Trace], _Result]:
+    """Computes what several metrics share once for each run."""
+    kept: WeakKeyDictionary[Trace, _Result] = WeakKeyDictionary()
+
+    @functools.wraps(compute)
+    def once(trace: Trace) -> _Result:
+        if trace not in kept:
+            kept[trace] = compute(trace)
+        return kept[trace]
+
+    return once
+
+
+def _of(compute: Callable[[Trace], Mapping[str, Any]], key: str) -> Callable[[Trace], Any]:
+    """One figure of several."""
+    return lambda trace: compute(trace)[key]
+
+
+def _thumb(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """Thumb-to-tip vectors of human and robot [m]."""
+    thumb = trace.thumb_vectors
+    return trace.human_keyvectors[:, thumb], trace.robot_keyvectors[:, thumb]
+
+
+@_once
+def _fitted(trace: Trace) -> tuple[Float[np.ndarray, "T F 3"], Float[np.ndarray, "T K 3"]]:
+    """Human tips and keyvectors [m] as the paper fits them: to the robot's pose, where known."""
+    if trace.robot_landmarks is None:
+        return trace.human_tips, trace.human_keyvectors
+    using = published.fit_landmarks(trace.fingers, trace.palm_landmarks)
+    fitted = published.fit_to_robot(trace.human, trace.robot_landmarks, using)
+    tips = fitted[:, [TIPS[FINGERS.index(name)] for name in trace.fingers]]
+    return tips, keyvectors(tips, fitted[:, WRIST])
+
+
+def _fitted_thumb(trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    thumb = trace.thumb_vectors
+    return _fitted(trace)[1][:, thumb], trace.robot_keyvectors[:, thumb]
+
+
+@_once
+def _lag(trace: Trace) -> tuple[float | None, float | None]:
+    return consistency.lag(trace.human_reaches, trace.robot_reaches, trace.stamps)
+
+
+@_once
+def _limit_violation(trace: Trace) -> tuple[float | None, float | None]:
+    return joints.limit_violation(trace.joint_positions, trace.joint_limits)
+
+
+@_once
+def _latency(trace: Trace) -> dict[str, float | None]:
+    return service.latency(trace.latency_ms)
+
+
+@_once
+def _self_collision(trace: Trace) -> dict[str, float | None]:
+    if trace.penetration is None:
+        return {"share": None, "mean_depth_mm": None, "max_depth_mm": None}
+    return safety.self_collision(trace.penetration)
+
+
+@_once
+def _workspace(trace: Trace) -> dict[str, float | None]:
+    shares: list[float | None] = [None] * len(trace.fingers)
+    if trace.reach is not None:
+        shares = safety.workspace_utilisation(trace.robot_tips, trace.reach)
+    return dict(zip(trace.fingers, shares, strict=True))
+
+
+def _mean_workspace(trace: Trace) -> float | None:
+    known = [share for share in _workspace(trace).values() if share is not None]
+    return sum(known) / len(known) if known else None
+
+
+@_once
+def _pinch_gaps(trace: Trace) -> Float[np.ndarray, "T K"]:
+    return np.asarray(accuracy.pinch_gaps(*_thumb(trace)) * 1e3)
+
+
+def _pinch_gaps_strict(trace: Trace) -> Float[np.ndarray, "T K"]:
+    return np.asarray(accuracy.pinch_gaps(*_thumb(trace), accuracy.PINCH_DISTANCE_STRICT) * 1e3)
+
+
+def _pinch_per_finger(trace: Trace) -> dict[str, float | None]:
+    gaps = _pinch_gaps(trace)
+    return {name: summary.mean(gaps[:, i]) for i, name in enumerate(trace.fingers[1:])}
+
+
+# fmt: off
+METRICS: Final[tuple[Metric, ...]] = (
+    Metric("cosine_similarity", "", "->1", "direction of the thumb-to-tip vectors", "accuracy",
+           lambda t: accuracy.cosine_similarity(*_thumb(t)),
+           published=lambda t: published.cosine_similarity(*_fitted_thumb(t)), short="cosine"),
+    Metric("cosine_similarity_all", "", "->1", "direction of all keyvectors", "accuracy",
+           lambda t: accuracy.cosine_similarity(t.human_keyvectors, t.robot_keyvectors),
+           published=lambda t: published.cosine_similarity(_fitted(t)[1], t.robot_keyvectors),
+           short="cosine, all"),
+    Metric("scale_ratio", "", "->1", "length of the thumb-to-tip vectors, robot over human",
+           "accuracy",
+           lambda t: accuracy.scale_ratio(*_thumb(t)),
+           published=lambda t: published.scale_ratio(*_fitted_thumb(t)), short="scale"),
+    Metric("tracking_loss", "", "down", "mean of the method's own tracking objective", "accuracy"),
+    Metric("pinch_error_mm", "mm", "down", "robot tip gap while the human's is under 15 mm",
+           "grasping", lambda t: summary.mean(_pinch_gaps(t)), short="pinch gap"),
+    Metric("pinch_error_strict_mm", "mm", "down", "robot tip gap while the human's is under 12 mm",
+           "grasping", lambda t: summary.mean(_pinch_gaps_strict(t))),
+    Metric("pinch_error_per_finger_mm", "mm", "down", "robot tip gap at 15 mm for each finger",
+           "grasping", _pinch_per_finger),
+    Metric("self_collision.share", "", "down", "share of frames with links over 2 mm inside",
+           "grasping", _of(_self_collision, "share"), short="collision"),
+    Metric("self_collision.mean_depth_mm", "mm", "down", "depth of overlap, mean over frames",
+           "grasping", _of(_self_collision, "mean_depth_mm")),
+    Metric("self_collision.max_depth_mm", "mm", "down", "depth of overlap, deepest", "grasping",
+           _of(_self_collision, "max_depth_mm")),
+    Metric("motion_preservation", "", "->1", "direction of the fingertips' motion", "motion",
+           lambda t: consistency.motion_preservation(t.human_reaches, t.robot_reaches),
+           published=lambda t: published.motion_preservation(_fitted(t)[0], t.robot_tips),
+           short="motion"),
+    Metric("velocity_correlation", "", "->1", "correlation of fingertip velocity at that delay",
+           "motion", lambda t: _lag(t)[1]),
+    Metric("lag_ms", "ms", "down", "delay of the robot's fingertip motion behind the human's",
+           "motion", lambda t: _lag(t)[0]),
+    Metric("frozen_share", "", "down", "share of human motion that the robot sits out", "motion",
+           lambda t: consistency.frozen_share(t.human_reaches, t.joint_positions)),
+    Metric("flatness", "m²", "down", "squared second difference of fingertips, at this rate",
+           "smoothness", lambda t: consistency.flatness(t.robot_tips), short="flatness"),
+    Metric("fingertip_acceleration", "m/s²", "down", "mean fingertip acceleration", "smoothness",
+           lambda t: consistency.fingertip_acceleration(t.robot_tips, t.stamps)),
+    Metric("joint_jitter", "rad", "down", "second difference of joints, at this rate", "smoothness",
+           lambda t: joints.joint_jitter(t.joint_positions)),
+    Metric("joint_jitter_rate_free", "rad/s²", "down", "mean joint acceleration", "smoothness",
+           lambda t: joints.joint_acceleration(t.joint_positions, t.stamps)),
+    Metric("max_joint_step", "rad", "down", "largest change of a joint in one frame", "smoothness",
+           lambda t: joints.max_joint_step(t.joint_positions)),
+    Metric("workspace_utilisation", "", "up", "share of the reachable fingertip set in use",
+           "reach", _mean_workspace, short="workspace"),
+    Metric("workspace_utilisation_per_finger", "", "up", "the same for each finger", "reach",
+           _workspace),
+    Metric("limit_violation_rad", "rad", "down", "furthest command beyond a joint limit", "reach",
+           lambda t: _limit_violation(t)[0]),
+    Metric("limit_violation_share", "", "down", "share of frames beyond a joint limit", "reach",
+           lambda t: _limit_violation(t)[1]),
+    Metric("latency_ms.mean", "ms", "down", "time per command, mean", "latency",
+           _of(_latency, "mean")),
+    Metric("latency_ms.p50", "ms", "down", "time per command, median", "latency",
+           _of(_latency, "p50"), short="p50"),
+    Metric("latency_ms.p95", "ms", "down", "time per command, 95th percentile", "latency",
+           _of(_latency, "p95")),
+    Metric("latency_ms.p99", "ms", "down", "time per command, 99th percentile", "latency",
+           _of(_latency, "p99")),
+    Metric("latency_ms.first", "ms", "down", "time of the first command", "latency",
+           _of(_latency, "first")),
+    Metric("frames", "", "", "frames measured", "run", len),
+    Metric("rate_hz", "Hz", "", "median frame rate", "run", lambda t: t.rate_hz),
+    Metric("status", "", "", "frames by status", "run",
+           lambda t: service.status_counts(t.status)),
+    Metric("definition", "", "", "which definitions these figures follow", "run",
+           lambda t: "sound", published=lambda t: "paper"),
+    Metric("human_fit", "", "", "what the human hand was fitted to before comparing", "run",
+           lambda t: "palm",
+           published=lambda t: "palm" if t.robot_landmarks is None else "robot pose"),
+)
+# fmt: on
+"""Every key of a result but those of plugins, group by group, in the order of reports."""

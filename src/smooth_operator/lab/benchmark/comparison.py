@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
-from smooth_operator.lab.benchmark.ranking import NUMBERS, merit
+from smooth_operator.lab.benchmark.ranking import merit, numbers
 from smooth_operator.lab.benchmark.results import Row, row_key, value_of
 from smooth_operator.metrics import Metric
 
@@ -72,10 +72,11 @@ class Comparison:
     only_here: tuple[tuple[str, ...], ...]
     only_there: tuple[tuple[str, ...], ...]
 
-    def count(self, verdict: Verdict, metrics: Sequence[Metric] = NUMBERS) -> int:
-        """How many figures have a verdict."""
+    def count(self, verdict: Verdict, metrics: Sequence[Metric] | None = None) -> int:
+        """How many figures have a verdict; of all metrics that are a number if none are given."""
+        judged = numbers() if metrics is None else metrics
         return sum(
-            change.verdict == verdict and change.metric in metrics
+            change.verdict == verdict and change.metric in judged
             for cell in self.cells
             for change in cell.changes
         )
@@ -111,7 +112,7 @@ def verdict(metric: Metric, now: float, before: float) -> Verdict:
 
 def _compared(key: tuple[str, ...], row: Row, other: Row) -> Compared:
     changes = []
-    for metric in NUMBERS:
+    for metric in numbers():
         now, before = value_of(row, metric), value_of(other, metric)
         if now is not None and before is not None:
             changes.append(Change(metric, now, before, verdict(metric, now, before)))

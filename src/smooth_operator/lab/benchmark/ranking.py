@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from smooth_operator.lab.benchmark.results import Row, row_method, value_of
 from smooth_operator.metrics import METRICS, Metric
+from smooth_operator.metrics.registry import plugin_metrics
 
 _BY_NAME: Final = {metric.name: metric for metric in METRICS}
 
@@ -28,19 +29,6 @@ COLUMNS: Final[tuple[Metric, ...]] = (
 )
 """The columns of a benchmark's tables: the paper's, and the two that decide grasping."""
 
-SHORT: Final = {
-    "cosine_similarity": "cosine",
-    "cosine_similarity_all": "cosine, all",
-    "scale_ratio": "scale",
-    "motion_preservation": "motion",
-    "flatness": "flatness",
-    "pinch_error_mm": "pinch gap",
-    "self_collision.share": "collision",
-    "workspace_utilisation": "workspace",
-    "latency_ms.p50": "p50",
-}
-"""Names of columns, where there is little room."""
-
 NUMBERS: Final[tuple[Metric, ...]] = tuple(
     metric
     for metric in METRICS
@@ -50,7 +38,17 @@ NUMBERS: Final[tuple[Metric, ...]] = tuple(
         "pinch_error_per_finger_mm",
     )
 )  # fmt: skip
-"""All metrics that are one number."""
+"""All built-in metrics that are one number."""
+
+
+def columns() -> tuple[Metric, ...]:
+    """``COLUMNS``, and the metrics of plugins that have a heading for one."""
+    return (*COLUMNS, *(metric for metric in plugin_metrics() if metric.short))
+
+
+def numbers() -> tuple[Metric, ...]:
+    """``NUMBERS``, and the metrics of plugins."""
+    return (*NUMBERS, *plugin_metrics())
 
 
 @dataclass(frozen=True)
@@ -72,8 +70,9 @@ class Line:
     of: int = 1
 
 
-def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] = NUMBERS) -> list[Line]:
-    """One line for each row of one recording and one hand."""
+def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
+    """One line for each row of one recording and one hand; of ``numbers`` if none are given."""
+    metrics = numbers() if metrics is None else metrics
     return [
         Line(
             row_method(row),
@@ -85,12 +84,13 @@ def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] = NUMBERS) -> list[L
     ]
 
 
-def overall(rows: Iterable[Row], metrics: Sequence[Metric] = NUMBERS) -> list[Line]:
+def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
     """Means over the recordings, one line for each method, of the rows of one hand.
 
     A metric that some recordings do not have (no pinch) is the mean of those that do, which are the
     same for all methods. Recordings on which every method failed do not count.
     """
+    metrics = numbers() if metrics is None else metrics
     rows = list(rows)
     usable = {row["recording"] for row in rows if row["status"] == "ok"}
     by_method: dict[str, list[Row]] = {}

@@ -16,11 +16,10 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.lab.benchmark.results import value_of
-from smooth_operator.metrics import METRICS
+from smooth_operator.metrics.registry import REGISTRY, find_metric
 
 PENALTY: Final = 10.0
 
-_METRIC: Final = {metric.name: metric for metric in METRICS}
 _STEP_RATE: Final = 115.0
 
 
@@ -42,7 +41,7 @@ class Term:
 
 
 def figure(metrics: Mapping[str, Any], name: str) -> float | None:
-    """A figure by its name in ``METRICS``, or one of two more:
+    """A figure by the name of a metric, or one of two more:
     ``lag_frames``, and ``joint_step``, the largest one at 115 Hz [rad]."""
     if name == "lag_frames":
         lag, rate = figure(metrics, "lag_ms"), figure(metrics, "rate_hz")
@@ -50,7 +49,7 @@ def figure(metrics: Mapping[str, Any], name: str) -> float | None:
     if name == "joint_step":
         step, rate = figure(metrics, "max_joint_step"), figure(metrics, "rate_hz")
         return None if step is None or rate is None else step * rate / _STEP_RATE
-    return value_of({"metrics": metrics}, _METRIC[name])
+    return value_of({"metrics": metrics}, find_metric(name))
 
 
 def _from_one(name: str) -> Callable[[Mapping[str, Any]], float | None]:
@@ -132,7 +131,7 @@ class Scoring:
             if not (weight >= 0 and math.isfinite(weight)):
                 raise ConfigError(f"the weight of {name} must be 0 or more, not {weight}")
         for bound in self.bounds:
-            known = [*_METRIC, "lag_frames", "joint_step"]
+            known = [*REGISTRY, "lag_frames", "joint_step"]
             if bound.name not in known:
                 raise UnknownNameError("figure", bound.name, known)
         said = {bound.name for bound in self.bounds}

@@ -8,7 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.metrics import GROUPS, METRICS, Metric
+from smooth_operator.metrics import GROUPS, Metric
+from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.teleop.pages.palette import css, finger_colors
 from smooth_operator.teleop.pages.playback import Playback
 from smooth_operator.teleop.pages.timeline import run_color
@@ -68,11 +69,11 @@ def _chips(names: Sequence[str], colors: Sequence[str], sign: str) -> str:
 def metrics_table(runs: Sequence[Playback]) -> str:
     """Figures of each run as HTML, group by group: value, unit, the better direction, meaning."""
     flat = [dict(_flatten(run.metrics or {})) for run in runs]
-    known = {metric.name: metric for metric in METRICS}
+    known = {metric.name: metric for metric in known_metrics()}
     names = list(dict.fromkeys(name for figures in flat for name in figures))
     parts = []
     for group, question in {**GROUPS, "": "Other"}.items():
-        own = [n for n in names if (known[n].group if n in known else _group_of(n)) == group]
+        own = [n for n in names if _group_of(n) == group]
         if own:
             rows = "".join(_row(n, known.get(n), [figures.get(n) for figures in flat]) for n in own)
             title, _, asked = question.partition(": ")
@@ -87,7 +88,6 @@ def metrics_table(runs: Sequence[Playback]) -> str:
 
 
 _SOFT: Final = "opacity:0.65;font-size:0.9em"
-_GOALS: Final = {"->1": "best at 1", "down": "less is better", "up": "more is better", "": ""}
 
 
 def _head(runs: Sequence[Playback]) -> str:
@@ -104,7 +104,7 @@ def _row(name: str, metric: Metric | None, values: Sequence[Any]) -> str:
     unit = f" [{metric.unit}]" if metric and metric.unit else ""
     said = ""
     if metric:
-        better = f"; {_GOALS[metric.goal]}" if metric.goal else ""
+        better = f"; {metric.better}" if metric.goal else ""
         said = f"<div style='{_SOFT}'>{html.escape(metric.meaning + better)}</div>"
     words = html.escape(name.replace("_", " ").replace(".", " "))
     cells = "".join(
@@ -115,9 +115,10 @@ def _row(name: str, metric: Metric | None, values: Sequence[Any]) -> str:
 
 
 def _group_of(name: str) -> str:
-    """Group of a figure within one, such as a finger's."""
-    parents = (metric for metric in METRICS if name.startswith(f"{metric.name}."))
-    return next((metric.group for metric in parents), "")
+    """Group of a figure, or of that which it is a part of, such as a finger's."""
+    metrics = known_metrics()
+    own = (m for m in metrics if name == m.name or name.startswith(f"{m.name}."))
+    return next((m.group for m in own if m.group in GROUPS), "")
 
 
 def _flatten(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

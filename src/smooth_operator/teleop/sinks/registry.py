@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final, cast
 
-from smooth_operator.components import build_component
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.teleop.components import build_component
 from smooth_operator.teleop.sinks.sink import Sink
 
 _HERE: Final = "smooth_operator.teleop.sinks"

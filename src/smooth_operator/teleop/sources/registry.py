@@ -6,9 +6,9 @@ import dataclasses
 from pathlib import Path
 from typing import Final, cast, get_type_hints
 
-from smooth_operator.components import build_component
 from smooth_operator.errors import ConfigError
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.teleop.components import build_component
 from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.teleop.sources.stream import Hands
 from smooth_operator.teleop.sources.webcam.video_file import is_video

@@ -9,18 +9,18 @@ from smooth_operator.lab.benchmark.comparison import Change, Compared, Compariso
 from smooth_operator.lab.benchmark.per_finger import PER_FINGER
 from smooth_operator.lab.benchmark.published import PAPER_NOTE, PAPER_TABLE
 from smooth_operator.lab.benchmark.ranking import (
-    COLUMNS,
-    NUMBERS,
-    SHORT,
     Line,
     best,
+    columns,
     failures,
     lines_of,
+    numbers,
     shown_value,
 )
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.lab.benchmark.settings import method_label
-from smooth_operator.metrics import METRICS, Metric
+from smooth_operator.metrics import Metric
+from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.reporting.html import (
     Html,
     details,
@@ -32,14 +32,11 @@ from smooth_operator.reporting.html import (
     table,
 )
 
-GOALS = {"->1": "→ 1", "down": "↓", "up": "↑", "": ""}
-"""Which way is better, as a sign."""
-
 
 def header(metric: Metric) -> Html:
     """The heading of a column: name, unit and direction of a metric; it sorts the table."""
-    name = SHORT.get(metric.name, metric.name.replace("_", " "))
-    below = " ".join(filter(None, (metric.unit, GOALS[metric.goal])))
+    name = metric.short or metric.name.replace("_", " ")
+    below = " ".join(filter(None, (metric.unit, metric.sign)))
     title = element("span", escape(name), title=metric.meaning)
     inside = Html(f"{title} <small>{escape(below)}</small>")
     return element("th", inside, scope="col", data_goal=metric.goal or "up")
@@ -65,14 +62,14 @@ def headline_table(
                         name_cell(f"{name}, paper"),
                         *(
                             element("td", escape(shown_value(metric, values.get(metric.name))))
-                            for metric in COLUMNS
+                            for metric in columns()
                         ),
                     ]
                 ),
             )
             for name, values in PAPER_TABLE.items()
         )
-    body = _table(lines, COLUMNS, colors, foot)
+    body = _table(lines, columns(), colors, foot)
     return join([body, paragraph(PAPER_NOTE, "soft")]) if paper else body
 
 
@@ -92,10 +89,10 @@ def full_table(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
         ),
     ]
     body = []
-    for metric in NUMBERS:
+    for metric in numbers():
         top = best(lines, metric)
         told = element("span", escape(metric.name), title=metric.meaning)
-        unit = element("small", escape(" ".join(filter(None, (metric.unit, GOALS[metric.goal])))))
+        unit = element("small", escape(" ".join(filter(None, (metric.unit, metric.sign)))))
         named = element("th", Html(f"{told} {unit}"), scope="row")
         body.append(
             [
@@ -134,7 +131,7 @@ def finger_tables(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
             ]
             for i, line in enumerate(lines)
         ]
-        unit = " ".join(filter(None, (metric.unit, GOALS[metric.goal])))
+        unit = " ".join(filter(None, (metric.unit, metric.sign)))
         title = escape(f"{metric.name.removesuffix('_mm').replace('_', ' ')} {unit}")
         parts.append(table([title, *(escape(f) for f in fingers)], body))
         parts.append(paragraph(f"{metric.meaning[0].upper()}{metric.meaning[1:]}.", "soft"))
@@ -167,12 +164,12 @@ def comparison_tables(comparison: Comparison) -> Html:
     body = [
         [
             _cell_name(cell),
-            *(_change(_find(cell, metric)) for metric in COLUMNS),
+            *(_change(_find(cell, metric)) for metric in columns()),
         ]
         for cell in comparison.cells
     ]
     if body:
-        parts.append(table([escape("cell"), *(header(m) for m in COLUMNS)], body))
+        parts.append(table([escape("cell"), *(header(m) for m in columns())], body))
     for cell in comparison.cells:
         changed = [change for change in cell.changes if change.now != change.before]
         if changed:
@@ -200,15 +197,15 @@ def comparison_tables(comparison: Comparison) -> Html:
 
 def metric_table() -> Html:
     """What each metric is."""
-    words = {"->1": "towards 1", "down": "lower is better", "up": "higher is better", "": "a fact"}
+    known = known_metrics()
     body = [
         [
             Html(f'<th scope="row"><code>{escape(m.name)}</code></th>'),
             Html(escape(m.unit or "–")),
-            Html(escape(words[m.goal])),
+            Html(escape(m.better or "a fact")),
             Html(escape(m.meaning)),
         ]
-        for m in (*METRICS, *(m for m in PER_FINGER if m.name not in {n.name for n in METRICS}))
+        for m in (*known, *(m for m in PER_FINGER if m.name not in {n.name for n in known}))
     ]
     return table([escape(h) for h in ("metric", "unit", "best", "what it is")], body, "words")
 
