@@ -46,6 +46,10 @@ class Status(enum.IntEnum):
     SOLVER_FAILED = 3
     """The solver's result was not finite."""
 
+    def __str__(self) -> str:
+        """The name: ``OK``; the default of integers would be ``0``."""
+        return self.name
+
     @property
     def reason(self) -> str:
         """A sentence for a person."""
@@ -99,6 +103,11 @@ class HandFrame:
             _set(self, "metacarpals", _shaped(self.metacarpals, (4, 3), "metacarpals"))
         if self.orientations is not None:
             _set(self, "orientations", _shaped(self.orientations, (21, 4), "orientations"))
+
+    def __repr__(self) -> str:
+        assert self.valid is not None  # filled in on construction
+        stamp = "no stamp" if self.stamp is None else f"stamp {self.stamp:g} s"
+        return f"<HandFrame: {self.side}, {stamp}, {self.valid.sum()} of 21 landmarks valid>"
 
     @property
     def time(self) -> float:
@@ -155,6 +164,14 @@ class HandRecording:
             if value is not None:
                 _set(self, name, _shaped(value, shape, name))
 
+    def __repr__(self) -> str:
+        assert self.valid is not None  # filled in on construction
+        return (
+            f"<HandRecording {self.name!r}: {self.side}, {len(self)} frames, "
+            f"{self.duration:.4g} s, {self.rate_hz:.4g} Hz, "
+            f"{self.valid.sum()} of {self.valid.size} landmarks valid>"
+        )
+
     def __len__(self) -> int:
         return len(self.stamps)
 
@@ -199,6 +216,14 @@ class JointCommand:
     names: tuple[str, ...]
     stamp: float = 0.0
 
+    def __repr__(self) -> str:
+        joints = [f"{n} {q:+.3f}" for n, q in zip(self.names, self.positions, strict=False)]
+        more = [] if len(joints) <= 3 else ["..."]
+        return (
+            f"<JointCommand: stamp {self.stamp:g} s, {len(self.positions)} joints [rad]: "
+            f"{', '.join(joints[:3] + more)}>"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -218,6 +243,12 @@ class Result:
     tracking_loss: float
     scale: float
 
+    def __repr__(self) -> str:
+        return (
+            f"<Result: {self.status}, latency {self.latency_ms:.3g} ms, tracking loss "
+            f"{self.tracking_loss:.3g}, scale {self.scale:.3g}, {self.command!r}>"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class CommandTrajectory:
@@ -236,6 +267,13 @@ class CommandTrajectory:
     stamps: Float[np.ndarray, " T"]
     latency_ms: Float[np.ndarray, " T"]
     status: Int[np.ndarray, " T"]
+
+    def __repr__(self) -> str:
+        seconds = self.stamps[-1] - self.stamps[0] if len(self) else 0.0
+        return (
+            f"<CommandTrajectory: {len(self)} commands, {len(self.joint_names)} joints, "
+            f"{seconds:.4g} s, {np.count_nonzero(np.equal(self.status, Status.OK))} with status OK>"
+        )
 
     def __len__(self) -> int:
         return len(self.stamps)

@@ -49,6 +49,12 @@ class Hand:
     expansion: tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]
     unreadable: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return (
+            f"<Hand {self.name!r}: {self.spec.side}, {len(self.fingers)} fingers, "
+            f"{len(self.joint_names)} joints, {len(self.actuated)} actuated>"
+        )
+
     @property
     def name(self) -> str:
         """Catalogue name."""
