@@ -1,0 +1,76 @@
+"""Plain technical English: words of the old dialect that may not come back.
+
+The words stand for riddles: "is told" (receives, is passed), "anew" (again), "beside" (next to, with),
+"at once" (together, immediately), "of which" (a sentence of its own says it better).
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[1]
+SOURCE = PROJECT / "src" / "smooth_operator"
+PAGES = [*sorted((PROJECT / "docs").glob("**/*.md")), PROJECT / "README.md"]
+FORBIDDEN = re.compile(r"\b(told|anew|beside|at\s+once|of\s+which)\b", re.IGNORECASE)
+
+CLEAN: tuple[str, ...] = ()
+"""Packages and modules of the source whose prose is clean. It only grows, until it has all."""
+
+
+def in_page(text: str) -> list[str]:
+    """Forbidden words of a Markdown page, with their lines; code in backticks is quoted."""
+    prose = re.sub(r"`[^`\n]+`", "", text)
+    return found(prose)
+
+
+def found(text: str, first_line: int = 1) -> list[str]:
+    return [
+        f"line {first_line + text.count(chr(10), 0, match.start())}: {match[0]!r}"
+        for match in FORBIDDEN.finditer(text)
+    ]
+
+
+def prose_of(code: str) -> Iterator[tuple[int, str]]:
+    """(line, text) of every comment and every string of a Python file."""
+    for token in tokenize.generate_tokens(io.StringIO(code).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(PROJECT).as_posix())
+def test_pages(page: Path) -> None:
+    assert in_page(page.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_source(name: str) -> None:
+    """Docstrings, comments, help and error texts."""
+    path = SOURCE / name
+    files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+    wrong = [
+        f"{file.relative_to(SOURCE).as_posix()}: {words}"
+        for file in files
+        for line, text in prose_of(file.read_text(encoding="utf-8"))
+        for words in found(text, line)
+    ]
+    assert wrong == []
+
+
+def test_the_words_are_found() -> None:
+    assert in_page("it is told\nall at\nonce, `told`\n") == [
+        "line 1: 'told'",
+        "line 2: 'at\\nonce'",
+    ]
+    code = 'x = 1  # anew\ndef f():\n    """Beside."""\n    raise E(f"of which {x}")\n'
+    words = [word for line, text in prose_of(code) for word in found(text, line)]
+    assert words == ["line 1: 'anew'", "line 3: 'Beside'", "line 4: 'of which'"]
