@@ -1,7 +1,7 @@
 """Plain technical English: words of the old dialect that may not come back.
 
-The words stand for riddles: "is told" (receives, is passed), "anew" (again), "beside" (next to, with),
-"at once" (together, immediately), "of which" (a sentence of its own says it better).
+Say instead: for "is told" receives, reads, is passed; for "anew" again; for "beside" next to, with;
+for "at once" together, immediately; for "of which" a sentence of its own.
 """
 
 from __future__ import annotations
