@@ -23,14 +23,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from report import BenchmarkError, Report, cores
 
 from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.lab.offline.dataset import retarget_all, survey
 from smooth_operator.methods.program import compiled, frame_step
 from smooth_operator.methods.scan import CHUNK, Scan
+from smooth_operator.parallel import usable_cores as cores
 from smooth_operator.planning import make_request
+from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 
 

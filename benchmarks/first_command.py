@@ -65,7 +65,7 @@ end = time.time()
 if result.status != smooth_operator.Status.OK:
     sys.exit(f"the first frame was not answered: {result.status.reason}")
 
-from report import peak_memory_mib
+from timing import peak_memory_mib
 
 # A read from the cache happens inside what JAX calls a compilation.
 seconds["compile_s"] -= seconds["cache_read_s"]

@@ -21,7 +21,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from report import BenchmarkError, Report
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -50,6 +49,7 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.planning import Plan
+from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.types import Side
 
 SIDES = ("right", "left")

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from report import BenchmarkError, Report, interleaved, percentiles
+from timing import interleaved, percentiles
 
 from smooth_operator import Hand, SmoothOperatorError, load_hand
 from smooth_operator.lab.paper.fk_libraries import (
@@ -32,6 +32,7 @@ from smooth_operator.lab.paper.fk_libraries import (
     missing,
     random_poses,
 )
+from smooth_operator.reporting.run_report import BenchmarkError, Report
 
 LOOP_LIMIT = 8192  # a Python loop says nothing new beyond that
 

@@ -21,9 +21,11 @@ import jax
 import numpy as np
 import tyro
 from arithmetic import FLOAT, KINDS, operations
-from report import BenchmarkError, Report, cores, percentiles
+from timing import percentiles
 
 from smooth_operator import HandFrame, Retargeter, SmoothOperatorError
+from smooth_operator.parallel import usable_cores as cores
+from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 
 

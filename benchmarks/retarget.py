@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from report import BenchmarkError, Report, peak_memory_mib, percentiles
+from timing import peak_memory_mib, percentiles
 
 from smooth_operator import (
     HandRecording,
@@ -27,6 +27,7 @@ from smooth_operator import (
 from smooth_operator.errors import RecordingError
 from smooth_operator.io import frame_slice, read_recording
 from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 
 QUALITY = {

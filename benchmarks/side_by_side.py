@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from report import markdown
 
 from smooth_operator import Retargeter
 from smooth_operator.io import read_recording
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.methods import slsqp_method
+from smooth_operator.reporting.run_report import markdown
 from smooth_operator.solvers.slsqp import SlsqpResult
 
 COLUMNS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {

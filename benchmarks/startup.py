@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from report import BenchmarkError, Report
 
 from smooth_operator import SmoothOperatorError
+from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 
 CHILD = Path(__file__).with_name("first_command.py")

@@ -28,7 +28,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from report import Report
+
+from smooth_operator.reporting.run_report import Report
 
 RATE = 100.0
 FAULTS = {

@@ -21,9 +21,10 @@ from typing import Any
 
 import numpy as np
 import tyro
-from report import RESULTS, BenchmarkError, Report, percentiles
+from timing import percentiles
 
 from smooth_operator import Retargeter, SmoothOperatorError, Status
+from smooth_operator.reporting.run_report import RESULTS, BenchmarkError, Report
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.webxr import WebXr
 from smooth_operator.types import Side

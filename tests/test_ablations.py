@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import sys
 import typing
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from smooth_operator.cli import main
 from smooth_operator.cli.ablate_options import ExperimentName
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.paper import interval_coverage
 from smooth_operator.lab.paper import study as study_module
 from smooth_operator.lab.paper.catalogue import EXPERIMENTS, experiment
 from smooth_operator.lab.paper.compute import balance
@@ -104,12 +104,8 @@ def problem(settings: Settings, tmp_path_factory: pytest.TempPathFactory) -> Pro
 
 
 @pytest.fixture(scope="module")
-def programs() -> Iterator[typing.Any]:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-    import intervals
-
-    yield intervals
-    sys.path.remove(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+def programs() -> typing.Any:
+    return interval_coverage
 
 
 # Whole runs

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,23 +12,18 @@ import pytest
 
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.lab.attainable import bounds, pose_search
+from smooth_operator.lab.attainable import search as attain
 from smooth_operator.metrics.accuracy import cosines
 from smooth_operator.metrics.trace import keyvectors
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HAND = "mimic_p050"
 TIGHT, LOOSE = 0.002, float("inf")
 
 
 @pytest.fixture(scope="module")
 def programs() -> Any:
-    sys.path.insert(0, str(BENCHMARKS))
-    import attainable
-    import attaining
-    import posing
-
-    yield attainable, attaining, posing
-    sys.path.remove(str(BENCHMARKS))
+    return bounds, attain, pose_search
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,9 @@ import pytest
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
-from smooth_operator.lab.benchmark.targets import (
+from smooth_operator.lab.judging import judge as judge_program
+from smooth_operator.lab.judging import kept_figures
+from smooth_operator.lab.judging.targets import (
     HumanFigures,
     TargetLine,
     human_figures,
@@ -25,7 +26,6 @@ from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.result_cache import ResultCache, imported_modules
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HUMAN = HumanFigures(flatness=1e-7, pinch_mm=4.0, pinch_strict_mm=3.0)
 
 
@@ -156,12 +156,7 @@ def test_the_humans_own_figures():
 
 @pytest.fixture(scope="module")
 def programs() -> Any:
-    sys.path.insert(0, str(BENCHMARKS))
-    import judge as judge_program
-    import judging
-
-    yield judge_program, judging
-    sys.path.remove(str(BENCHMARKS))
+    return judge_program, kept_figures
 
 
 def test_figures_depend_on_the_code_of_their_own_method(programs: Any):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.judging import method_tables, setting_rows
 from smooth_operator.lab.tuning.pareto import (
     COLLISION,
     FLATNESS,
@@ -28,7 +28,6 @@ from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.reporting.drawing import name_points
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "smooth.md"
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 HAND = "shadow_dexee"
 """Three fingers, which are compiled soonest."""
 MOMENT = "synthetic:5@:40"
@@ -36,12 +35,7 @@ MOMENT = "synthetic:5@:40"
 
 @pytest.fixture(scope="module")
 def programs() -> Any:
-    sys.path.insert(0, str(BENCHMARKS))
-    import method
-    import variants
-
-    yield method, variants
-    sys.path.remove(str(BENCHMARKS))
+    return method_tables, setting_rows
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from smooth_operator.lab.paper import docs_tables
+
 ROOT = Path(__file__).resolve().parents[1]
 EXPERIMENTS = {"compute", "fk", "hessian", "noise", "rate", "solver", "table", "velocity"}
 
@@ -22,22 +24,17 @@ def quickly(folder: Path, *words: str) -> tuple[str, str]:
 
 def _check_tables_of_the_page(folder: Path) -> None:
     """Every table of docs/reference/paper.md has the columns and rows that its program makes."""
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        import paper_tables
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
     page = (ROOT / "docs" / "reference" / "paper.md").read_text(encoding="utf-8")
-    blocks = {found[1]: found[2] for found in paper_tables.BLOCK.finditer(page)}
+    blocks = {found[1]: found[2] for found in docs_tables.BLOCK.finditer(page)}
     assert len(blocks) >= 12
-    loose = paper_tables.BLOCK.sub("", page)
+    loose = docs_tables.BLOCK.sub("", page)
     assert not re.search(r"^\|", loose, re.MULTILINE)  # none is written by hand
-    results = paper_tables.read_results(folder)
+    results = docs_tables.read_results(folder)
     assert set(results) == EXPERIMENTS
     for name, text in blocks.items():
         if name == "coverage":
             continue  # tests/test_ablations.py
-        made = paper_tables.block(name, paper_tables.TABLES[name](results, results))
+        made = docs_tables.block(name, docs_tables.TABLES[name](results, results))
         ours, theirs = ([line for line in t.splitlines() if line[:1] == "|"] for t in (made, text))
         if name == "fk":  # libraries that are not installed here have no column
             assert set(ours[0].split(" | ")) <= set(theirs[0].split(" | "))
@@ -46,8 +43,8 @@ def _check_tables_of_the_page(folder: Path) -> None:
         rows = [{_unnumbered(line.split(" | ")[0]) for line in t[2:]} for t in (ours, theirs)]
         # a second sampler is there where tuning prefers another deviation than the published one
         assert {row for row in rows[0] if "tuned" not in row} == rows[1], name
-    written = paper_tables.replaced(page, "solver", "new")
-    assert paper_tables.replaced(page, "none", "new") == page
+    written = docs_tables.replaced(page, "solver", "new")
+    assert docs_tables.replaced(page, "none", "new") == page
     assert "new" in written
     assert blocks["velocity"] in written
 

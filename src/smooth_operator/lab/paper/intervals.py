@@ -2,7 +2,7 @@
 
 An independent unit is a person at a tracker: one file, or the built-in operator of one seed. Parts
 of one recording share their hand, their tracker and their habits, so they are averaged and count as
-one unit, and so do the seeds of a random solver. `benchmarks/intervals.py` shows by simulation how
+one unit, and so do the seeds of a random solver. ``interval_coverage`` shows by simulation how
 often these intervals hold the truth.
 """
 

@@ -1,4 +1,4 @@
-"""What ``judge.py`` measures and keeps: figures of methods, and what those depend on."""
+"""Figures of methods on recordings, kept until the code of their method changes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, file_name, hand_identity
-from smooth_operator.lab.benchmark.targets import HumanFigures, human_figures
+from smooth_operator.lab.judging.targets import HumanFigures, human_figures
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
@@ -29,7 +29,7 @@ from smooth_operator.types import HandRecording
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class CellFigures:
     """Figures of one cell.
 
     Attributes:
@@ -86,7 +86,7 @@ class _Task:
 
 def measure_cells(
     cells: Sequence[Cell], cache: ResultCache, workers: int | None, seed: int, per_frame: bool
-) -> Iterator[Measured]:
+) -> Iterator[CellFigures]:
     """Those that are kept first, then the others as they are measured.
 
     Args:
@@ -110,11 +110,11 @@ def measure_cells(
         cell = result.job.task
         if result.value is None:
             none = HumanFigures(None, None, None)
-            yield Measured(cell, None, none, result.error, fresh=True)
+            yield CellFigures(cell, None, none, result.error, fresh=True)
             continue
         stale = result.job.name in cache.found_by_other_code
         human = HumanFigures(**result.value["human"])
-        yield Measured(cell, result.value["metrics"], human, fresh=result.fresh, stale=stale)
+        yield CellFigures(cell, result.value["metrics"], human, fresh=result.fresh, stale=stale)
 
 
 def _figures(task: _Task) -> dict[str, Any]:
@@ -142,7 +142,9 @@ def _code(method: tuple[str, ...], whole: bool = False) -> str:
     needed = imported_modules(
         *method,
         # What every figure comes from, whatever the method.
-        "methods/retargeter.py", "metrics/evaluation.py", "metrics/assemble.py",
+        "methods/retargeter.py",
+        "metrics/evaluation.py",
+        "metrics/assemble.py",
         "lab/offline/execution.py",
         # These know every method; what one is configured to is in its key anyway.
         leave_out=(

@@ -1,8 +1,9 @@
-"""What could any retargeting method reach on a recording? An estimate of the bound, frame by frame.
+r"""What any retargeting method could reach on a recording: a bound, estimated frame by frame.
 
-    python benchmarks/attainable.py --data RECORDINGS
-    python benchmarks/attainable.py glove.npz@2600:3100 synthetic:11 --methods smooth sbr dexpilot
-    python benchmarks/attainable.py synthetic:11 --every 20 --starts 12 48 96
+    python -m smooth_operator.lab.attainable.bounds --data RECORDINGS
+    python -m smooth_operator.lab.attainable.bounds glove.npz@2600:3100 synthetic:11 \
+        --methods smooth sbr dexpilot
+    python -m smooth_operator.lab.attainable.bounds synthetic:11 --every 20 --starts 12 48 96
 
 For each frame alone, with no regard to smoothness, latency or what came before, the pose is sought
 whose keyvectors point most like the human's: once those from the thumb to the other tips, once all
@@ -41,19 +42,27 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from attained import BINS, Sampled, Sums, draw, sample, spread, sums_of
-from attaining import TOLERANCE, Attained, Frames, attain
-from judge import FILES, GLOVE
-from posing import Aim
-from report import RESULTS, BenchmarkError, Report
 
 from smooth_operator import SmoothOperatorError
+from smooth_operator.lab.attainable.pose_search import Aim
+from smooth_operator.lab.attainable.samples import (
+    BINS,
+    Sampled,
+    Sums,
+    draw,
+    sample,
+    spread,
+    sums_of,
+)
+from smooth_operator.lab.attainable.search import TOLERANCE, Attained, Frames, attain
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.judging.judge import FILES, GLOVE
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 from smooth_operator.parallel import run_tasks
+from smooth_operator.reporting.run_report import RESULTS, BenchmarkError, Report
 
 NAMES = tuple(name for name in FILES if name != GLOVE)
 """Of the judge's recordings all but the whole glove, whose windows are among them."""
@@ -108,6 +117,7 @@ class Settings:
 
 
 def main(settings: Settings) -> None:
+    """Searches, and writes tables and pictures."""
     dispatch_here()
     if min(settings.frames, settings.every or 1, settings.finish) < 1 or settings.rounds < 0:
         raise BenchmarkError("--frames, --every and --finish must be 1 or more, --rounds 0 or more")
@@ -151,6 +161,7 @@ def main(settings: Settings) -> None:
 
 
 def sources_of(settings: Settings) -> list[Source]:
+    """The recordings that are asked for."""
     words = list(settings.recordings)
     if settings.data is not None:
         words += [str(settings.data / name) for name in NAMES]
@@ -191,6 +202,7 @@ def search(
 
 
 def joined(parts: Sequence[Attained]) -> Attained:
+    """Parts of a recording as one."""
     rounds = max(len(part.gains) for part in parts)
     weights = [part.value.shape[1] for part in parts]
     gains = [[*part.gains, *[0.0] * (rounds - len(part.gains))] for part in parts]
@@ -303,6 +315,7 @@ def convergence(
 
 
 def label(gap: float) -> str:
+    """How a limit of the pinch gap is called in tables."""
     return f"+{1e3 * gap:g} mm" if np.isfinite(gap) else "no limit"
 
 

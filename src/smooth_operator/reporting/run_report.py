@@ -1,7 +1,7 @@
-"""What every benchmark here shares: where it ran, how times are summed up, how results are kept.
+"""Figures of one run of a program: Markdown tables for a person, and JSON to compare runs with.
 
 A result is one JSON file with the machine, the versions, the arguments and a flat table of figures,
-so that any two runs of the same benchmark can be laid side by side with ``--compare``.
+so that any two runs of the same program can be laid side by side with ``--compare``.
 """
 
 from __future__ import annotations
@@ -13,24 +13,29 @@ import os
 import platform
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-RESULTS: Final = Path("build") / "benchmarks"
-"""Where results go unless told otherwise; relative to the current folder, ignored by git."""
+from smooth_operator.parallel import usable_cores
+from smooth_operator.version import package_version
 
-_PACKAGES: Final = ("smooth-operator", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
+RESULTS: Final = Path("build") / "benchmarks"
+"""Where results go by default; relative to the current folder, ignored by git."""
+
+_CHECKOUT: Final = Path(__file__).resolve().parents[3]
+"""Where the package lies in a checkout; installed from a wheel it is no repository."""
+
+_PACKAGES: Final = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scipy")
 
 _Table = tuple[str, tuple[str, ...], list[list[object]], int]
 
 
 class BenchmarkError(SystemExit):
-    """Stops a benchmark with a sentence instead of a trace."""
+    """Stops a program with a sentence instead of a trace."""
 
 
 def _load() -> list[float] | None:
@@ -148,63 +153,6 @@ def cell(value: object) -> str:
     return f"{value:.2e}"
 
 
-def percentiles(samples_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
-    """p50, p95, p99 and maximum of some times [ms]."""
-    values = np.asarray(samples_ms, float)
-    p50, p95, p99 = np.percentile(values, (50, 95, 99))
-    return {
-        "p50_ms": float(p50),
-        "p95_ms": float(p95),
-        "p99_ms": float(p99),
-        "max_ms": float(values.max()),
-    }
-
-
-def interleaved(
-    work: Mapping[str, Callable[[], object]], seconds: float, least: int = 20, most: int = 500
-) -> dict[str, np.ndarray]:
-    """Time several pieces of work in turn, so that noise of the machine hits all of them alike.
-
-    Args:
-        work: name -> a call that returns when its result is there.
-        seconds: about how long to go on.
-        least: rounds at least, however slow.
-        most: rounds at most.
-
-    Returns:
-        name -> times of its calls [ms].
-    """
-    names = list(work)
-    for name in names:  # warm-up: compilation, caches, clocks
-        work[name]()
-        work[name]()
-    times: dict[str, list[float]] = {name: [] for name in names}
-    start = time.perf_counter()
-    for turn in range(most):
-        if turn >= least and time.perf_counter() - start > seconds:
-            break
-        for name in names if turn % 2 == 0 else reversed(names):
-            before = time.perf_counter()
-            work[name]()
-            times[name].append((time.perf_counter() - before) * 1e3)
-    return {name: np.array(values) for name, values in times.items()}
-
-
-def peak_memory_mib() -> float | None:
-    """Largest resident set of this process so far [MiB]; None where the system can't tell."""
-    try:  # of this program alone; getrusage may still hold that of the parent it was forked from
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        pass
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
-
-
 def machine() -> dict[str, Any]:
     """Processor, cores that this process may use, accelerator, system."""
     import jax  # not at the top: the start-up benchmark counts imports
@@ -212,38 +160,32 @@ def machine() -> dict[str, Any]:
     device = jax.devices()[0]
     return {
         "cpu": _cpu_model(),
-        "cores": cores(),
+        "cores": usable_cores(),
         "jax_device": f"{device.platform} ({device.device_kind})",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
     }
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def versions() -> dict[str, str]:
     """Versions of what was measured and of what it stands on; absent packages are left out."""
-    found = {"python": platform.python_version()}
+    found = {"python": platform.python_version(), "smooth-operator": package_version()}
     for name in _PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    try:
-        run = subprocess.run(
-            ["git", "describe", "--always", "--dirty"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        found["revision"] = run.stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        pass  # from a source archive
+    if (_CHECKOUT / ".git").exists():
+        try:
+            run = subprocess.run(
+                ["git", "describe", "--always", "--dirty"],
+                cwd=_CHECKOUT,
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            found["revision"] = run.stdout.strip()
+        except (OSError, subprocess.CalledProcessError):
+            pass  # git is not installed
     return found
 
 

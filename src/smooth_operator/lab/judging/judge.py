@@ -1,14 +1,15 @@
-"""One method or more against all others, target by target, recording by recording.
+r"""One method or more against all others, target by target, recording by recording.
 
-    python benchmarks/judge.py smooth --data RECORDINGS
-    python benchmarks/judge.py smooth:offline mine:tuned.toml glove.npz@0:500 synthetic:7@1mm
-    python benchmarks/judge.py smooth --data RECORDINGS --hand allegro_hand
+    python -m smooth_operator.lab.judging.judge smooth --data RECORDINGS
+    python -m smooth_operator.lab.judging.judge smooth:offline mine:tuned.toml \
+        glove.npz@0:500 synthetic:7@1mm
+    python -m smooth_operator.lab.judging.judge smooth --data RECORDINGS --hand allegro_hand
 
 Words with the name of a method in front (METHOD, METHOD:PRESET, METHOD:FILE.toml) are judged; all
 others are recordings, named as for ``smooth-operator bench``. With ``--data`` the folder's glove
 recording (frames 0-499, 2600-3099, whole), ``human_alex`` and ``wilor_test_long`` are judged, and
 three synthetic operators: clean, and with 0.5 and 1 mm of tracker noise. The targets are those of
-``smooth_operator.lab.benchmark.targets``: against every other method for the mimic hand, "better
+``smooth_operator.lab.judging.targets``: against every other method for the mimic hand, "better
 than sbr" for other hands. The other methods' figures are kept, and measured again only where
 their own code, or that of a metric, has changed.
 """
@@ -19,20 +20,20 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import tyro
-from judging import Measured, measure_cells
-from report import RESULTS, BenchmarkError, Report, markdown
 
 from smooth_operator import SmoothOperatorError
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.latency import measure_latency
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
-from smooth_operator.lab.benchmark.targets import SBR, TargetLine, judge, judge_hand
+from smooth_operator.lab.judging.kept_figures import CellFigures, measure_cells
+from smooth_operator.lab.judging.targets import SBR, TargetLine, judge, judge_hand
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.presets import PRESETS
+from smooth_operator.reporting.run_report import RESULTS, BenchmarkError, Report, markdown
 from smooth_operator.result_cache import ResultCache
 
 GLOVE = "manus_right_subject-000_run-010.npz"
@@ -46,6 +47,10 @@ OTHERS = ("sbr", "sbr:paper", "dexpilot", "ako", "keyvector", "hybrid", "joint_a
 NOT_TIMED: dict[str, float | None] = dict.fromkeys(("mean", "p50", "p95", "p99", "first"))
 OWN_HAND = "mimic_p050"
 """The hand that the targets against every method are for."""
+
+
+_Table: TypeAlias = tuple[str, Sequence[str], Sequence[Sequence[object]]]
+"""Title, header, rows."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ class Settings:
 
 
 def main(settings: Settings) -> None:
+    """Measures what is not kept, and writes the verdicts."""
     dispatch_here()
     names = [word for word in settings.words if word.partition(":")[0] in PRESETS]
     if not names:
@@ -131,6 +137,7 @@ def warn(note: str) -> None:
 
 
 def recordings(settings: Settings, words: Sequence[str]) -> list[Source]:
+    """The recordings that are judged."""
     texts = list(words)
     if settings.data is not None:
         texts += [str(settings.data / name) for name in FILES]
@@ -150,6 +157,7 @@ def recordings(settings: Settings, words: Sequence[str]) -> list[Source]:
 def cells_of(
     settings: Settings, sources: Sequence[Source], choices: Sequence[Choice]
 ) -> list[Cell]:
+    """Each recording with each method."""
     every = {(c.method, c.preset): c for c in choices}
     return [
         Cell(source, settings.hand, choice.method, choice.preset, choice.config)
@@ -163,11 +171,11 @@ def measure(
     sources: Sequence[Source],
     candidates: Sequence[Choice],
     others: Sequence[Choice],
-) -> dict[tuple[str, str], Measured]:
+) -> dict[tuple[str, str], CellFigures]:
     """(recording, label) -> figures."""
     cells = cells_of(settings, sources, (*candidates, *others))
     kept = ResultCache(settings.cache, warn, other_code=settings.stale)
-    found: dict[tuple[str, str], Measured] = {}
+    found: dict[tuple[str, str], CellFigures] = {}
     per_frame = settings.human == "frame"
     for one in measure_cells(cells, kept, settings.workers, settings.seed, per_frame):
         found[one.cell.source.name, method_label(one.cell.method, one.cell.preset)] = one
@@ -197,7 +205,8 @@ def write(
     report: Report, settings: Settings, lines: dict[str, dict[str, list[TargetLine]]]
 ) -> None:
     """Tables of every recording, then one of all; the Markdown file has them the other way."""
-    detailed, overview = [], []
+    detailed: list[_Table] = []
+    overview: list[_Table] = []
     for label, by_recording in lines.items():
         for recording, found in by_recording.items():
             title = f"{label} on {recording}{mark(settings, recording)}, {settings.hand}"
@@ -214,32 +223,35 @@ def write(
             of = {r: {x.name: x for x in found}.get(name) for r, found in by_recording.items()}
             rows.append([name, *(verdict(line) for line in of.values())])
         rows.append(["**missed**", *(str(missed(found)) for found in by_recording.values())])
-        header = (label, *(f"{name}{mark(settings, name)}" for name in by_recording))
-        overview.append((f"{label}, all targets, {settings.hand}", header, rows))
-    for title, header, rows in (*detailed, *overview):
-        report.table(title, header, rows)
+        names_of = (label, *(f"{name}{mark(settings, name)}" for name in by_recording))
+        overview.append((f"{label}, all targets, {settings.hand}", names_of, rows))
+    for title, columns, cells in (*detailed, *overview):
+        report.table(title, columns, cells)
     if settings.tuned:
         report.notes.append("tuned on: recordings marked with (t)")
     scale = "each method's own" if settings.human == "own" else "each frame's, for all alike"
     report.notes.append(f"scale of the human: {scale}; ✓ reached, ✗ missed, – does not apply")
     report.finish(settings.output, settings.compare)
     text = "\n".join(
-        f"**{title}**\n\n{markdown(header, rows)}\n"
-        for title, header, rows in (*overview, *detailed)
+        f"**{title}**\n\n{markdown(columns, cells)}\n"
+        for title, columns, cells in (*overview, *detailed)
     )
     notes = "".join(f"- {note}\n" for note in report.notes)
     settings.output.with_suffix(".md").write_text(f"{text}\n{notes}", encoding="utf-8")
 
 
 def mark(settings: Settings, recording: str) -> str:
+    """What is added to the name of a recording that was tuned on."""
     return " (t)" if any(word in recording for word in settings.tuned) else ""
 
 
 def missed(lines: Sequence[TargetLine]) -> int:
+    """How many targets were missed."""
     return sum(line.passed is False for line in lines)
 
 
 def row(line: TargetLine) -> list[object]:
+    """A target as a row of a table."""
     name = f"{line.name} [{line.unit}]" if line.unit else line.name
     asked = "–" if line.asked is None else f"{line.sense} {figure(line.asked)}"
     other = "–" if line.other is None else f"{figure(line.other_value)} {line.other}"
@@ -248,6 +260,7 @@ def row(line: TargetLine) -> list[object]:
 
 
 def verdict(line: TargetLine | None) -> str:
+    """What came of a target, as a cell of the overview."""
     if line is None:
         return "–"
     sign = {True: "✓", False: "✗", None: "–"}[line.passed]
@@ -256,6 +269,7 @@ def verdict(line: TargetLine | None) -> str:
 
 
 def figure(value: float | None) -> str:
+    """A number as tables have it."""
     if value is None:
         return "–"
     if value == 0:

@@ -1,13 +1,13 @@
-"""Writes the tables of docs/reference/paper.md from the results of `smooth-operator paper`.
+r"""Writes the tables of docs/reference/paper.md from the results of `smooth-operator paper`.
 
 Each table stands between a line `<!-- table: NAME -->` and a line `<!-- end -->`; what stands
-between
-them is replaced. Without `--docs` the tables are printed. `benchmarks/intervals.py` makes the table
-of coverage.
+between them is replaced. Without `--docs` the tables are printed. ``interval_coverage`` makes the
+table of coverage.
 
     smooth-operator paper --output build/paper
     smooth-operator paper RECORDING ... --output build/paper-real
-    python benchmarks/paper_tables.py build/paper build/paper-real --docs docs/reference/paper.md
+    python -m smooth_operator.lab.paper.docs_tables build/paper build/paper-real \
+        --docs docs/reference/paper.md
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import intervals
 import tyro
 
+from smooth_operator.lab.paper import interval_coverage
 from smooth_operator.lab.paper.catalogue import EXPERIMENTS
 from smooth_operator.lab.paper.experiment import Table
 from smooth_operator.lab.paper.report import markdown
@@ -136,7 +136,7 @@ TABLES: Final[dict[str, Make]] = {
         a, "noise", "With frames lost", (*_NOISE[:3], "largest step [rad]")
     ),
     "rate": lambda a, _: _table(a, "rate", "Methods by frame rate", _RATE),
-    "coverage": lambda a, b: intervals.coverage_table(intervals.Settings()),
+    "coverage": lambda a, b: interval_coverage.coverage_table(interval_coverage.Settings()),
 }
 """Name of a table in the page -> what makes it."""
 

@@ -1,4 +1,4 @@
-"""What ``attainable.py`` searches with: for each frame the best pose that keeps to its limits.
+"""For each frame the best pose that keeps to its limits.
 
 A frame is a problem of its own: of all poses within the joint limits, no two parts of which are
 deeper in each other than allowed and whose pinch gaps are not wider than allowed, the one whose
@@ -21,9 +21,9 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float
-from posing import ELASTIC, Aim, Search
 
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.lab.attainable.pose_search import ELASTIC, Aim, Search
 from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE

@@ -1,6 +1,7 @@
-"""What a calibration is worth: fitted on the first half of a recording, judged on the second.
+r"""What a calibration is worth: fitted on the first half of a recording, judged on the second.
 
-    python benchmarks/calibration.py manus.npz other.npy@30hz --output calibration.json
+    python -m smooth_operator.lab.judging.calibration_gain manus.npz other.npy@30hz --output \
+        calibration.json
 
 Each recording is cut in two. The operator is calibrated on the first half; methods then retarget
 the second with and without the calibration, as a whole and component by component. Judged is
@@ -72,6 +73,7 @@ def judge(
 
 
 def main() -> None:
+    """Calibrates, retargets, prints a line for each case."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("recordings", nargs="+")
     parser.add_argument("--hand", default="mimic_p050")

@@ -1,4 +1,4 @@
-"""One method with other settings, row by row: what ``method.py`` measures, keeps and writes."""
+"""One method with other settings, row by row: what ``method_tables`` measures, keeps and writes."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from judging import code_of
-from report import BenchmarkError
-
 from smooth_operator import SmoothOperatorError
 from smooth_operator.io import to_json
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.sources import Source
+from smooth_operator.lab.judging.kept_figures import code_of
 from smooth_operator.lab.tuning.log import Trial, TrialLog
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.setting_paths import numeric_settings, with_settings, with_unchecked
 from smooth_operator.parallel import TaskResult, run_tasks
+from smooth_operator.reporting.run_report import BenchmarkError
 
 Values = Mapping[str, float]
 """Path of a setting -> its value; the others are those of the preset."""

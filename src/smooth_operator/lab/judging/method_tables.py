@@ -1,16 +1,18 @@
-"""Tables of docs/explanation/smooth.md: what each part of ``smooth`` is worth, and what conflicts.
+r"""Tables of docs/explanation/smooth.md: what each part of ``smooth`` is worth, and what conflicts.
 
-    python benchmarks/method.py --data RECORDINGS
-    python benchmarks/method.py without fronts --data RECORDINGS --rows clearance lag
-    python benchmarks/method.py alone --recordings glove.npz@:500 synthetic:7 --preset mine.toml
+    python -m smooth_operator.lab.judging.method_tables --data RECORDINGS
+    python -m smooth_operator.lab.judging.method_tables without fronts --data RECORDINGS \
+        --rows clearance lag
+    python -m smooth_operator.lab.judging.method_tables alone --recordings glove.npz@:500 \
+        synthetic:7 --preset mine.toml
 
 Tables are ``without`` (each part taken out of the whole), ``alone`` (each part added to nothing),
 ``fronts`` (what is traded for what, with a picture) and ``hands`` (against sbr on other hands, with
 the lines of "better than sbr" that are missed); all of them, if none is named. With ``--data`` a
 cell holds the folder's glove recording (frames 0-499), ``human_alex`` (the first 1749) and 12 s of
-the built-in operator; without it the built-in operator alone. What rows change stands at the top of
-this file, as data. What was measured is kept: the same command, or one with another row, goes on
-where the last one stopped, as long as the method's own code is the same.
+the built-in operator; without it the built-in operator alone. What rows change stands in
+``smooth_parts``, as data. What was measured is kept: the same command, or one with another row,
+goes on where the last one stopped, as long as the method's own code is the same.
 """
 
 from __future__ import annotations
@@ -22,10 +24,14 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import tyro
-from judge import GLOVE, OTHERS, warn
-from judging import Measured, measure_cells
-from report import RESULTS, BenchmarkError, Report
-from variants import (
+
+from smooth_operator import SmoothOperatorError
+from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
+from smooth_operator.lab.benchmark.sources import SYNTHETIC, Source, load_sources, parse_request
+from smooth_operator.lab.judging.judge import OTHERS, warn
+from smooth_operator.lab.judging.kept_figures import CellFigures, measure_cells
+from smooth_operator.lab.judging.setting_rows import (
     HEADER,
     Found,
     Row,
@@ -36,162 +42,26 @@ from variants import (
     full_values,
     measure_rows,
 )
-
-from smooth_operator import SmoothOperatorError
-from smooth_operator.lab.benchmark.cells import Cell
-from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
-from smooth_operator.lab.benchmark.sources import SYNTHETIC, Source, load_sources, parse_request
-from smooth_operator.lab.benchmark.targets import SBR, judge_hand
+from smooth_operator.lab.judging.smooth_parts import (
+    ALONE,
+    ALWAYS_IN,
+    FRONTS,
+    HANDS,
+    HANDS_ON,
+    LIKE_ANY_VALUE,
+    TUNED_ON,
+    WITHOUT,
+)
+from smooth_operator.lab.judging.targets import SBR, judge_hand
 from smooth_operator.lab.tuning.pareto import (
-    ALL_VECTORS,
-    COLLISION,
-    FLATNESS,
-    MOTION,
-    PINCH,
-    THUMB,
-    VELOCITY,
-    Axis,
     TradeOff,
     save_trade_offs,
 )
 from smooth_operator.methods.dispatch import dispatch_here
+from smooth_operator.reporting.run_report import RESULTS, BenchmarkError, Report
 from smooth_operator.result_cache import ResultCache
 
 METHOD = "smooth"
-
-# -- what is measured: a part more is a line more -------------------------------------------------
-
-TARGETS = "objective.targets"
-SQUARED = 0.02
-"""``polar.knee`` [m] beyond any pinch that is off in length: the price is a parabola there."""
-WITHOUT: dict[str, Values] = {
-    "motion term": {"motion_weight": 0.0},
-    "its fall with speed (s → ∞)": {"motion_speed": 1e6},
-    "clearance": {"clearance.weight": 0.0},
-    "weights by kind (all 1)": {
-        f"{TARGETS}.w_wrist": 1.0, f"{TARGETS}.w_thumb": 1.0, f"{TARGETS}.w_between": 1.0,
-    },
-    "focus (powers 0)": {f"{TARGETS}.focus": 0.0, f"{TARGETS}.focus_between": 0.0},
-    "velocity term": {"objective.velocity_weight": 0.0},
-    "lag": {"landmarks.lag": 0.0},
-    "leap": {"landmarks.leap": 1e9},
-    "its growth with noise": {"landmarks.noise": 0.0},
-    "price of angles": {"polar.direction": 0.0},
-    "price of pinches' lengths": {"polar.length": 0.0},
-    "its kink (squared instead)": {"polar.length": 1000.0, "polar.knee": SQUARED},
-    "targets apart": {f"{TARGETS}.apart": 0.0},
-    "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
-}  # fmt: skip
-"""Part -> settings with which it is out of the whole."""
-
-ALWAYS_IN = ("pose term (γ = 0.0005)", "its kink (squared instead)")
-"""Parts that stay where nothing else is left."""
-
-ALONE: dict[str, tuple[str, ...]] = {
-    "motion term, constant": ("motion term",),
-    "motion term, falling with speed": ("motion term", "its fall with speed (s → ∞)"),
-    "clearance": ("clearance",),
-    "weights by kind": ("weights by kind (all 1)",),
-    "focus": ("focus (powers 0)",),
-    "velocity term": ("velocity term",),
-    "lag": ("lag",),
-    "leap": ("leap",),
-    "leap, growing with noise": ("leap", "its growth with noise"),
-    "price of angles": ("price of angles",),
-    "price of pinches' lengths": ("price of pinches' lengths",),
-    "prices of angles and lengths": ("price of angles", "price of pinches' lengths"),
-}
-"""Name -> which of those above are put back into nothing."""
-
-
-@dataclass(frozen=True)
-class Front:
-    """Two things that can't be had together.
-
-    Attributes:
-        title: what they are.
-        setting: what is changed.
-        rows: name -> settings.
-        x, y: how they stand against each other in the picture.
-        without: part whose row of ``without`` is a point of the picture, too.
-    """
-
-    title: str
-    setting: str
-    rows: Mapping[str, Values]
-    x: Axis
-    y: Axis
-    without: str | None = None
-
-
-FRONTS = (
-    Front(
-        "Smooth against correlated",
-        "lag, leap",
-        {  # a leap_speed would make leaps of 0.05 m longer at 30 Hz
-            f"lag {1e3 * lag:g} ms, leap {'∞' if leap > 1e3 else f'{leap:g}'}": {
-                "landmarks.lag": lag, "landmarks.leap": leap, "landmarks.leap_speed": 0.0,
-                "landmarks.noise": 0.0,
-            }
-            for lag, leap in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
-                              (1.75e-3, 0.05), (4e-3, 0.1), (4e-3, 0.05), (8e-3, 0.1))
-        },
-        FLATNESS,
-        VELOCITY,
-    ),
-    Front(
-        "Accurate against moving",
-        "weight of the motion term",
-        {f"w_m = {w:g}": {"motion_weight": w} for w in (50.0, 150.0, 400.0, 1500.0)},
-        ALL_VECTORS,
-        MOTION,
-    ),
-    Front(
-        "Accurate against clear of itself",
-        "weight of clearance",
-        {f"w_c = {w:g}": {"clearance.weight": w} for w in (300.0, 1000.0, 3000.0, 20000.0)},
-        COLLISION,
-        THUMB,
-        without="clearance",
-    ),
-    Front(
-        "Pointing as the human against closing",
-        "prices of angle and length",
-        {
-            f"direction {d:g}, length {w:g}": {"polar.direction": d, "polar.length": w}
-            for d, w in ((0.0, 0.0), (0.5, 115.0), (1.0, 115.0), (1.5, 200.0), (1.5, 50.0),
-                         (2.0, 0.0))
-        }
-        | {
-            f"direction 1.5, length {w:g}, squared": {
-                "polar.direction": 1.5, "polar.length": w, "polar.knee": SQUARED,
-            }
-            for w in (3000.0, 6000.0)
-        },
-        PINCH,
-        THUMB,
-    ),
-)  # fmt: skip
-
-LIKE_ANY_VALUE = frozenset({
-    "motion_weight", "clearance.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
-    "objective.velocity_weight", "objective.pose_weight", "landmarks.lag",
-    "landmarks.leap_speed", "landmarks.noise", "polar.direction", "polar.length",
-    f"{TARGETS}.apart",
-})  # fmt: skip
-"""Settings whose 0 needs no program of its own, see ``variants.py``."""
-
-TUNED_ON = {
-    "glove, frames 0–499": f"{GLOVE}@0:500",
-    "human_alex, frames 0–1748": "human_alex_21x3.npy@30hz,0:1749",
-    "synthetic operator 11": "synthetic:11@0:1200",
-}
-HANDS_ON = {
-    "glove 0–499": f"{GLOVE}@0:500",
-    "synthetic 11, 10 s": "synthetic:11@0:1000",
-    "alex 0–599": "human_alex_21x3.npy@30hz,0:600",
-}
-HANDS = ("allegro_hand", "leap_hand", "shadow_hand", "inspire_hand")
 
 Part = Literal["without", "alone", "fronts", "hands"]
 TITLES = {
@@ -238,6 +108,7 @@ class Settings:
 
 
 def main(settings: Settings) -> None:
+    """Measures what is not kept, and writes tables and pictures."""
     dispatch_here()
     chosen = select_methods((f"{METHOD}:{settings.preset}" if settings.preset else METHOD,))[0]
     rows = rows_of(settings)
@@ -315,6 +186,7 @@ def rows_of(settings: Settings) -> dict[Row, Values]:
 def write_rows(
     report: Report, sources: Mapping[str, Source], rows: Iterable[Row], found: Found
 ) -> None:
+    """Adds the rows to the report, a table for each part."""
     tables: dict[str, list[list[object]]] = {}
     for table, name in rows:
         if table == "fronts":
@@ -368,15 +240,15 @@ def measure_others(
     sources: Sequence[Source],
     hands: Sequence[str],
     choices: Sequence[Choice],
-) -> dict[tuple[str, str, str], Measured]:
-    """(recording, hand, method) -> figures, kept as those of judge.py are."""
+) -> dict[tuple[str, str, str], CellFigures]:
+    """(recording, hand, method) -> figures, kept as those of the judge are."""
     cells = [
         Cell(source, hand, choice.method, choice.preset, choice.config)
         for hand in hands
         for choice in choices
         for source in sources
     ]
-    found: dict[tuple[str, str, str], Measured] = {}
+    found: dict[tuple[str, str, str], CellFigures] = {}
     kept = ResultCache(settings.cache, warn)
     for one in measure_cells(cells, kept, settings.workers, settings.seed, per_frame=False):
         label = method_label(one.cell.method, one.cell.preset)

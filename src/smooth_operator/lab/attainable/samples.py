@@ -1,4 +1,4 @@
-"""What ``attainable.py`` reads from recordings and answers: frames, their figures, the picture."""
+"""Frames of recordings and of answers to them: their figures, and the picture."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from attaining import TOLERANCE, Attained
 from jaxtyping import Bool, Float, Int
-from report import BenchmarkError
 
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.attainable.search import TOLERANCE, Attained
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.settings import Choice, method_label
 from smooth_operator.lab.benchmark.sources import Source
@@ -25,6 +24,7 @@ from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.planning import Plan
 from smooth_operator.reporting.drawing import INK, MARKERS, colors_of, name_points, styled
+from smooth_operator.reporting.run_report import BenchmarkError
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
@@ -58,14 +58,17 @@ class Sampled:
 
     @property
     def side(self) -> Side:
+        """Side of the hand."""
         return self.hand.spec.side
 
     @property
     def thumb(self) -> slice:
+        """Keyvectors from the thumb to the other tips."""
         return KeyvectorLayout(self.hand.fingers).thumb
 
     @property
     def pinching(self) -> Bool[np.ndarray, " T"]:
+        """Frames in which the human pinches."""
         lengths = np.linalg.norm(self.human[:, self.thumb], axis=-1)
         return np.asarray((lengths < accuracy.PINCH_DISTANCE).any(axis=1))
 
@@ -75,6 +78,7 @@ class Sampled:
         return keyvectors(tips, np.broadcast_to(self.hand.wrist, (len(poses), 3)))
 
     def thumb_cosines(self, robot: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "T P"]:
+        """Cosine similarity of the thumb keyvectors."""
         return accuracy.cosines(self.human[:, self.thumb], robot[:, self.thumb])
 
 

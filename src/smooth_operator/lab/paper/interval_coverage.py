@@ -1,12 +1,10 @@
 """How often the intervals of the paper's experiments hold the truth, by simulation.
 
 Log ratios of independent recordings are drawn about no effect at all, from several distributions,
-and
-handed to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in 95
-% of
-the draws; a direction that is shown is then an error.
+and given to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in
+95 % of the draws; a direction that is shown is then an error.
 
-    python benchmarks/intervals.py
+    python -m smooth_operator.lab.paper.interval_coverage
 """
 
 from __future__ import annotations

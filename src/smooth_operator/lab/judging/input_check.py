@@ -5,7 +5,7 @@ of a tracker, go through the check that every recording and every live tracker g
 (``smooth_operator.io.check_hand``). Prints a table: how many of the right ones are refused,
 which should be none; of each fault how many are noticed, and how many of these are named rightly.
 
-    python benchmarks/input_check.py glove.npz video.npz@30hz
+    python -m smooth_operator.lab.judging.input_check glove.npz video.npz@30hz
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The search for one pose, for ``attaining.py``: many starts descend, the best are finished.
+"""The search for one pose: many starts descend, the best are finished.
 
 All here is for one hand. Poses are of the actuated joints; couplings come in by ``hand.expansion``.
 """
@@ -58,10 +58,12 @@ class Search:
 
     @cached_property
     def layout(self) -> KeyvectorLayout:
+        """Which keyvectors there are."""
         return KeyvectorLayout(self.hand.fingers)
 
     @cached_property
     def pairs(self) -> CapsulePairs:
+        """Parts of the hand that may touch each other."""
         return capsule_pairs(self.hand)
 
     @cached_property
@@ -71,14 +73,17 @@ class Search:
 
     @cached_property
     def low(self) -> np.ndarray:
+        """Lower joint limits [rad]."""
         return np.asarray(self.hand.limits[:, 0], float)
 
     @cached_property
     def high(self) -> np.ndarray:
+        """Upper joint limits [rad]."""
         return np.asarray(self.hand.limits[:, 1], float)
 
     @property
     def thumb(self) -> slice:
+        """Keyvectors from the thumb to the other tips."""
         return self.layout.thumb
 
     def weights(self, aim: Aim) -> Float[np.ndarray, " K"]:

@@ -1,0 +1,151 @@
+"""Which settings of ``smooth`` are changed for the tables of ``method_tables``, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from smooth_operator.lab.judging.judge import GLOVE
+from smooth_operator.lab.judging.setting_rows import Values
+from smooth_operator.lab.tuning.pareto import (
+    ALL_VECTORS,
+    COLLISION,
+    FLATNESS,
+    MOTION,
+    PINCH,
+    THUMB,
+    VELOCITY,
+    Axis,
+)
+
+TARGETS = "objective.targets"
+SQUARED = 0.02
+"""``polar.knee`` [m] beyond any pinch that is off in length: the price is a parabola there."""
+WITHOUT: dict[str, Values] = {
+    "motion term": {"motion_weight": 0.0},
+    "its fall with speed (s → ∞)": {"motion_speed": 1e6},
+    "clearance": {"clearance.weight": 0.0},
+    "weights by kind (all 1)": {
+        f"{TARGETS}.w_wrist": 1.0, f"{TARGETS}.w_thumb": 1.0, f"{TARGETS}.w_between": 1.0,
+    },
+    "focus (powers 0)": {f"{TARGETS}.focus": 0.0, f"{TARGETS}.focus_between": 0.0},
+    "velocity term": {"objective.velocity_weight": 0.0},
+    "lag": {"landmarks.lag": 0.0},
+    "leap": {"landmarks.leap": 1e9},
+    "its growth with noise": {"landmarks.noise": 0.0},
+    "price of angles": {"polar.direction": 0.0},
+    "price of pinches' lengths": {"polar.length": 0.0},
+    "its kink (squared instead)": {"polar.length": 1000.0, "polar.knee": SQUARED},
+    "targets apart": {f"{TARGETS}.apart": 0.0},
+    "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
+}  # fmt: skip
+"""Part -> settings with which it is out of the whole."""
+
+ALWAYS_IN = ("pose term (γ = 0.0005)", "its kink (squared instead)")
+"""Parts that stay where nothing else is left."""
+
+ALONE: dict[str, tuple[str, ...]] = {
+    "motion term, constant": ("motion term",),
+    "motion term, falling with speed": ("motion term", "its fall with speed (s → ∞)"),
+    "clearance": ("clearance",),
+    "weights by kind": ("weights by kind (all 1)",),
+    "focus": ("focus (powers 0)",),
+    "velocity term": ("velocity term",),
+    "lag": ("lag",),
+    "leap": ("leap",),
+    "leap, growing with noise": ("leap", "its growth with noise"),
+    "price of angles": ("price of angles",),
+    "price of pinches' lengths": ("price of pinches' lengths",),
+    "prices of angles and lengths": ("price of angles", "price of pinches' lengths"),
+}
+"""Name -> which of those above are put back into nothing."""
+
+
+@dataclass(frozen=True)
+class Front:
+    """Two things that can't be had together.
+
+    Attributes:
+        title: what they are.
+        setting: what is changed.
+        rows: name -> settings.
+        x, y: how they stand against each other in the picture.
+        without: part whose row of ``without`` is a point of the picture, too.
+    """
+
+    title: str
+    setting: str
+    rows: Mapping[str, Values]
+    x: Axis
+    y: Axis
+    without: str | None = None
+
+
+FRONTS = (
+    Front(
+        "Smooth against correlated",
+        "lag, leap",
+        {  # a leap_speed would make leaps of 0.05 m longer at 30 Hz
+            f"lag {1e3 * lag:g} ms, leap {'∞' if leap > 1e3 else f'{leap:g}'}": {
+                "landmarks.lag": lag, "landmarks.leap": leap, "landmarks.leap_speed": 0.0,
+                "landmarks.noise": 0.0,
+            }
+            for lag, leap in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
+                              (1.75e-3, 0.05), (4e-3, 0.1), (4e-3, 0.05), (8e-3, 0.1))
+        },
+        FLATNESS,
+        VELOCITY,
+    ),
+    Front(
+        "Accurate against moving",
+        "weight of the motion term",
+        {f"w_m = {w:g}": {"motion_weight": w} for w in (50.0, 150.0, 400.0, 1500.0)},
+        ALL_VECTORS,
+        MOTION,
+    ),
+    Front(
+        "Accurate against clear of itself",
+        "weight of clearance",
+        {f"w_c = {w:g}": {"clearance.weight": w} for w in (300.0, 1000.0, 3000.0, 20000.0)},
+        COLLISION,
+        THUMB,
+        without="clearance",
+    ),
+    Front(
+        "Pointing as the human against closing",
+        "prices of angle and length",
+        {
+            f"direction {d:g}, length {w:g}": {"polar.direction": d, "polar.length": w}
+            for d, w in ((0.0, 0.0), (0.5, 115.0), (1.0, 115.0), (1.5, 200.0), (1.5, 50.0),
+                         (2.0, 0.0))
+        }
+        | {
+            f"direction 1.5, length {w:g}, squared": {
+                "polar.direction": 1.5, "polar.length": w, "polar.knee": SQUARED,
+            }
+            for w in (3000.0, 6000.0)
+        },
+        PINCH,
+        THUMB,
+    ),
+)  # fmt: skip
+
+LIKE_ANY_VALUE = frozenset({
+    "motion_weight", "clearance.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
+    "objective.velocity_weight", "objective.pose_weight", "landmarks.lag",
+    "landmarks.leap_speed", "landmarks.noise", "polar.direction", "polar.length",
+    f"{TARGETS}.apart",
+})  # fmt: skip
+"""Settings whose 0 needs no program of its own, see ``setting_rows``."""
+
+TUNED_ON = {
+    "glove, frames 0–499": f"{GLOVE}@0:500",
+    "human_alex, frames 0–1748": "human_alex_21x3.npy@30hz,0:1749",
+    "synthetic operator 11": "synthetic:11@0:1200",
+}
+HANDS_ON = {
+    "glove 0–499": f"{GLOVE}@0:500",
+    "synthetic 11, 10 s": "synthetic:11@0:1000",
+    "alex 0–599": "human_alex_21x3.npy@30hz,0:600",
+}
+HANDS = ("allegro_hand", "leap_hand", "shadow_hand", "inspire_hand")
