@@ -25,6 +25,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.registry import SINKS, build_sink
 from smooth_operator.teleop.sinks.ros2 import Ros2Sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
@@ -48,8 +49,10 @@ def until(done: Callable[[], object], seconds: float = 5.0) -> None:
         time.sleep(0.005)
 
 
-class Fake:
+class Fake(Sink):
     """A sink that keeps what it gets, and raises when told to."""
+
+    label = "fake"
 
     def __init__(self, label: str = "fake") -> None:
         self.label = label

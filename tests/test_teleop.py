@@ -31,6 +31,7 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.plausible import implausible
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Mailbox, Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side
@@ -61,7 +62,7 @@ class Player(ThreadedSource):
 
 
 @dataclass
-class Keeper:
+class Keeper(Sink):
     """A sink that keeps what it gets."""
 
     fails_at: frozenset[int] = frozenset()

@@ -11,7 +11,7 @@ from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.teleop.control.workshop import Workshop
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
@@ -29,7 +29,7 @@ def begun_page(
         return
     from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
 
-    simulated = any(hasattr(sink, "state") for sink in acting)
+    simulated = simulated_hands(acting) is not None
     setup = PageSetup(
         asked.hand,
         sides,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
@@ -65,13 +65,11 @@ class TaskTrials:
 
     def begin(self) -> None:
         """The simulation is open: say the task; the first trial starts where nobody can say so."""
-        simulation = next((sink for sink in self._sinks if sink.label == "mujoco"), None)
+        simulation = simulated_hands(self._sinks)
         if simulation is None or (self._options.task is None and self._options.control is None):
             return
         from smooth_operator.simulation.tasks.desk import TaskDesk
-        from smooth_operator.teleop.sinks.simulation import Simulation
 
-        assert isinstance(simulation, Simulation)  # it is called so
         self.desk = TaskDesk(
             simulation, self._sides, self._options.trials, self._about, self._tell, self._note
         )

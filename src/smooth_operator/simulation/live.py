@@ -1,19 +1,31 @@
-"""What a trial needs of the simulation that it runs in."""
+"""What trials and pages need of a running simulation of hands."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.scenes import Scene, SceneState
+from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.types import Side
 
 Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
 """Called with the scene and the (n,) joint positions [rad], from the thread of the physics."""
+
+
+class SimulatedHand(NamedTuple):
+    """Where a simulated hand is.
+
+    Attributes:
+        positions: (n,) positions of all joints [rad], in the order of ``hand.joint_names``.
+        time: for which moment, by the loop's clock [s].
+    """
+
+    positions: Float[np.ndarray, " n"]
+    time: float
 
 
 class LiveSimulation(Protocol):
@@ -24,12 +36,29 @@ class LiveSimulation(Protocol):
         """Name of the task; ``none`` for no task."""
         ...
 
+    @property
+    def world_number(self) -> int:
+        """Changes with every scene that is built, and is 0 while there is none."""
+        ...
+
+    def state(self, side: Side) -> SimulatedHand | None:
+        """Where a hand is now; safe from any thread. None while there is no such hand."""
+        ...
+
+    def scene_state(self, side: Side) -> SceneState | None:
+        """Where the object is now; safe from any thread. None without a task or such a hand."""
+        ...
+
     def change_task(self, task: str) -> None:
         """Put another scene around the hands."""
         ...
 
     def scene_of(self, side: Side) -> Scene:
         """The scene around a hand."""
+        ...
+
+    def parts_of(self, side: Side) -> list[ScenePart]:
+        """Shapes of platform and object, to draw."""
         ...
 
     def hand_of(self, side: Side) -> Hand:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
@@ -29,7 +30,7 @@ class Link(Protocol):
         """Give everything back."""
 
 
-class CourierSink(ABC):
+class CourierSink(Sink):
     """A sink that hands the newest command of each hand to a link, on a thread of its own.
 
     A command that the link has not yet taken when the next one comes is overwritten: a robot gets

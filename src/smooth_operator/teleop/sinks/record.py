@@ -14,13 +14,14 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.atomic import output_error
 from smooth_operator.teleop.sinks.recorder import Recorder
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.take_names import is_folder, next_part, take_paths
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
 
 @dataclass(frozen=True)
-class RecordSink:
+class RecordSink(Sink):
     """An MCAP log of a session: frames, commands, modes, events, timing of every tick.
 
     One file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap`` where there

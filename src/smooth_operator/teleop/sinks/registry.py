@@ -21,7 +21,8 @@ SINKS: Final = Registry(
         "record": Entry(f"{_HERE}.record:RecordSink", "an MCAP log: record:FILE"),
         "table": Entry(f"{_HERE}.table:TableSink", "a table in the terminal"),
     },
-    needs=("label", "open", "send", "stalled", "close"),
+    needs=("label", "open", "send", "stalled", "close", "simulation"),
+    advice="derive it from smooth_operator.teleop.Sink",
 )
 """Name -> sink, a dataclass of its settings (``Sink``)."""
 

@@ -81,16 +81,13 @@ class SinkRunner:
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Find out what would keep a sink from opening, before anything slow is done.
 
-        A sink that has a method ``check`` with the argument of this one is asked; nothing stays
-        open.
+        Each sink is asked (``Sink.check``); nothing stays open.
 
         Raises:
             SmoothOperatorError: as ``open``.
         """
         for entry in self._entries:
-            check = getattr(entry.sink, "check", None)
-            if check is not None:
-                check(hands)
+            entry.sink.check(hands)
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Open all sinks, or none.
@@ -126,7 +123,7 @@ class SinkRunner:
 
     def _hand_over(self, tick: Tick, observing: bool) -> None:
         for entry in self._entries:
-            if getattr(entry.sink, "observes", False) != observing:
+            if entry.sink.observes != observing:
                 continue
             if entry.call(lambda sink: sink.send(tick)):
                 entry.sent += 1
@@ -267,8 +264,7 @@ class _Entry:
 
     def health(self) -> SinkHealth:
         """How it is; what the sink itself has to say comes first."""
-        note = str(getattr(self.sink, "note", ""))
-        detail = "; ".join(part for part in (note, self._error) if part)
+        detail = "; ".join(part for part in (self.sink.note, self._error) if part)
         return SinkHealth(self.sink.label, self.state, detail, self.sent, self.failed, self.missed)
 
     def _has_failed(self) -> bool:

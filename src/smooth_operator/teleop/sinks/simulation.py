@@ -7,16 +7,17 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.live import Watcher
+from smooth_operator.simulation.live import SimulatedHand, Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
@@ -32,20 +33,8 @@ _BEHIND_S: Final = 0.1
 _NUMBERS: Final = itertools.count(1)
 
 
-class SimulatedHand(NamedTuple):
-    """Where a simulated hand is.
-
-    Attributes:
-        positions: (n,) positions of all joints [rad], in the order of ``hand.joint_names``.
-        time: for which moment, by the loop's clock [s].
-    """
-
-    positions: Float[np.ndarray, " n"]
-    time: float
-
-
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Sink):
     """Each hand on a fixture in MuJoCo, its joints driven by position servos, in real time.
 
     The physics runs on a thread of its own. When commands stop, the hands stay where they are. The
@@ -94,6 +83,11 @@ class Simulation:
     def note(self) -> str:
         """What went wrong in the physics, if anything did."""
         return "; ".join(self._events)
+
+    @property
+    def simulation(self) -> Simulation:
+        """The sink itself."""
+        return self
 
     @property
     def task_now(self) -> str:

@@ -1,32 +1,57 @@
-"""What every sink is to the loop."""
+"""The base class of sinks: where the joint commands of a running loop go."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # the command line names sinks in its help, and that must not import JAX
     from smooth_operator.hands.hand import Hand
+    from smooth_operator.simulation.live import LiveSimulation
 
 
-class Sink(Protocol):
+class Sink(ABC):
     """Where commands go: a robot, a simulation, a file, a bus.
 
-    Sinks are dataclasses of settings. The loop calls ``send`` from one thread and never waits
+    Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and never waits
     for the far side: a sink that may have to wait keeps the newest command for a thread of its own.
     A sink that raises is closed, opened again after a while, and does not stop the others.
-
-    A sink with an attribute ``observes`` that is true moves nothing, and gets its ticks after the
-    others have theirs, with the time that took among the stages: the log, the table.
     """
 
+    observes: ClassVar[bool] = False
+    """Whether the sink only looks on and moves nothing, as a log or a table. It then gets its ticks
+    after the others, with the time that those took among the stages."""
+
     @property
+    @abstractmethod
     def label(self) -> str:
         """What it is, in a few words."""
 
+    @property
+    def note(self) -> str:
+        """What a person should know of it now, such as a warning; empty for nothing."""
+        return ""
+
+    @property
+    def simulation(self) -> LiveSimulation | None:
+        """The simulated hands that the commands move; None if the sink simulates nothing."""
+        return None
+
+    def check(self, hands: Mapping[Side, Hand]) -> None:
+        """Find out what would keep the sink from opening, before anything slow is done.
+
+        Nothing stays open. Without a check of its own, a sink fails when it is opened.
+
+        Raises:
+            SmoothOperatorError: as ``open``.
+        """
+        del hands
+
+    @abstractmethod
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Get ready for the commands of these hands; may be called again after ``close``.
 
@@ -41,6 +66,7 @@ class Sink(Protocol):
             MissingExtraError: a library that it needs is not installed.
         """
 
+    @abstractmethod
     def send(self, tick: Tick) -> None:
         """Hand over a command, in well under a millisecond.
 
@@ -50,10 +76,17 @@ class Sink(Protocol):
         """
 
     def stalled(self, seconds: float) -> None:
-        """The watchdog's word, from its own thread: no command has come for so long.
+        """No command has come for so long [s]; called from the watchdog's thread.
 
-        Called again and again while the silence lasts.
+        Called again and again while the silence lasts. By default nothing happens.
         """
+        del seconds
 
+    @abstractmethod
     def close(self) -> None:
         """Write what is pending and give everything back; a second call does nothing."""
+
+
+def simulated_hands(sinks: Iterable[Sink]) -> LiveSimulation | None:
+    """The first simulation among sinks; None without any."""
+    return next((sink.simulation for sink in sinks if sink.simulation is not None), None)

@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.terminal import open_console
 from smooth_operator.types import Side
@@ -28,7 +29,7 @@ _COLOURS: Final = {Mode.TRACKING: "green", Mode.BLENDING: "cyan", Mode.STOPPED: 
 
 
 @dataclass(frozen=True)
-class TableSink:
+class TableSink(Sink):
     """A table on standard error, drawn anew a few times a second; plain lines where no screen is.
 
     Attributes:

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import SinkError
+from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.simulation.scenes.mount import Mount
-from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 
 
@@ -23,7 +23,7 @@ class Scenery:
         simulation: with a task or without, which may change.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: LiveSimulation) -> None:
         self._simulation = simulation
 
     def look(self, sides: Sequence[Side], known: int) -> dict[str, Any]:

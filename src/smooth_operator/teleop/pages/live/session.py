@@ -23,8 +23,7 @@ from smooth_operator.teleop.pages.live.scenery import Scenery
 from smooth_operator.teleop.pages.live.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.sinks.simulation import Simulation
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import Side
@@ -69,8 +68,8 @@ class LiveSession:
         self.blind = blind
         self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
         self._asked, self._folder = asked, folder
-        self._simulated = next((s.state for s in sinks if hasattr(s, "state")), None)
-        self._scenery = next((Scenery(s) for s in sinks if isinstance(s, Simulation)), None)
+        self._simulation = simulated_hands(sinks)
+        self._scenery = None if self._simulation is None else Scenery(self._simulation)
         self._camera = CameraFeed(loop.source)
         self._default = LoopConfig(loop.config.rate)
         self._ticks: dict[Side, Tick] = {}
@@ -177,7 +176,7 @@ class LiveSession:
     def _hand(self, side: Side, tick: Tick, now: float) -> dict[str, Any]:
         arrival = self._arrivals.get(side)
         age = None if arrival is None else now - arrival.received
-        state = None if self._simulated is None else self._simulated(side)
+        state = None if self._simulation is None else self._simulation.state(side)
         pipeline = self.loop.pipelines[side]
         return {
             "mode": tick.mode.value,
