@@ -67,7 +67,7 @@ def test_a_method_of_ones_own_is_named_by_its_module() -> None:
     ("name", "error", "says"),
     [
         (f"{__name__}:EMPTY", ConfigError, "has no preset"),
-        (f"{__name__}:Path", ConfigError, "can't be a method: it lacks alignment, build"),
+        (f"{__name__}:Path", ConfigError, "can't be a method: it must be a MethodConfig"),
         (f"{__name__}:NONE", ConfigError, "has no 'NONE'. methods by name: sbr, smooth"),
         ("srb", UnknownNameError, "Did you mean 'sbr'?"),
         ("srb:paper", UnknownNameError, "unknown method"),

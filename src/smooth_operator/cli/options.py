@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import tyro
 
 from smooth_operator.cli.ablate_options import Ablate, Paper
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.calibrate_options import Calibrate
+from smooth_operator.cli.common_options import Common
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
@@ -21,11 +22,13 @@ from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.sample_options import Sample
 from smooth_operator.cli.study_options import Study
-from smooth_operator.cli.subcommands import described
+from smooth_operator.cli.subcommands import Group, described
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.cli.train_options import Train
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.cli.view_options import View
+from smooth_operator.errors import ConfigError
+from smooth_operator.plugins import Entry, Registry
 
 _EXAMPLES = """Examples:
   smooth-operator demo
@@ -100,6 +103,32 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
 }
 
 
+COMMANDS: Final = Registry(
+    "command",
+    {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
+)
+"""Name -> options of the command, a dataclass that derives from ``Common``."""
+
+
+def _command(name: str) -> type[Common | Group]:
+    kind = COMMANDS.load(name)
+    if not (isinstance(kind, type) and issubclass(kind, Common | Group)):
+        raise ConfigError(
+            f"{COMMANDS[name].target} can't be a command: it must be a dataclass of options that "
+            "derives from smooth_operator.cli.common_options.Common"
+        )
+    return kind
+
+
+def _commands(name: str) -> dict[str, Any]:
+    """The commands that are needed to understand arguments that begin with a name."""
+    if name in COMMANDS.built_in:
+        return dict(_COMMANDS)
+    if name in COMMANDS:
+        return {**_COMMANDS, name: _command(name)}
+    return {**_COMMANDS, **COMMANDS.loadable(_command)}  # for the overview
+
+
 def parse(arguments: Sequence[str]) -> Command:
     """The command that the arguments name.
 
@@ -107,24 +136,26 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
         SmoothOperatorError: there is no such command or option.
     """
-    check_words(_COMMANDS, arguments)
-    flags = (tyro.conf.FlagCreatePairsOff,)
     name = arguments[0] if arguments else ""
+    commands = _commands(name)
+    check_words(commands, arguments)
+    flags = (tyro.conf.FlagCreatePairsOff,)
     for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
     with contextlib.nullcontext() if for_a_shell else wrapped_output():
-        if name in _COMMANDS:
-            kind = _COMMANDS[name]
+        if name in commands:
+            kind: Any = commands[name]
             document(kind)
-            return tyro.cli(
+            chosen: Command = tyro.cli(
                 kind,
                 prog=f"smooth-operator {name}",
                 description=described(kind),
                 args=list(arguments[1:]),
                 config=flags,
             )
+            return chosen
         # All together: for the overview.
         tyro.extras.subcommand_cli_from_dict(
-            dict(_COMMANDS),
+            commands,
             prog="smooth-operator",
             description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
             args=list(arguments) or ["--help"],

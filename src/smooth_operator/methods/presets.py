@@ -207,7 +207,11 @@ class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
         if not presets:
             raise ConfigError(f"method {method!r} has no preset")
         for config in presets.values():
-            METHODS.check(method, config)
+            if not isinstance(config, MethodConfig):
+                raise ConfigError(
+                    f"{METHODS.find(method).target} can't be a method: it must be a MethodConfig, "
+                    f"or a mapping of preset names to them, not {brief(config)}"
+                )
         return presets
 
     def __iter__(self) -> Iterator[str]:
