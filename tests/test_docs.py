@@ -136,6 +136,22 @@ def test_names_of_modules_and_files_exist(page: Path) -> None:
     assert absent == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=relative_name)
+def test_sections_with_figures_name_their_command(page: Path) -> None:
+    """A section with three rows of decimals or more says which command or program prints them."""
+    command = re.compile(
+        r"smooth-operator \w|python (-m|benchmarks)|`[\w/]+\.py`|smooth_operator\.lab"
+    )
+    decimals = re.compile(r"^\|.*\d\.\d.*\d\.\d", re.MULTILINE)
+    sections = re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    silent = [
+        text.splitlines()[0]
+        for text in sections
+        if len(decimals.findall(text)) >= 3 and not command.search(text)
+    ]
+    assert silent == []
+
+
 def resolves(name: str) -> bool:
     """Whether a dotted name is a module, or an attribute of one."""
     parts = name.split(".")
