@@ -48,6 +48,14 @@ METACARPALS_WEBXR_25: Final = METACARPALS_MANUS_25
 FROM_OPENXR_26: Final = tuple(i + 1 for i in FROM_WEBXR_25)
 METACARPALS_OPENXR_26: Final = tuple(i + 1 for i in METACARPALS_WEBXR_25)
 
+NODE_LAYOUTS: Final[dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]]] = {
+    21: (tuple(range(21)), None),
+    25: (FROM_MANUS_25, METACARPALS_MANUS_25),
+    26: (FROM_OPENXR_26, METACARPALS_OPENXR_26),
+}
+"""Nodes of a tracker's hand -> indices in it of the 21 landmarks and of the four metacarpal bases;
+25 are MANUS and WebXR, 26 OpenXR."""
+
 FINGER_COLORS: Final = ("#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2")
 """One colour for a finger in every picture and on every page, thumb first: vermillion, sky blue,
 bluish green, reddish purple, blue. Source: Okabe and Ito's palette, which stays apart under the

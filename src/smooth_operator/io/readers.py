@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator import landmarks as schema
 from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.io.anatomy import doubt, layout_order
 from smooth_operator.io.arrays import StoredArray, StoredArrays, open_arrays
@@ -24,16 +23,11 @@ from smooth_operator.io.checks import (
 from smooth_operator.io.manus import manus_nodes
 from smooth_operator.io.registry import find_reader, readable
 from smooth_operator.io.sniff import PICKLE_REMEDY, file_kind
+from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, as_side
 
 _Read = TypeVar("_Read")
 
-# Nodes per frame -> indices of the 21 landmarks and of the four metacarpal bases among them.
-_LAYOUTS: dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]] = {
-    21: (tuple(range(21)), None),
-    25: (schema.FROM_MANUS_25, schema.METACARPALS_MANUS_25),  # WebXR's are the same
-    26: (schema.FROM_OPENXR_26, schema.METACARPALS_OPENXR_26),
-}
 LANDMARK_STAMPS = "landmark_timestamps"
 """Stamps of the frames in a file whose ``timestamps`` are those of commands."""
 
@@ -163,7 +157,7 @@ def read_arrays(
     else:
         nodes = _frames(_find_landmarks(arrays))
         quaternions, meta = None, {"format": "array"}
-    picked, metacarpals = _LAYOUTS[nodes.shape[1]]
+    picked, metacarpals = NODE_LAYOUTS[nodes.shape[1]]
     if layout is not None and nodes.shape[1] == 21 and meta["format"] == "array":
         picked, meta["layout"] = layout_order(layout), layout
     positions = nodes[:, picked]
@@ -252,11 +246,11 @@ def _find_landmarks(arrays: StoredArrays) -> StoredArray:
 def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
     """Load (T, n, 3) with n = 21, 25 or 26; a single (n, 3) becomes one frame."""
     shape = item.shape
-    if len(shape) == 2 and shape[0] in _LAYOUTS and shape[1] == 3:
+    if len(shape) == 2 and shape[0] in NODE_LAYOUTS and shape[1] == 3:
         return item.numbers()[None]
     if len(shape) == 3 and shape[0] == 0:
         raise RecordingError(f"{item.path}: the recording holds no frames, its shape is {shape}")
-    if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] == 3:
+    if len(shape) == 3 and shape[1] in NODE_LAYOUTS and shape[2] == 3:
         return item.numbers()
     raise RecordingError(
         f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR) or 26 (OpenXR) "
@@ -265,11 +259,11 @@ def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
 
 
 def _shape_hint(shape: tuple[int, ...]) -> str:
-    if len(shape) == 2 and shape[1] % 3 == 0 and shape[1] // 3 in _LAYOUTS:
+    if len(shape) == 2 and shape[1] % 3 == 0 and shape[1] // 3 in NODE_LAYOUTS:
         return f"; if the rows are x, y, z in turn: array.reshape(-1, {shape[1] // 3}, 3)"
-    if len(shape) == 3 and shape[1] == 3 and shape[2] in _LAYOUTS:
+    if len(shape) == 3 and shape[1] == 3 and shape[2] in NODE_LAYOUTS:
         return "; swap the last two axes: array.transpose(0, 2, 1)"
-    if len(shape) == 3 and shape[1] in _LAYOUTS and shape[2] > 3:
+    if len(shape) == 3 and shape[1] in NODE_LAYOUTS and shape[2] > 3:
         return "; if x, y, z come first: array[..., :3]"
     if len(shape) == 3 and shape[1:] == (16, 3):
         return "; MANO's 16 joints have no tips: add those of its mesh, then say --layout mano"

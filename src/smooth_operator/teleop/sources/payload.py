@@ -32,13 +32,9 @@ from smooth_operator.types import HandFrame, Side, as_side
 MAX_BYTES: Final = 65_536
 """Longest message that is read. Both hands of the wordiest bridge need a third of it."""
 
-# Points -> indices of the 21 landmarks and of the four metacarpal bases among them.
-_LAYOUTS: Final[dict[int, tuple[np.ndarray, np.ndarray | None]]] = {
-    21: (np.arange(21), None),
-    25: (np.array(schema.FROM_MANUS_25), np.array(schema.METACARPALS_MANUS_25)),  # WebXR's too
-    26: (np.array(schema.FROM_OPENXR_26), np.array(schema.METACARPALS_OPENXR_26)),
+_BINARY: Final = {
+    count * 3 * size: (count, f"<f{size}") for count in schema.NODE_LAYOUTS for size in (4, 8)
 }
-_BINARY: Final = {count * 3 * size: (count, f"<f{size}") for count in _LAYOUTS for size in (4, 8)}
 _MIDDLE: Final = schema.index("middle_mcp")
 _WHERE: Final = "the message"
 
@@ -144,14 +140,13 @@ def hand_frame(
     Raises:
         RecordingError: a wrong shape, or another unit than metres.
     """
-    if len(points) not in _LAYOUTS:
+    if len(points) not in schema.NODE_LAYOUTS:
         raise RecordingError(
             f"{_WHERE} has {len(points)} points; a hand has 21, or 25 (MANUS, WebXR), "
             "or 26 (OpenXR)"
         )
-    rows, bases = _LAYOUTS[len(points)]
-    if len(points) == schema.NUM_LANDMARKS:
-        rows = np.array(layout_order(layout))
+    picked, bases = schema.NODE_LAYOUTS[len(points)]
+    rows = np.array(layout_order(layout) if len(points) == schema.NUM_LANDMARKS else picked)
     landmarks = points[rows]
     flags = np.isfinite(landmarks).all(axis=1)
     if valid is not None:
@@ -164,7 +159,7 @@ def hand_frame(
         stamp,
         side,
         valid=flags,
-        metacarpals=metacarpals if bases is None else points[bases],
+        metacarpals=metacarpals if bases is None else points[list(bases)],
         orientations=None if orientations is None else _unit(orientations[rows]),
     )
 
