@@ -488,6 +488,18 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     np.testing.assert_allclose(joints.batched_positions, playback.human[40], atol=1e-6)
 
 
+def test_the_forearm_is_cut_off() -> None:
+    """Of the palm, which begins 1 cm below the model's origin, 3 cm below the wrist are drawn."""
+    lowest = {}
+    for wrist in (0.0, 0.06):
+        playback = make_playback(2, robot_wrist=np.array([0.0, 0.0, wrist]))
+        with PlaybackServer(playback, port=0) as server:
+            robot = server._scene._robots[0]
+            vertices = robot._bodies[playback.model.body("palm").id].vertices
+            lowest[wrist] = vertices[:, 2].min()
+    assert lowest == pytest.approx({0.0: -0.01, 0.06: 0.03}, abs=1e-6)
+
+
 def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
     human = human_hand(np.zeros(3))
     human[1, 6] = np.nan

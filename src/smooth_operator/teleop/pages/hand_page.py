@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import threading
 from typing import Any, Final
 
@@ -11,15 +10,12 @@ import trimesh
 import viser
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import JointRow, joint_rows
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.markup import plain
+from smooth_operator.teleop.pages.page_server import PageServer, serve_page
 from smooth_operator.teleop.pages.palette import PALM, finger_colors, linear
-from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
-from smooth_operator.terminal import print_note
-from smooth_operator.web.browser import open_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
 _FRAME: Final = 0.03  # length of the palm frame's axes [m]
@@ -27,7 +23,7 @@ _FOV: Final = np.deg2rad(40.0)
 _GHOST: Final = 0.5  # opacity of the shape, so that landmarks inside it are seen
 
 
-class HandPage:
+class HandPage(PageServer):
     """Serves the page. Use as a context manager, or call ``start`` and ``stop``.
 
     Args:
@@ -40,59 +36,17 @@ class HandPage:
     def __init__(
         self, hand: Hand, notes: str = "", *, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
+        super().__init__(host, port)
         self.hand = hand
-        self._notes, self._host, self._wanted_port = notes, host, port
+        self._notes = notes
         self._view = HandView(hand)
         self._q = hand.neutral.copy()
         self._lock = threading.Lock()  # viser answers its controls on several threads
-        self._server: viser.ViserServer | None = None
-        self._ended = threading.Event()
 
-    def start(self) -> HandPage:
-        """Opens the port and shows the neutral pose; returns itself.
-
-        Raises:
-            ConfigError: if the address is not one of this machine's, or no port is free.
-        """
-        if self._server is not None:
-            return self
-        self._server = open_server(self._host, self._wanted_port)
-        atexit.register(self.stop)
-        with self._server.atomic():
-            self._build_scene(self._server)
-            self._build_panel(self._server.gui)
-            self._draw()
-        return self
-
-    def stop(self) -> None:
-        """Closes the port; safe to call twice."""
-        atexit.unregister(self.stop)
-        server, self._server = self._server, None
-        if server is not None:
-            close_server(server)
-        self._ended.set()
-
-    def wait(self) -> None:
-        """Blocks until ``stop``."""
-        while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
-            pass
-
-    def __enter__(self) -> HandPage:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    @property
-    def url(self) -> str:
-        """Address of the page.
-
-        Raises:
-            ConfigError: the page is not being served.
-        """
-        if self._server is None:
-            raise ConfigError("the page is not being served; call start() first")
-        return page_url(self._host, self._server)
+    def _build(self, server: viser.ViserServer) -> None:
+        self._build_scene(server)
+        self._build_panel(server.gui)
+        self._draw()
 
     @property
     def joint_positions(self) -> Float[np.ndarray, " m"]:
@@ -278,15 +232,4 @@ def serve_hand(
         ConfigError: if the address is not one of this machine's, or no port is free.
     """
     page = HandPage(hand, notes, host=host, port=port).start()
-    hint = "; Ctrl-C ends" if block else ""
-    print_note(f"showing {hand.name} at {page.url}{hint}")
-    if open_browser:
-        open_page(page.url)
-    if block:
-        try:
-            page.wait()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            page.stop()
-    return page
+    return serve_page(page, f"showing {hand.name} at", open_browser=open_browser, block=block)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.teleop.pages.meshes import above, body_meshes, finger_of_body
+from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
 
 _POSES = 24  # in which the bodies of a finger are told from the motion of its tip
 
@@ -67,15 +67,13 @@ class HandView:
             below: how much is kept below the wrist of what is no finger [m].
             distal: unit vector along the forearm, toward the fingers.
         """
-        at = self.hand.wrist - below * distal
-        kept: dict[int, trimesh.Trimesh] = {}
-        for body, (rotation, position) in self.bodies(self.hand.neutral).items():
-            mesh: trimesh.Trimesh | None = self.meshes[body]
-            if self.finger_of_body[body] < 0:
-                mesh = above(self.meshes[body], rotation.T @ (at - position), rotation.T @ distal)
-            if mesh is not None:
-                kept[body] = mesh
-        return kept
+        return without_forearm(
+            self.meshes,
+            self.bodies(self.hand.neutral),
+            self.finger_of_body,
+            self.hand.wrist - below * distal,
+            distal,
+        )
 
     def landmarks(self, q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k 3"]:
         """(k, 3) landmarks, in the order of ``hand.tree.names``."""

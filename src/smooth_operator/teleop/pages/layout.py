@@ -15,8 +15,10 @@ GAP = 0.03
 FOV = float(np.deg2rad(32.0))
 """Vertical field of view [rad]; narrow, so that the two hands are seen from the same side."""
 
+FOREARM = 0.03
+"""How much of what is below the wrist is drawn and framed [m]."""
+
 _MARGIN = 1.1
-_FOREARM = 0.03  # how much of what is below the wrist is framed [m]
 _LABEL = 0.012  # label above the highest fingertip [m]
 _SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
 _TILT = np.deg2rad(8.0)  # camera a little above and beside the palm normal: depth can be read
@@ -104,7 +106,7 @@ def plan(playback: Playback, *robots: Float[np.ndarray, "_ 3"]) -> Layout:
     human = human if len(human) else robots[0]
     axes = np.stack([right, up, toward])
     low_h, high_h = _bounds(human @ axes.T, pad=0.01)
-    floor = min(low_h[1], float(axes[1] @ playback.robot_wrist)) - _FOREARM
+    floor = min(low_h[1], float(axes[1] @ playback.robot_wrist)) - FOREARM
     boxes = [(low_h, high_h), *(_above(points @ axes.T, floor) for points in robots)]
     low = np.min([box[0] for box in boxes], axis=0)
     high = np.max([box[1] for box in boxes], axis=0)

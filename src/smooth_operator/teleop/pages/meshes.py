@@ -6,6 +6,7 @@ opened and whatever MuJoCo has scaled and re-centred is right here too.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -131,6 +132,33 @@ def above(
     )
     cut.remove_unreferenced_vertices()
     return cut
+
+
+def without_forearm(
+    meshes: Mapping[int, trimesh.Trimesh],
+    poses: Mapping[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]],
+    owner: Int[np.ndarray, " nbody"],
+    point: Float[np.ndarray, "3"],
+    distal: Float[np.ndarray, "3"],
+) -> dict[int, trimesh.Trimesh]:
+    """The surfaces of a hand, cut off across the forearm; a body that is all forearm has none.
+
+    Args:
+        meshes: body -> its surface, in the body's frame.
+        poses: body -> rotation and position of its frame.
+        owner: (nbody,) finger of each body, which stays whole; -1 for the palm and the forearm.
+        point: where it is cut, in the frame of ``poses`` [m].
+        distal: unit vector along the forearm, toward the fingers.
+    """
+    kept: dict[int, trimesh.Trimesh] = {}
+    for body, whole in meshes.items():
+        mesh: trimesh.Trimesh | None = whole
+        if owner[body] < 0:
+            rotation, position = poses[body]
+            mesh = above(whole, rotation.T @ (point - position), rotation.T @ distal)
+        if mesh is not None:
+            kept[body] = mesh
+    return kept
 
 
 def finger_of_body(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import threading
 import time
@@ -12,20 +11,18 @@ import viser
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.pages.clock import PlaybackClock
+from smooth_operator.teleop.pages.page_server import PageServer, serve_page
 from smooth_operator.teleop.pages.panel import SPEEDS, Panel
 from smooth_operator.teleop.pages.playback import Playback, check_runs
 from smooth_operator.teleop.pages.scene import Scene
 from smooth_operator.teleop.pages.timeline import HEIGHT
-from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
-from smooth_operator.terminal import print_note
-from smooth_operator.web.browser import open_page
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
 _TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses
 _REST = 0.3  # a slider that has not moved for this long has been let go of [s]
 
 
-class PlaybackServer:
+class PlaybackServer(PageServer):
     """Serves the page; controls work from any thread, drawing happens in one.
 
     Use as a context manager, or call ``start`` and ``stop``.
@@ -45,10 +42,10 @@ class PlaybackServer:
         port: int = 8080,
         loop: bool = True,
     ) -> None:
+        super().__init__(host, port)
         self.runs = (playback,) if isinstance(playback, Playback) else tuple(playback)
         check_runs(self.runs)
         self.playback = self.runs[0]
-        self._host, self._wanted_port = host, port
         self._clock = PlaybackClock(self.playback.times, loop=loop)
         self._changed = threading.Condition()
         self._frame = 0
@@ -59,75 +56,30 @@ class PlaybackServer:
         ] = []  # changes of the scene, done by the drawing thread
         self._dirty = True
         self._stopping = False
-        self._error: BaseException | None = None
-        self._ended = threading.Event()
-        self._server: viser.ViserServer | None = None
         self._thread: threading.Thread | None = None
 
     # -- life ---------------------------------------------------------------------------------
 
-    def start(self) -> PlaybackServer:
-        """Open the port and show the first frame; returns itself. Starting twice does nothing.
+    def _build(self, server: viser.ViserServer) -> None:
+        self._scene = Scene(server, self.runs, below=HEIGHT)
+        self._panel = Panel(server.gui, self.runs, self, self._clock.loop)
+        self._scene.draw(0)
 
-        Raises:
-            ConfigError: if the address is not one of this machine's, or no port is free.
-        """
-        if self._server is not None:
-            return self
-        self._server = open_server(self._host, self._wanted_port)
-        atexit.register(self.stop)
-        with self._server.atomic():
-            self._scene = Scene(self._server, self.runs, below=HEIGHT)
-            self._panel = Panel(self._server.gui, self.runs, self, self._clock.loop)
-            self._scene.draw(0)
-        self._server.on_client_connect(self._greet)
-        self._server.on_client_disconnect(self._forget)
+    def _begin(self, server: viser.ViserServer) -> None:
+        server.on_client_connect(self._greet)
+        server.on_client_disconnect(self._forget)
         self._thread = threading.Thread(target=self._run, name="playback", daemon=True)
         self._thread.start()
-        return self
 
-    def stop(self) -> None:
-        """Stop drawing and close the port; safe to call twice."""
-        atexit.unregister(self.stop)
+    def _end(self) -> None:
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        if self._server is not None:
-            server, self._server = self._server, None
-            close_server(server)
-        self._ended.set()
-
-    def wait(self) -> None:
-        """Block until ``stop``, or until drawing fails, and then raise what went wrong."""
-        while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
-            pass
-        if self._error is not None:
-            raise self._error
-
-    def __enter__(self) -> PlaybackServer:
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     # -- state --------------------------------------------------------------------------------
-
-    @property
-    def port(self) -> int:
-        """The port that the page is served on."""
-        if self._server is None:
-            raise ConfigError("the playback server is not running; call start() first")
-        return int(self._server.get_port())
-
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        if self._server is None:
-            raise ConfigError("the playback server is not running; call start() first")
-        return page_url(self._host, self._server)
 
     @property
     def frame(self) -> int:
@@ -324,18 +276,5 @@ def serve(
         RecordingError: if several runs are not of the same frames and fingers.
     """
     server = PlaybackServer(playback, host=host, port=port).start()
-    # standard error: standard output may be a result that a program reads
-    taken = "" if port in (0, server.port) else f" (port {port} was taken)"
-    hint = "; Ctrl-C ends" if block else ""
-    print_note(f"playing at {server.url}{taken}{hint}")
-    if open_browser:
-        open_page(server.url)
     server.play()
-    if block:
-        try:
-            server.wait()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            server.stop()
-    return server
+    return serve_page(server, "playing at", open_browser=open_browser, block=block)

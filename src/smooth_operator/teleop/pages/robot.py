@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
+import trimesh
 import viser
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
-from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body
+from smooth_operator.teleop.pages.layout import FOREARM, view_axes
+from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
 from smooth_operator.teleop.pages.playback import Playback
 
 _GHOST = 0.45  # opacity of the robot when the human hand stands inside it
@@ -26,6 +29,7 @@ class RobotView:
         self._playback = playback
         meshes = body_meshes(playback.model, playback.bodies)
         owner = finger_of_body(playback.model, playback.qpos, playback.robot_tips)
+        meshes = _cut(playback, meshes, owner)
         self._boxes = {body: mesh.bounding_box.vertices for body, mesh in meshes.items()}
         self._hand = BodyNodes(scene, playback.model, meshes, owner, root)
         self._bodies = self._hand.nodes
@@ -56,3 +60,16 @@ class RobotView:
                 rotation = data.xmat[body].reshape(3, 3)
                 points.append(box @ rotation.T + data.xpos[body])
         return np.concatenate(points)
+
+
+def _cut(
+    playback: Playback, meshes: dict[int, trimesh.Trimesh], owner: Int[np.ndarray, " nbody"]
+) -> dict[int, trimesh.Trimesh]:
+    """The surfaces without what is far below the wrist in the first frame."""
+    data = mujoco.MjData(playback.model)
+    data.qpos[:] = playback.qpos[0]
+    mujoco.mj_kinematics(playback.model, data)
+    poses = {body: (data.xmat[body].reshape(3, 3), data.xpos[body]) for body in meshes}
+    up = view_axes(playback)[1]
+    kept = without_forearm(meshes, poses, owner, playback.robot_wrist - FOREARM * up, up)
+    return kept or meshes

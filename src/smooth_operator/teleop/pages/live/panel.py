@@ -22,7 +22,8 @@ _STYLE: Final = """<style>
 button:has(.icon-tabler-hand-stop), button:has(.icon-tabler-lock-open) {
   height: 3.2em !important; font-size: 1.25em !important; font-weight: 700}
 button:has(.icon-tabler-hand-stop) .mantine-Button-label {white-space: pre-line; line-height: 1.15}
-button:has(.icon-tabler-hand-stop) svg, button:has(.icon-tabler-lock-open) svg {margin-right: 0.5em}
+button:has(.icon-tabler-hand-stop) .mantine-Button-section,
+button:has(.icon-tabler-lock-open) .mantine-Button-section {margin-inline-end: 0.6em !important}
 div:has(> button :is(.icon-tabler-player-pause, .icon-tabler-player-play,
     .icon-tabler-player-record)) {
   display: inline-block; width: calc(50% - 1.25em); vertical-align: top}

@@ -25,7 +25,7 @@ from smooth_operator.teleop.pages.aiming import Aiming
 from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
-from smooth_operator.teleop.pages.layout import GAP, upright
+from smooth_operator.teleop.pages.layout import FOREARM, GAP, upright
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
 from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
@@ -33,7 +33,6 @@ from smooth_operator.types import Side
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
 _GHOST: Final = 0.45  # opacity of a hand that another stands in
 _WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
-_FOREARM: Final = 0.03  # how much of what is below the wrist is drawn [m]
 _LABEL: Final = 0.016  # from there to the label [m]
 _LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
 _FONT: Final = 1.25  # size of the labels
@@ -182,7 +181,7 @@ class _SideView:
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         up, toward = upright(view.axes[1], view.axes[2])
         self._axes = np.stack([np.cross(up, toward), up, toward])
-        meshes = view.without_forearm(_FOREARM, up)
+        meshes = view.without_forearm(FOREARM, up)
         tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
         self._roots = {
             name: scene.add_frame(f"/{side}/{name}", show_axes=False) for name in ("human", "robot")
@@ -326,7 +325,7 @@ class _SideView:
         mujoco.mju_mat2Quat(wxyz, turn.ravel())
         for root in self._roots.values():
             root.wxyz = wxyz
-        end = self._hand.wrist - (_FOREARM + _LABEL) * self._axes[1]
+        end = self._hand.wrist - (FOREARM + _LABEL) * self._axes[1]
         points = np.concatenate([self._points, end[None]])
         if object_pose is not None:
             points = np.concatenate([points, self.scenery.bounds(object_pose)])
