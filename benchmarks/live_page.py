@@ -19,13 +19,13 @@ import threading
 import time
 from pathlib import Path
 
-from smooth_operator.cli.teleop import _attentive
 from smooth_operator.methods.building import build_retargeter
 from smooth_operator.planning import make_request, resolve
 from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.session import LiveSession
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.priority import low_jitter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sources.registry import build_source
@@ -91,7 +91,7 @@ def main() -> None:
                 guest = visitor(url, 1, options.seconds + 20)
                 assert guest.stdout is not None
                 guest.stdout.readline()
-        with _attentive():
+        with low_jitter():
             loop.run(options.seconds)
         if guest is not None:
             guest.terminate()

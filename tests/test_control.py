@@ -16,7 +16,7 @@ import pytest
 from live_time import until
 
 from smooth_operator import Retargeter, load_hand
-from smooth_operator.cli.teleop_keys import keyboard
+from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.remote import remote

@@ -693,17 +693,17 @@ def test_a_trial_with_the_keys_of_teleop(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.cli.teleop_options import Teleop
-    from smooth_operator.cli.teleop_task import TaskTrials, with_task
+    from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
 
     assert with_task(("table",), None) == ("table",)
     with pytest.raises(ConfigError, match="--task card"):
         with_task(("mujoco:rate=500",), "card")
-    options = Teleop(task="screwdriver", trials=tmp_path / "trials")
-    sinks = [build_sink(text) for text in with_task((), options.task)]
-    trials = TaskTrials(options, sinks, ("right",), Progressing(False))
+    sinks = [build_sink(text) for text in with_task((), "screwdriver")]
+    trials = TaskTrials(
+        sinks, ("right",), Progressing(False), task="screwdriver", folder=tmp_path / "trials"
+    )
     sinks[0].open({"right": load_hand("mimic_p050")}, {})
-    trials.begin()  # no terminal: it starts by itself
+    trials.begin()  # nobody is there to start it: it starts by itself
     for key in ("r", "r", "d"):
         trials.keys[key]()
     sinks[0].close()
@@ -715,9 +715,9 @@ def test_a_trial_with_the_keys_of_teleop(
     (outcome,) = trials.summary()["trials"]["right"]
     assert (outcome["ended"], outcome["resets"]) == ("finished", 1)
     wait((tmp_path / "trials" / "screwdriver-001.npz").exists)
-    nothing = TaskTrials(Teleop(), sinks, ("right",), Progressing(False))
+    nothing = TaskTrials(sinks, ("right",), Progressing(False))
     nothing.begin()
-    assert (nothing.keys, nothing.summary(), nothing.words) == ({}, {}, "")
+    assert (nothing.keys, nothing.summary(), nothing.key_help) == ({}, {}, "")
 
 
 def test_film_strips_are_drawn_or_say_why_not(tmp_path: Path) -> None:

@@ -21,10 +21,10 @@ import pytest
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.cli import main
-from smooth_operator.cli import teleop as teleop_module
 from smooth_operator.errors import SinkError, SourceError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop import run as run_module
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -403,8 +403,8 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it opens the page though something is wrong")
         yield
 
-    monkeypatch.setattr(teleop_module, "build_retargeter", compiled)
-    monkeypatch.setattr(teleop_module, "begun_page", opened)
+    monkeypatch.setattr(run_module, "build_retargeter", compiled)
+    monkeypatch.setattr(run_module, "_begun_page", opened)
 
 
 @pytest.mark.parametrize(
@@ -501,7 +501,7 @@ class Mirrored(ThreadedSource):
 def test_refused_frames_are_counted_in_the_summary(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(teleop_module, "build_source", lambda *_: Mirrored())
+    monkeypatch.setattr(run_module, "build_source", lambda *_: Mirrored())
     log = tmp_path / "take.mcap"
     arguments = ["--sink", f"record:{log}", "--safety.lost-s", "0.3"]
     ending = ["--method", "joint_angle", "--no-view", "--json"]

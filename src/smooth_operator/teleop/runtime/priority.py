@@ -8,7 +8,9 @@ an ``rtprio`` line in ``limits.conf``).
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import gc
 import os
 import sys
 import threading
@@ -25,6 +27,29 @@ _PYTHON: Final = 2
 """Sources, sinks, and whoever else may hold the interpreter."""
 _NATIVE: Final = 1
 """Those of libraries, which compile, too, if another method is asked for while the loop runs."""
+_SWITCH_S: Final = 5e-4
+"""How long another thread may keep the interpreter before the loop gets it [s]."""
+
+
+@contextlib.contextmanager
+def low_jitter() -> Iterator[None]:
+    """The loop before the rest of this process: short turns for other threads, few collections.
+
+    What exists now is left out of garbage collection meanwhile: a compiled model is a great many
+    objects, which each collection would walk through.
+    """
+    # nor at the end of the process, when it would delay the end by seconds after Ctrl-C
+    atexit.unregister(gc.freeze)
+    atexit.register(gc.freeze)
+    turn = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(turn)
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Keys of ``smooth-operator teleop`` in the terminal: stop, release, pause, end, trials."""
+"""Keys in the terminal while a loop runs: stop, release, pause, quit, trials of a task."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
-from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.keys import keys
+from smooth_operator.teleop.control.reporter import Reporter
+from smooth_operator.teleop.control.terminal_keys import keys
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")
@@ -60,7 +60,7 @@ def actions(
 @contextlib.contextmanager
 def keyboard(
     loop: TeleopLoop,
-    progress: Progressing,
+    said: Reporter,
     more: Mapping[str, Callable[[], None]] = {},
     words: str = "",
 ) -> Iterator[None]:
@@ -68,11 +68,11 @@ def keyboard(
 
     Args:
         loop: the running loop.
-        progress: where lines for the person at the keys go.
+        said: where lines for the person at the keys go.
         more: other keys.
         words: what those do.
     """
-    with keys(actions(loop, lambda text: progress.note(text, matters=True), more)) as there:
+    with keys(actions(loop, lambda text: said.note(text, matters=True), more)) as there:
         if there:
-            progress.note(WORDS + words)
+            said.note(WORDS + words)
         yield

@@ -1,34 +1,36 @@
-"""``smooth-operator teleop --task``: trials of a study's task, told by keys."""
+"""Trials of a study's task while a loop runs, driven by keys of the terminal."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smooth_operator.cli.console import Progressing
-from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.teleop.control.reporter import Reporter
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
     from smooth_operator.simulation.tasks import Outcome
     from smooth_operator.simulation.tasks.desk import TaskDesk
-    from smooth_operator.teleop.control.workshop import Choice
 
 
 class TaskTrials:
     """Trials on each hand that is driven, where there is a simulation.
 
     Args:
-        options: of the command.
         sinks: among them the simulation, or not.
         sides: that are driven.
-        progress: where outcomes are said.
-        used: what the hands are driven by now, for the records; as the options say if left out.
-        note: takes what happens to trials, for the record of the run.
+        said: where outcomes are reported.
+        task: name of the task; None for the hand alone.
+        folder: for a record of every trial; None for none.
+        controlled: another program may begin trials.
+        attended: somebody may begin them with the keys. Where neither is so, the first trial
+            begins with the run.
+        about: what the hands are driven by now, for the records.
+        record: takes what happens to trials, for the record of the run.
 
     Attributes:
         desk: where trials are begun, once everything is open; None without a simulation.
@@ -36,21 +38,27 @@ class TaskTrials:
 
     def __init__(
         self,
-        options: Teleop,
         sinks: Sequence[Sink],
         sides: Sequence[Side],
-        progress: Progressing,
-        used: Callable[[], Choice] | None = None,
-        note: Callable[[Side, str], None] = lambda side, text: None,
+        said: Reporter,
+        *,
+        task: str | None = None,
+        folder: Path | None = None,
+        controlled: bool = False,
+        attended: bool = False,
+        about: Callable[[], Mapping[str, Any]] = dict,
+        record: Callable[[Side, str], None] = lambda side, text: None,
     ) -> None:
-        self._options, self._sinks, self._sides = options, sinks, sides
-        self._progress, self._used, self._note = progress, used, note
+        self._sinks, self._sides, self._said = sinks, sides, said
+        self._task, self._folder = task, folder
+        self._controlled, self._attended = controlled, attended
+        self._about, self._record = about, record
         self.desk: TaskDesk | None = None
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
         """Key -> what it does."""
-        if self._options.task is None:
+        if self._task is None:
             return {}
         return {
             "g": lambda: self._tried("go"),
@@ -59,25 +67,25 @@ class TaskTrials:
         }
 
     @property
-    def words(self) -> str:
+    def key_help(self) -> str:
         """What the keys do."""
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
         """The simulation is open: say the task; the first trial starts where nobody can say so."""
         simulation = simulated_hands(self._sinks)
-        if simulation is None or (self._options.task is None and self._options.control is None):
+        if simulation is None or (self._task is None and not self._controlled):
             return
         from smooth_operator.simulation.tasks.desk import TaskDesk
 
         self.desk = TaskDesk(
-            simulation, self._sides, self._options.trials, self._about, self._tell, self._note
+            simulation, self._sides, self._folder, self._about, self._tell, self._record
         )
-        if self._options.task is None or self.desk.task is None:
+        if self._task is None or self.desk.task is None:
             return
         task = self.desk.task.task
-        self._progress.note(f"{task.title}: {task.instruction}", matters=True)
-        if self._options.control is None and not (sys.stdin and sys.stdin.isatty()):
+        self._said.note(f"{task.title}: {task.instruction}", matters=True)
+        if not self._controlled and not self._attended:
             self._tried("go")
 
     def end(self) -> None:
@@ -85,26 +93,18 @@ class TaskTrials:
         if self.desk is not None:
             self.desk.end()
             for failed in self.desk.failures:
-                self._progress.note(failed, matters=True)
+                self._said.note(failed, matters=True)
 
     def summary(self) -> dict[str, Any]:
         """Outcomes of each hand, for ``--json``; nothing without a task and its trials."""
         if self.desk is None:
             return {}
         outcomes = self.desk.outcomes
-        if self._options.task is None and not any(outcomes.values()):
+        if self._task is None and not any(outcomes.values()):
             return {}
         return {
-            "task": self._options.task,
+            "task": self._task,
             "trials": {side: [asdict(o) for o in found] for side, found in outcomes.items()},
-        }
-
-    def _about(self) -> dict[str, Any]:
-        options, used = self._options, None if self._used is None else self._used()
-        return {
-            "method": options.method if used is None else used.method,
-            "preset": options.preset if used is None else used.preset,
-            "source": options.source,
         }
 
     def _tried(self, word: str) -> None:
@@ -113,18 +113,18 @@ class TaskTrials:
         try:
             getattr(self.desk, word)()
         except SmoothOperatorError as error:
-            self._progress.note(str(error), matters=True)
+            self._said.note(str(error), matters=True)
 
     def _tell(self, side: Side, outcome: Outcome) -> None:
         reset = ", after a reset" if outcome.resets else ""
-        self._progress.note(
+        self._said.note(
             f"{side}: {outcome.score:g} after {outcome.seconds:.1f} s "
             f"({outcome.ended}: {outcome.reason}{reset})",
             matters=True,
         )
 
 
-def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
+def with_task(sinks: Sequence[str | Sink], task: str | None) -> tuple[str | Sink, ...]:
     """The sinks of a run, the simulation with its task among them.
 
     Raises:
@@ -132,7 +132,7 @@ def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
     """
     if task is None:
         return tuple(sinks)
-    if any(text.partition(":")[0] == "mujoco" for text in sinks):
+    if any(isinstance(sink, str) and sink.partition(":")[0] == "mujoco" for sink in sinks):
         raise ConfigError(
             f"--task {task} brings a simulation of its own; leave out --sink mujoco, or --task and "
             f"write --sink mujoco:task={task}"

@@ -1,0 +1,387 @@
+"""``teleoperate``: from a live source to sinks, until the source, the time or the user ends it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.menagerie import drawn_on
+from smooth_operator.methods.building import build_retargeter
+from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.planning import RetargetRequest, live_configuration, make_request, resolve
+from smooth_operator.teleop.control.keyboard import keyboard
+from smooth_operator.teleop.control.orders import Orders
+from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
+from smooth_operator.teleop.control.summary import summarise
+from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
+from smooth_operator.teleop.control.workshop import Workshop
+from smooth_operator.teleop.runtime.controls import Controls
+from smooth_operator.teleop.runtime.limiter import Limiter
+from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.priority import going_first, low_jitter
+from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
+from smooth_operator.teleop.sinks.tick import Driver
+from smooth_operator.teleop.sources.live import LiveSource
+from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.types import Side
+from smooth_operator.web.browser import open_page
+
+if TYPE_CHECKING:
+    from smooth_operator.teleop.pages.live.page import LivePage
+
+Task: TypeAlias = Literal["card", "cube", "screwdriver"]
+"""A task of the study."""
+
+_ANNOUNCE_S: Final = 5.0
+"""How long a source may take to say how it is reached [s]."""
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Where the live page is served. Needs the extra ``teleop``.
+
+    Attributes:
+        host: address to listen at; other than this machine's, a token in the page's address is
+            needed to open it.
+        port: first port to try; 0 for any free one.
+        open_browser: open it in the browser.
+        model: the vendor's MJCF or URDF to draw in place of simple shapes, or ``menagerie``.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open_browser: bool = True
+    model: Path | None = None
+
+
+def teleoperate(
+    source: str | LiveSource = "synthetic",
+    sinks: Sequence[str | Sink] = (),
+    *,
+    hand: str = "mimic_p050",
+    side: Side | Literal["both"] = "right",
+    method: str = DEFAULT_METHOD,
+    preset: str | None = None,
+    seed: int = 0,
+    scale: float | Literal["frame"] | None = None,
+    fingers: str | None = None,
+    operator: Path | None = None,
+    rate: float = 100.0,
+    duration: float | None = None,
+    safety: SafetyConfig | None = None,
+    limits: LimitsConfig | None = None,
+    priority: Literal["high", "normal"] = "normal",
+    control: str | None = None,
+    page: PageSettings | None = None,
+    blind: bool = False,
+    task: Task | None = None,
+    trials: Path | None = None,
+    keys: bool = False,
+    reporter: Reporter | None = None,
+    started: Callable[[TeleopLoop], None] | None = None,
+) -> dict[str, Any]:
+    """Drives a robot hand from a live source, and returns when the run has ended.
+
+    All settings are checked and everything is opened before anything moves. A run ends when the
+    source ends, after ``duration``, on Ctrl-C or SIGTERM (if called on the main thread), or when
+    another thread calls ``loop.controls.quit()``. Sources, sinks and recordings are then closed
+    and whole. It needs no terminal and no browser.
+
+    Example::
+
+        from smooth_operator.teleop import teleoperate
+
+        summary = teleoperate("synthetic", ["record:take.mcap"], hand="leap_hand", duration=10)
+        print(summary["rate_hz"], summary["added_latency_ms"]["p99"])
+
+    Args:
+        source: where hand frames come from: an object, or text such as ``replay:glove.npz``.
+        sinks: where commands go: objects, or text such as ``zmq:tcp://127.0.0.1:5556``.
+        hand: name of the robot hand.
+        side: which hand; ``both`` drives two robots.
+        method: name of the retargeting method.
+        preset: of the method; None for its default.
+        seed: of all random numbers.
+        scale: robot size over human size, or ``frame`` to estimate it in each; None for the
+            preset's.
+        fingers: robot fingers to drive: ``thumb,index,pinky=ring``; None for all.
+        operator: file of the operator's calibration.
+        rate: commands a second and hand [Hz].
+        duration: end after so long [s]; None for when the source ends.
+        safety: what happens when the tracker fails; None for the defaults.
+        limits: of the commands; None for the defaults.
+        priority: ``high`` asks the system for real-time scheduling of this process.
+        control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
+        page: serve the live page; None for none.
+        blind: the method is named neither on the page nor in what is reported.
+        task: a task of the study, in a simulation around the hand.
+        trials: folder for a record of every trial of the task.
+        keys: listen to the keyboard where there is a terminal: stop, release, pause, quit.
+        reporter: takes lines for a person; None for the logger ``smooth_operator.teleop``.
+        started: called with the running loop once everything is open, on the loop's thread, so
+            it must return at once; the loop's ``controls`` may be used from any thread.
+
+    Returns:
+        What the run came to, as plain JSON values: ``duration_s``, ``interrupted`` (by a signal),
+        ``rate_hz``, ``frames_received``, ``frames_answered``, ``added_latency_ms`` (percentiles,
+        None without a frame), ``source`` and ``sinks`` (state and failures), and more.
+
+    Raises:
+        SmoothOperatorError: a setting is wrong or something can't be opened; nothing has moved.
+    """
+    said = LoggingReporter() if reporter is None else reporter
+    config = LoopConfig(rate, safety or SafetyConfig(), limits or LimitsConfig())
+    if isinstance(source, str):
+        source = build_source(source, side)
+    wanted = with_task(sinks, task)
+    acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in wanted]
+    asked = make_request(
+        hand=hand,
+        method=method,
+        preset=preset,
+        seed=seed,
+        scale=scale,
+        fingers=fingers,
+        operator=operator,
+    )
+    sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
+    runner = SinkRunner(acting)
+    settled = _checked(asked, config, sides, source, runner, control, page)
+    with _begun_page(page, asked, sides, acting, blind) as begun:
+        retargeters = _compiled(settled, asked, blind, said)
+        pipelines = {
+            side: HandPipeline(made, config, driver=Driver(asked.method, asked.preset, made.config))
+            for side, made in retargeters.items()
+        }
+        loop = TeleopLoop(pipelines, source, runner, config)
+        workshop = Workshop(loop, asked)
+        if begun is not None and page is not None:
+            _show_page(begun, page, loop, asked, acting, workshop, blind, said)
+        recorded = live_configuration(
+            "teleop",
+            asked,
+            {side: made.config for side, made in retargeters.items()},
+            source=source if dataclasses.is_dataclass(source) else source.label,
+            sinks=[sink if isinstance(sink, str) else sink.label for sink in wanted],
+            loop=config,
+        )
+
+        def record(side: Side, text: str) -> None:
+            loop.controls.change(lambda hand: hand.note(text) if hand.side == side else None)
+
+        def about() -> dict[str, Any]:
+            used = workshop.used
+            return {"method": used.method, "preset": used.preset, "source": source.label}
+
+        attended = keys and bool(sys.stdin) and sys.stdin.isatty()
+        tried = TaskTrials(
+            acting,
+            sides,
+            said,
+            task=task,
+            folder=trials,
+            controlled=control is not None,
+            attended=attended,
+            about=about,
+            record=record,
+        )
+        orders = Orders(loop, workshop, lambda: tried.desk, blind=blind)
+        granted = "normal"
+        begin = time.perf_counter()
+        where = ", ".join(sink.label for sink in runner.health()) or "no sink"
+        said.note(f"from {source.label} to {where}")
+        with (
+            contextlib.closing(workshop),
+            low_jitter(),
+            _signals(loop.controls) as interrupted,
+            keyboard(loop, said, tried.keys, tried.key_help)
+            if attended
+            else contextlib.nullcontext(),
+            _remote(loop, control, orders, said),
+            contextlib.ExitStack() as first,
+        ):
+
+            def opened() -> None:
+                nonlocal granted
+                if priority == "high":
+                    granted = first.enter_context(going_first())
+                _announce(source, said)
+                tried.begin()
+                if started is not None:
+                    started(loop)
+
+            loop.run(duration, recorded, started=opened)
+        seconds = time.perf_counter() - begin
+        tried.end()
+        more = {"priority": granted, "interrupted": interrupted.is_set(), **tried.summary()}
+        return summarise(loop, seconds, said, more)
+
+
+def _checked(
+    asked: RetargetRequest,
+    config: LoopConfig,
+    sides: Sequence[Side],
+    source: LiveSource,
+    sinks: SinkRunner,
+    control: str | None,
+    page: PageSettings | None,
+) -> dict[Side, tuple[Hand, MethodConfig]]:
+    """The hands and their methods' settings, once all that a run needs is there.
+
+    Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
+    extras, files, models, addresses, ports. The source is open afterwards.
+
+    Raises:
+        SmoothOperatorError: what is wrong.
+    """
+    settled = {side: resolve(asked, side) for side in sides}
+    hands = {side: hand for side, (hand, _) in settled.items()}
+    for hand in hands.values():
+        Limiter(hand, config.limits)
+    sinks.check(hands)
+    if control is not None:
+        from smooth_operator.teleop.runtime.remote import check_address
+
+        check_address(control)
+    if page is not None:
+        from smooth_operator.teleop.pages.ports import free_port
+
+        free_port(page.host, page.port)
+        if page.model is not None:
+            for hand in hands.values():
+                drawn_on(hand, page.model)  # the page's own process does it again
+    source.prepare()
+    return settled
+
+
+def _compiled(
+    settled: Mapping[Side, tuple[Hand, MethodConfig]],
+    asked: RetargetRequest,
+    blind: bool,
+    said: Reporter,
+) -> dict[Side, Retargeter]:
+    retargeters: dict[Side, Retargeter] = {}
+    for side, (hand, method) in settled.items():
+        if not blind:
+            for note in method.notes(hand):
+                said.note(note, matters=True)
+        what = "the method" if blind else asked.method
+        with said.waiting(f"compiling {what} for {hand.name} {side}"):
+            retargeters[side], _ = build_retargeter(hand, method, asked.seed)
+    return retargeters
+
+
+@contextlib.contextmanager
+def _begun_page(
+    page: PageSettings | None,
+    asked: RetargetRequest,
+    sides: tuple[Side, ...],
+    acting: Sequence[Sink],
+    blind: bool,
+) -> Iterator[LivePage | None]:
+    """The page's process, which gets ready while the method is compiled; None if it is left out."""
+    if page is None:
+        yield None
+        return
+    from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
+
+    setup = PageSetup(
+        asked.hand,
+        sides,
+        asked.fingers,
+        page.host,
+        page.port,
+        simulated_hands(acting) is not None,
+        blind,
+        None if page.model is None else str(page.model),
+    )
+    with LivePage(setup) as begun:
+        yield begun
+
+
+def _show_page(
+    begun: LivePage,
+    page: PageSettings,
+    loop: TeleopLoop,
+    asked: RetargetRequest,
+    acting: Sequence[Sink],
+    workshop: Workshop,
+    blind: bool,
+    said: Reporter,
+) -> None:
+    """Have the page show a loop that is about to run, and open it.
+
+    Raises:
+        ConfigError: it can't be served there.
+    """
+    from smooth_operator.teleop.pages.live.session import LiveSession
+
+    session = LiveSession(loop, asked, acting, workshop=workshop, blind=blind)
+    loop.watch = session.watch
+    url = begun.serve(session)
+    said.note(f"page: {url}", matters=True)
+    if page.open_browser:
+        open_page(url)
+
+
+def _announce(source: LiveSource, said: Reporter) -> None:
+    """What the operator has to do before frames come: where to connect, with which code."""
+
+    def tell() -> None:
+        end = time.monotonic() + _ANNOUNCE_S
+        while not (health := source.health()).detail and time.monotonic() < end:
+            time.sleep(0.1)
+        if health.detail:
+            said.note(f"{source.label}: {health.detail}", matters=health.state != "running")
+
+    threading.Thread(target=tell, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _signals(controls: Controls) -> Iterator[threading.Event]:
+    """Ctrl-C and SIGTERM end the loop in good order."""
+    came = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        came.set()
+        controls.quit()
+
+    # Only the main thread may; elsewhere the caller has its own way to end.
+    main = threading.current_thread() is threading.main_thread()
+    before = {n: signal.signal(n, end) for n in (signal.SIGINT, signal.SIGTERM)} if main else {}
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _remote(
+    loop: TeleopLoop, address: str | None, orders: Orders, said: Reporter
+) -> Iterator[None]:
+    """Commands of other programs, where they are to be listened to."""
+    if address is None:
+        yield
+        return
+    from smooth_operator.teleop.runtime.remote import remote
+
+    with remote(loop, address, orders.words, orders.status) as bound:
+        said.note(f"switches at {bound}")
+        yield

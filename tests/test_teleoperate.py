@@ -1,0 +1,147 @@
+"""``teleoperate``: a whole run as one call, without a terminal, a page or a main thread."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
+from smooth_operator.teleop import Sink, TeleopLoop, Tick, build_source, read_log, teleoperate
+
+METHOD = {"method": "joint_angle"}
+"""It compiles in a second."""
+
+
+@dataclass
+class Kept(Sink):
+    """A sink that keeps what it gets."""
+
+    fails: bool = False
+    ticks: list[Tick] = field(default_factory=list)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    closed: int = 0
+    name: str = "kept"
+
+    @property
+    def label(self) -> str:
+        return self.name
+
+    def open(self, hands: Mapping[Any, Any], config: Mapping[str, Any]) -> None:
+        self.config = config
+
+    def send(self, tick: Tick) -> None:
+        if self.fails:
+            raise SinkError("the cable is out")
+        self.ticks.append(tick)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_a_run_is_one_call_from_text_or_objects_to_a_summary(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "smooth_operator.teleop")
+    kept, log, loops = Kept(), tmp_path / "take.mcap", []
+    summary = teleoperate(
+        build_source("synthetic"),
+        [kept, f"record:{log}"],
+        hand="leap_hand",
+        rate=50.0,
+        duration=0.6,
+        started=loops.append,
+        **METHOD,
+    )
+    assert json.loads(json.dumps(summary)) == summary
+    assert not summary["interrupted"]
+    assert summary["duration_s"] >= 0.6
+    assert 0 < summary["frames_answered"] <= summary["frames_received"]
+    assert [sink["failed"] for sink in summary["sinks"]] == [0, 0]
+    assert len(kept.ticks) == summary["commands"]["right"]
+    assert kept.closed
+    assert kept.config["hand"] == "leap_hand"
+    assert kept.config["sinks"] == ["kept", f"record:{log}"]
+    recorded = read_log(log)
+    assert recorded.commands is not None
+    assert recorded.commands.joint_names == kept.ticks[-1].command.names
+    assert isinstance(loops[0], TeleopLoop)
+    said = [record.message for record in caplog.records]
+    assert any(text.startswith("compiling joint_angle for leap_hand right") for text in said)
+    assert any("frames in" in text for text in said)
+
+
+def test_another_thread_may_run_and_end_it() -> None:
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    summaries: list[dict[str, Any]] = []
+
+    def quit_soon(loop: TeleopLoop) -> None:
+        threading.Timer(0.2, loop.controls.quit).start()
+
+    thread = threading.Thread(
+        target=lambda: summaries.append(teleoperate(started=quit_soon, **METHOD))
+    )
+    thread.start()
+    thread.join(120)
+    assert summaries[0]["frames_answered"] > 0
+    assert not summaries[0]["interrupted"]
+    assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
+def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path: Path) -> None:
+    handler, turn = signal.getsignal(signal.SIGINT), sys.getswitchinterval()
+    kept, log = Kept(), tmp_path / "take.mcap"
+
+    def interrupt(loop: TeleopLoop) -> None:
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    summary = teleoperate("synthetic", [kept, f"record:{log}"], started=interrupt, **METHOD)
+    assert summary["interrupted"]
+    assert kept.closed
+    assert read_log(log).commands is not None
+    assert signal.getsignal(signal.SIGINT) is handler
+    assert sys.getswitchinterval() == turn
+    assert [t.name for t in threading.enumerate() if t.name in ("watchdog", "keys", "page")] == []
+
+
+def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    works, fails = Kept(), Kept(fails=True, name="robot")
+    summary = teleoperate("synthetic", [fails, works], duration=0.3, **METHOD)
+    assert len(works.ticks) == summary["commands"]["right"] > 0
+    assert [(sink["label"], sink["failed"] > 0) for sink in summary["sinks"]] == [
+        ("robot", True),
+        ("kept", False),
+    ]
+    assert any("the cable is out" in record.message for record in caplog.records)
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "says"),
+    [
+        ({"source": "webcm"}, UnknownNameError, "Did you mean 'webcam'?"),
+        ({"sinks": ["tble"]}, UnknownNameError, "Did you mean 'table'?"),
+        ({"hand": "leap_hnd"}, UnknownNameError, "leap_hand"),
+        ({"rate": 0.0}, ConfigError, "rate"),
+        ({"task": "cube", "sinks": ["mujoco"]}, ConfigError, "leave out"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_opens(
+    settings: dict[str, Any], error: type[Exception], says: str
+) -> None:
+    kept = Kept()
+    sinks = [*settings.pop("sinks", ()), kept]
+    with pytest.raises(error, match=says):
+        teleoperate(sinks=sinks, **settings)
+    assert (kept.config, kept.closed) == ({}, 0)
