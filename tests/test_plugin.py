@@ -1,0 +1,103 @@
+"""The example plugin in a Python environment of its own: each of its parts shows up and works."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.synthetic import SyntheticOperator
+
+PLUGIN = Path(__file__).resolve().parents[1] / "examples" / "plugin"
+RATE = 50.0
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Python of an environment that has the plugin, and all that this one has."""
+    folder = tmp_path_factory.mktemp("plugin")
+    source, home = folder / "source", folder / "venv"
+    shutil.copytree(PLUGIN, source, ignore=shutil.ignore_patterns("__pycache__"))
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
+    paths = sysconfig.get_paths(vars={"base": str(home), "platbase": str(home)})
+    site = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
+    install += ["--no-build-isolation", "--target", str(site), str(source)]
+    subprocess.run(install, check=True)
+    own = [path for path in map(Path, sys.path) if path.name == "site-packages"]
+    lines = [f"import site; site.addsitedir({str(path)!r})" for path in own]
+    (site / "parent.pth").write_text("\n".join(lines) + "\n")
+    return Path(paths["scripts"]) / Path(sys.executable).name
+
+
+@pytest.fixture
+def run(python: Path, tmp_path: Path) -> Callable[..., str]:
+    """Runs commands in one process of that environment; gives what they print."""
+
+    def run(*commands: str, status: int = 0) -> str:
+        main = f"""
+import sys
+from smooth_operator.cli import main
+for command in {[command.split() for command in commands]!r}:
+    sys.stdout.flush()
+    assert main(command) == {status}, command
+"""
+        environment = {**os.environ, "COLUMNS": "200", "SMOOTH_OPERATOR_CACHE": "off"}
+        done = subprocess.run(
+            [python, "-c", main],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            encoding="utf-8",
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout + done.stderr
+
+    return run
+
+
+def test_the_parts_of_a_plugin_show_up_and_work(run: Callable[..., str], tmp_path: Path) -> None:
+    recording = SyntheticOperator(seed=4, rate_hz=RATE).record(1.0)
+    np.savetxt(tmp_path / "hand.csv", recording.landmarks.reshape(-1, 63), delimiter=",")
+    shown = run("--help", "teleop --help", "retarget --help", "joint-ranges toy_gripper")
+    assert "joint-ranges" in shown
+    for line in ("wave       from toy-retargeting", "csv     from toy-retargeting"):
+        assert line in shown
+    assert "geort, toy_descent; or package.module:NAME" in shown
+    assert "toy_descent: from toy-retargeting" in shown
+    assert "t1 2.300\nt2 2.300\ni1 2.300\ni2 2.300\n" in shown
+
+    choice = "--hand toy_gripper --method toy_descent"
+    done = run(
+        "hands list",
+        f"retarget hand.csv --rate {RATE} {choice} --output out.npz",
+        f"bench hand.csv --rate {RATE} --hands toy_gripper --methods toy_descent:all"
+        " --latency-frames 0 --workers 0 --output bench",
+        f"teleop {choice} --source wave:2,duration=1.5 --sink csv:out.csv --no-view --duration 1",
+    )
+    assert "toy_gripper" in done.partition("metric")[0]
+    figures = json.loads((tmp_path / "bench" / "results.json").read_text())
+    assert [row["preset"] for row in figures] == ["default", "quick"]
+    for row in figures:
+        assert row["status"] == "ok"
+        assert 0.01 < row["metrics"]["joint_travel"] < 50.0
+    assert "travel" in (tmp_path / "bench" / "report.html").read_text(encoding="utf-8")
+    assert re.search(r"cosine +scale .* travel *$", done, re.MULTILINE)  # the table of bench
+    assert re.search(r"joint_travel +[0-9.]+ +rad/s +↓", done)  # and in that of retarget
+    with np.load(tmp_path / "out.npz") as commands:
+        assert commands["joint_positions"].shape == (50, 4)
+        assert np.ptp(commands["joint_positions"], axis=0).max() > 0.05
+    rows = (tmp_path / "out.csv").read_text().splitlines()
+    assert rows[0] == "side,number,positions"
+    positions = np.array([row.split(",")[2].split() for row in rows[1:]], float)
+    assert len(positions) > 10
+    assert np.ptp(positions, axis=0).max() > 0.05
