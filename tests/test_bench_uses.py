@@ -99,9 +99,7 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium: Any, tmp_path: Pa
         for i, name in enumerate(names):
             axes.plot([0, 1], [i, i], gid=series(name, f'{name} <b> "said"'))
         svg = write_figure(figure, tmp_path / "plot")
-    script = (files("smooth_operator.lab.benchmark.page") / "interact.js").read_text(
-        encoding="utf-8"
-    )
+    script = (files("smooth_operator.reporting") / "interact.js").read_text(encoding="utf-8")
     page = chromium.new_page(viewport={"width": 900, "height": 900})
     table = headline_table(LINES, colors_of(names))
     page.set_content(f"<!doctype html>{table}{svg}<script>{script}</script>")

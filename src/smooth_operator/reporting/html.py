@@ -64,12 +64,31 @@ def table(
     return element("div", element("table", Html(inside), class_=class_), class_="scroll")
 
 
+def text_table(
+    headers: Iterable[object], rows: Iterable[Sequence[object]], class_: str = ""
+) -> Html:
+    """A table of plain text; the first column names its rows."""
+    body = ([name_cell(row[0]), *map(escape, row[1:])] for row in rows)
+    return table([escape(header) for header in headers], body, class_)
+
+
+def failed_cell(reason: object, columns: int = 1) -> Html:
+    """A cell that says why there are no figures, over so many columns."""
+    span = {"colspan": str(columns)} if columns > 1 else {}
+    return element("td", escape(reason), class_="failed", **span)
+
+
+def dot(color: str) -> Html:
+    """The mark of a series, in the colour that the plots draw it in."""
+    return Html(f"<i class='dot' style='background:{escape(color)}'></i>")
+
+
 def name_cell(text: object, color: str = "", note: str = "") -> Html:
     """The cell that names a row; with a colour, the row of a series that the plots draw in it."""
-    dot = f"<i class='dot' style='background:{escape(color)}'></i>" if color else ""
+    mark = dot(color) if color else ""
     small = f" <small>{escape(note)}</small>" if note else ""
     series = {"data_series": str(text)} if color else {}
-    return element("th", Html(f"{dot}{escape(text)}{small}"), scope="row", **series)
+    return element("th", Html(f"{mark}{escape(text)}{small}"), scope="row", **series)
 
 
 def data(content: object) -> Html:

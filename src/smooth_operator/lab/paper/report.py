@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.io import atomic_write
 from smooth_operator.io.documents import read_json
 from smooth_operator.lab.benchmark.store import write_json
 from smooth_operator.lab.paper.catalogue import EXPERIMENTS
@@ -25,7 +23,9 @@ from smooth_operator.reporting.html import (
     name_cell,
     paragraph,
     table,
+    text_table,
 )
+from smooth_operator.reporting.report_page import write_report_page
 
 REPORT: Final = "report.html"
 
@@ -95,30 +95,14 @@ def write_report(store: Store) -> Path:
         (content["title"], name, _section(content, store.folder / name))
         for name, content in results.items()
     ]
-    links = join(element("a", escape(title), href=f"#{anchor}") for title, anchor, _ in sections)
-    body = join(
-        [
-            element("header", element("div", Html("<h1>The paper's experiments, re-run</h1>"))),
-            element("nav", element("div", links), aria_label="sections"),
-            element("main", join(
-                element("section", Html(f"<h2>{escape(title)}</h2>{content}"), id=anchor)
-                for title, anchor, content in sections
-            )),
-            element("footer", "Made by smooth-operator. Numbers: NAME/results.json; figures as "
-                    "files beside it."),
-        ]
-    )  # fmt: skip
-    style = (files("smooth_operator.lab.benchmark.page") / "report.css").read_text(encoding="utf-8")
-    text = (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>The paper's experiments, re-run</title>\n<style>\n{style}{_STYLE}</style>\n</head>"
-        f"\n<body>\n{body}\n</body>\n</html>\n"
+    return write_report_page(
+        store.folder / REPORT,
+        "The paper's experiments, re-run",
+        element("h1", "The paper's experiments, re-run"),
+        sections,
+        "Made by smooth-operator. Numbers: NAME/results.json; figures as files beside it.",
+        styles=(_STYLE,),
     )
-    path = store.folder / REPORT
-    with atomic_write(path) as file:
-        file.write(text.encode())
-    return path
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -166,8 +150,7 @@ def _section(content: Mapping[str, Any], folder: Path) -> Html:
     ]  # fmt: skip
     parts += [_picture(folder / f"{d['name']}.svg", d["caption"]) for d in content["drawings"]]
     for one in content["tables"]:
-        rows = [[name_cell(row[0]), *map(escape, row[1:])] for row in one["rows"]]
-        shown = table([escape(header) for header in one["headers"]], rows)
+        shown = text_table(one["headers"], one["rows"])
         note = paragraph(one["note"], "soft") if one["note"] else Html("")
         inside = join([shown, note])
         if len(one["rows"]) > _LONG:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from smooth_operator.reporting.html import Html, data, element, escape, join, paragraph
+from smooth_operator.reporting.html import Html, data, dot, element, escape, join, paragraph
 
 
 def player(clip: Mapping[str, object]) -> Html:
@@ -20,7 +20,7 @@ def player(clip: Mapping[str, object]) -> Html:
             "div",
             Html(
                 f'<canvas role="img" aria-label="{escape(pane["method"])}: human and robot hand">'
-                f"</canvas><span><i class='dot' style='background:{escape(pane['color'])}'></i>"
+                f"</canvas><span>{dot(pane['color'])}"
                 f"{escape(pane['method'])}</span>"
             ),
             class_="pane",

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.io import atomic_write, output_error
 from smooth_operator.lab.benchmark import figures, uses
 from smooth_operator.lab.benchmark.cells import file_name
 from smooth_operator.lab.benchmark.clips import make_clip
@@ -23,11 +21,9 @@ from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.lab.benchmark.settings import Settings
 from smooth_operator.lab.benchmark.store import PLOTS, REPORT
 from smooth_operator.lab.benchmark.suite import Finished
-from smooth_operator.reporting.drawing import colors_of, styled, write_figure
-from smooth_operator.reporting.html import Html, details, element, escape, figure, join, paragraph
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from smooth_operator.reporting.drawing import colors_of, styled
+from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
+from smooth_operator.reporting.report_page import SORTING, Plots, write_report_page
 
 BUSY = 0.25
 """Share of the cores in others' hands from which a latency is warned of."""
@@ -55,27 +51,19 @@ def write_report(
     Raises:
         OutputError: a file can't be written.
     """
-    plots = settings.output / PLOTS
-    try:
-        plots.mkdir(exist_ok=True)
-    except OSError as error:
-        raise output_error(plots, error) from error
+    plots = Plots(settings.output / PLOTS)
     page = _Page(finished, rows, plots)
-    text = page.html(settings, comparison)
-    path = settings.output / REPORT
-    with atomic_write(path) as file:
-        file.write(text.encode())
-    return path
+    return page.write(settings.output / REPORT, settings, comparison)
 
 
 class _Page:
-    def __init__(self, finished: Sequence[Finished], rows: Sequence[Row], plots: Path) -> None:
+    def __init__(self, finished: Sequence[Finished], rows: Sequence[Row], plots: Plots) -> None:
         self._finished, self._rows, self._plots = finished, rows, plots
         self._colors = colors_of(row_method(row) for row in rows)
         self._hands = by_hand(rows)
         self._panels = {panel.key: panel for panel in make_panels(finished)}
 
-    def html(self, settings: Settings, comparison: Comparison | None) -> str:
+    def write(self, path: Path, settings: Settings, comparison: Comparison | None) -> Path:
         failed = [row for row in self._rows if row["status"] != "ok"]
         sections = [
             ("Summary", "summary", self._summary()),
@@ -90,30 +78,17 @@ class _Page:
             ("Metrics", "metrics", self._metrics(settings)),
             ("Environment", "environment", self._environment(settings)),
         ]
-        body = join(
-            [
-                self._header(settings, len(failed)),
-                element("nav", element("div", join(
-                    element("a", escape(name), href=f"#{anchor}") for name, anchor, _ in sections
-                )), aria_label="sections"),
-                element("main", join(
-                    element("section", Html(f"<h2>{escape(name)}</h2>{content}"), id=anchor)
-                    for name, anchor, content in sections
-                )),
-                element("footer", "Made by smooth-operator bench. Figures: results.json; plots as "
-                        "files: plots/; commands of each cell: cells/."),
-            ]
-        )  # fmt: skip
         here = files("smooth_operator.lab.benchmark.page")
-        style = (here / "report.css").read_text(encoding="utf-8")
-        scripts = ("player.js", "interact.js")
-        script = "".join((here / name).read_text(encoding="utf-8") for name in scripts)
-        return (
-            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>Retargeting benchmark</title>\n<style>\n{style}</style>\n"
-            "<noscript><style>.stills { display: block; } .player { display: none; }</style>"
-            f"</noscript>\n</head>\n<body>\n{body}\n<script>\n{script}</script>\n</body>\n</html>\n"
+        return write_report_page(
+            path,
+            "Retargeting benchmark",
+            self._header(settings, len(failed)),
+            sections,
+            "Made by smooth-operator bench. Figures: results.json; plots as files: plots/; "
+            "commands of each cell: cells/.",
+            styles=(here / "player.css",),
+            scripts=(here / "player.js", SORTING),
+            without_scripts=".stills { display: block; } .player { display: none; }",
         )
 
     def _header(self, settings: Settings, failed: int) -> Html:
@@ -127,10 +102,7 @@ class _Page:
             + (f", {failed} of them failed" if failed else "")
             + (f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else "")
         )
-        return element(
-            "header",
-            element("div", join([element("h1", "Retargeting benchmark"), paragraph(said, "soft")])),
-        )
+        return join([element("h1", "Retargeting benchmark"), paragraph(said, "soft")])
 
     def _summary(self) -> Html:
         parts: list[Html] = []
@@ -154,7 +126,7 @@ class _Page:
                 drawn = figures.tradeoff_figure(rows, self._colors)
             if drawn is not None:
                 parts.append(
-                    self._drawn(
+                    self._plots.element(
                         drawn,
                         f"accuracy-smoothness-{hand}",
                         "Accuracy against smoothness: the lower left corner is best. "
@@ -212,7 +184,7 @@ class _Page:
                 drawn = figures.latency_figure(samples, self._colors)
             if drawn is not None:
                 parts.append(
-                    self._drawn(
+                    self._plots.element(
                         drawn,
                         f"latency-{hand}",
                         f"Each dot is a frame on {hand}, all recordings together; the lines are "
@@ -253,17 +225,19 @@ class _Page:
                 figures.fingertip_figure(panel, self._colors),
             )
             joints = figures.joint_figure(panel, self._colors)
-        drawn = self._drawn(stills, f"stills-{name}", "Human (grey) and robot, palm in sight.")
+        drawn = self._plots.element(
+            stills, f"stills-{name}", "Human (grey) and robot, palm in sight."
+        )
         parts.append(element("div", drawn, class_="stills"))
         parts.append(
-            self._drawn(
+            self._plots.element(
                 tips,
                 f"fingertips-{name}",
                 f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
                 "the human's travel furthest; the human (grey) as the first method saw it.",
             )
         )
-        drawn = self._drawn(
+        drawn = self._plots.element(
             joints, f"joints-{name}", "Joint positions in the same stretch; dashed: their limits."
         )
         good = [row for row in rows if row["status"] == "ok"]
@@ -314,9 +288,6 @@ class _Page:
         }
         parts += [element("h3", "Asked for"), tables.facts_table(asked)]
         return join(parts)
-
-    def _drawn(self, drawn: Figure, stem: str, caption: str) -> Html:
-        return figure(write_figure(drawn, self._plots / stem), caption, caption)
 
 
 def _facts(row: Row) -> Html:

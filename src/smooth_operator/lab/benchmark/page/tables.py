@@ -24,12 +24,15 @@ from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.reporting.html import (
     Html,
     details,
+    dot,
     element,
     escape,
+    failed_cell,
     join,
     name_cell,
     paragraph,
     table,
+    text_table,
 )
 
 
@@ -81,7 +84,7 @@ def full_table(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
         *(
             element(
                 "th",
-                Html(f"{_dot(colors[line.method])}{escape(line.method)}"),
+                Html(f"{dot(colors[line.method])}{escape(line.method)}"),
                 scope="col",
                 data_series=line.method,
             )
@@ -144,7 +147,7 @@ def failure_table(rows: Iterable[Row]) -> Html:
         [
             name_cell(where),
             Html(escape(methods)),
-            element("td", escape(reason), class_="failed"),
+            failed_cell(reason),
         ]
         for where, methods, reason in failures(rows)
     ]
@@ -212,8 +215,8 @@ def metric_table() -> Html:
 
 def facts_table(facts: Mapping[str, Any]) -> Html:
     """Names and values."""
-    body = [[name_cell(name), Html(escape(_words(value)))] for name, value in facts.items()]
-    return table([escape("what"), escape("value")], body, "words")
+    body = [(name, _words(value)) for name, value in facts.items()]
+    return text_table(("what", "value"), body, "words")
 
 
 def _table(
@@ -225,9 +228,7 @@ def _table(
         part = "" if line.count == line.of else f"{line.count} of {line.of} recordings"
         cells = [name_cell(line.method, colors[line.method], part if line.count else "")]
         if line.failed is not None:
-            cells.append(
-                Html(f'<td class="failed" colspan="{len(metrics)}">{escape(line.failed)}</td>')
-            )
+            cells.append(failed_cell(line.failed, len(metrics)))
         else:
             cells += [
                 _value(metric, line.values[metric.name], i in top)
@@ -280,10 +281,6 @@ def _renamed(lines: Sequence[Line], column: Metric, metric: Metric) -> list[Line
 def _statuses(row: Row) -> Html:
     counts = (row.get("metrics") or {}).get("status") or {}
     return escape(", ".join(f"{n} {count}" for n, count in counts.items() if count) or "–")
-
-
-def _dot(color: str) -> str:
-    return f"<i class='dot' style='background:{escape(color)}'></i>"
 
 
 def _words(value: object) -> str:

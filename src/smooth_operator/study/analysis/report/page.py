@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from smooth_operator.io import atomic_write, output_error
-from smooth_operator.reporting.drawing import colors_of, styled, write_figure
-from smooth_operator.reporting.html import Html, details, element, escape, figure, join, paragraph
+from smooth_operator.reporting.drawing import colors_of, styled
+from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
+from smooth_operator.reporting.report_page import Plots, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.methods_text import methods_paragraph
@@ -46,15 +45,7 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
     Raises:
         OutputError: a file can't be written.
     """
-    plots = folder / FIGURES
-    try:
-        plots.mkdir(exist_ok=True)
-    except OSError as error:
-        raise output_error(plots, error) from error
-    text = _Page(analysis, plots).html()
-    with atomic_write(folder / REPORT) as file:
-        file.write(text.encode())
-    return folder / REPORT
+    return _Page(analysis, Plots(folder / FIGURES)).write(folder / REPORT)
 
 
 def _upper(text: str) -> str:
@@ -62,11 +53,11 @@ def _upper(text: str) -> str:
 
 
 class _Page:
-    def __init__(self, analysis: Analysis, plots: Path) -> None:
+    def __init__(self, analysis: Analysis, plots: Plots) -> None:
         self._analysis, self._plots = analysis, plots
         self._colors = colors_of(analysis.retargeters)
 
-    def html(self) -> str:
+    def write(self, path: Path) -> Path:
         sections = [
             ("Success", "success", self._outcome("success")),
             ("Time", "time", self._outcome("time")),
@@ -77,25 +68,13 @@ class _Page:
         if self._analysis.spearman:
             sections.append(("Simulation", "simulation", self._simulation()))
         sections.append(("Methods", "methods", self._methods()))
-        links = join(element("a", escape(name), href=f"#{anchor}") for name, anchor, _ in sections)
-        body = join(
-            [
-                self._header(),
-                element("nav", element("div", links), aria_label="sections"),
-                element("main", join(
-                    element("section", Html(f"<h2>{escape(name)}</h2>{content}"), id=anchor)
-                    for name, anchor, content in sections
-                )),
-                element("footer", "Made by smooth-operator study analyze. Figures: results.json "
-                        "and the CSV tables; plots as files: figures/."),
-            ]
-        )  # fmt: skip
-        style = files("smooth_operator.lab.benchmark.page") / "report.css"
-        return (
-            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>User study</title>\n<style>\n{style.read_text(encoding='utf-8')}</style>\n"
-            f"</head>\n<body>\n{body}\n</body>\n</html>\n"
+        return write_report_page(
+            path,
+            "User study",
+            self._header(),
+            sections,
+            "Made by smooth-operator study analyze. Figures: results.json and the CSV tables; "
+            "plots as files: figures/.",
         )
 
     def _header(self) -> Html:
@@ -112,7 +91,7 @@ class _Page:
         top = [element("h1", "User study"), paragraph(said, "soft")]
         top += [element("div", found, class_="verdict")] if found else []
         top += notes
-        return element("header", element("div", join(top)))
+        return join(top)
 
     def _outcome(self, outcome: Outcome) -> Html:
         analysis = self._analysis
@@ -212,6 +191,4 @@ class _Page:
     def _drawn(self, draw: object, stem: str, caption: str) -> Html:
         with styled():
             drawn: Figure | None = draw(self._analysis, self._colors)  # type: ignore[operator]
-        if drawn is None:
-            return Html("")
-        return figure(write_figure(drawn, self._plots / stem), caption, caption)
+        return self._plots.element(drawn, stem, caption)

@@ -6,7 +6,17 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from smooth_operator.reporting.html import Html, element, escape, join, name_cell, paragraph, table
+from smooth_operator.reporting.html import (
+    Html,
+    element,
+    escape,
+    failed_cell,
+    join,
+    name_cell,
+    paragraph,
+    table,
+    text_table,
+)
 from smooth_operator.study.analysis.results import Outcome, ScopeResult
 
 DIGITS: dict[Outcome, tuple[float, int, str]] = {
@@ -64,35 +74,35 @@ def pairs_table(outcome: Outcome, result: ScopeResult) -> Html:
     """All pairs with Holm's correction."""
     scale, digits, _ = DIGITS[outcome]
     rows = [
-        [
-            name_cell(f"{pair.a} − {pair.b}"),
-            escape(f"{scale * pair.difference:+.{digits}f}"),
-            escape(f"{scale * pair.se:.{digits}f}"),
-            escape(f"{pair.statistic:.2f}"),
-            escape("∞" if pair.df == float("inf") else f"{pair.df:.1f}"),
-            escape(p_text(pair.p_raw)),
-            escape(p_text(pair.p_holm)),
-            escape(f"{pair.effect_words} ({pair.effect:+.2f})"),
-        ]
+        (
+            f"{pair.a} − {pair.b}",
+            f"{scale * pair.difference:+.{digits}f}",
+            f"{scale * pair.se:.{digits}f}",
+            f"{pair.statistic:.2f}",
+            "∞" if pair.df == float("inf") else f"{pair.df:.1f}",
+            p_text(pair.p_raw),
+            p_text(pair.p_holm),
+            f"{pair.effect_words} ({pair.effect:+.2f})",
+        )
         for pair in result.pairs.values()
     ]
-    headers = ["pair", "difference", "SE", "statistic", "df", "p raw", "p Holm", "effect"]
-    return table([Html(header) for header in headers], rows)
+    headers = ("pair", "difference", "SE", "statistic", "df", "p raw", "p Holm", "effect")
+    return text_table(headers, rows)
 
 
 def coefficients_table(result: ScopeResult) -> Html:
     """Coefficients of the model."""
     rows = [
-        [
-            name_cell(name),
-            escape(f"{one.estimate:.4f}"),
-            escape(f"{one.se:.4f}"),
-            escape("∞" if one.df == float("inf") else f"{one.df:.1f}"),
-            escape(p_text(one.p)),
-        ]
+        (
+            name,
+            f"{one.estimate:.4f}",
+            f"{one.se:.4f}",
+            "∞" if one.df == float("inf") else f"{one.df:.1f}",
+            p_text(one.p),
+        )
         for name, one in result.coefficients.items()
     ]
-    return table([Html(h) for h in ("coefficient", "estimate", "SE", "df", "p")], rows)
+    return text_table(("coefficient", "estimate", "SE", "df", "p"), rows)
 
 
 def observed_table(outcome: Outcome, result: ScopeResult, colors: Mapping[str, str]) -> Html:
@@ -120,12 +130,7 @@ def learning_table(learning: Mapping[str, Any]) -> Html:
             for outcome, entry in outcomes.items():
                 name = name_cell(f"{scope}: {outcome} over {index}")
                 if "refused" in entry:
-                    rows.append(
-                        [
-                            name,
-                            Html(f'<td class="failed" colspan="4">{escape(entry["refused"])}</td>'),
-                        ]
-                    )
+                    rows.append([name, failed_cell(entry["refused"], 4)])
                     continue
                 slope = entry.get("slope", entry.get("slope_logit"))
                 small = entry.get("p_satterthwaite", entry.get("p_t", float("nan")))

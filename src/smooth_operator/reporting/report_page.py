@@ -1,0 +1,116 @@
+"""The page of a report: one HTML file with everything in it, and its plots as files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from smooth_operator.io import atomic_write, output_error
+from smooth_operator.reporting.drawing import write_figure
+from smooth_operator.reporting.html import Html, element, escape, figure, join
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_HOME: Final = files("smooth_operator.reporting")
+
+STYLE: Final = _HOME / "report.css"
+"""The style of every report."""
+
+SORTING: Final = _HOME / "interact.js"
+"""Tables of class ``sortable`` sort by their columns; a row shows its series in the plots."""
+
+Section = tuple[str, str, Html]
+"""Title, anchor and content of a part of a report."""
+
+
+def write_report_page(
+    path: Path,
+    title: str,
+    header: Html,
+    sections: Sequence[Section],
+    footer: str,
+    *,
+    styles: Sequence[Traversable | str] = (),
+    scripts: Sequence[Traversable] = (),
+    without_scripts: str = "",
+) -> Path:
+    """Writes a report. It needs nothing beside it, and nothing from the network.
+
+    Args:
+        path: where to.
+        title: of the window.
+        header: what stands above the sections: a heading, and what comes first.
+        sections: in their order; the navigation has a link to each.
+        footer: one line of text.
+        styles: files or texts of CSS after that of every report.
+        scripts: files of JavaScript at the end of the page.
+        without_scripts: CSS for browsers that run no scripts.
+
+    Returns:
+        ``path``.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    links = join(element("a", escape(name), href=f"#{anchor}") for name, anchor, _ in sections)
+    main = join(
+        element("section", Html(f"<h2>{escape(name)}</h2>{content}"), id=anchor)
+        for name, anchor, content in sections
+    )
+    body = join(
+        [
+            element("header", element("div", header)),
+            element("nav", element("div", links), aria_label="sections"),
+            element("main", main),
+            element("footer", escape(footer)),
+        ]
+    )
+    style = "".join(_text(part) for part in (STYLE, *styles))
+    script = "".join(_text(part) for part in scripts)
+    plain = f"<noscript><style>{without_scripts}</style></noscript>\n" if without_scripts else ""
+    text = (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n{plain}</head>\n<body>\n{body}"
+        + (f"\n<script>\n{script}</script>" if script else "")
+        + "\n</body>\n</html>\n"
+    )
+    with atomic_write(path) as file:
+        file.write(text.encode())
+    return path
+
+
+class Plots:
+    """The figures of a report: files in a folder, and elements of the page.
+
+    Args:
+        folder: made if need be, in one that exists.
+
+    Raises:
+        OutputError: it can't be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise output_error(folder, error) from error
+
+    def element(self, drawn: Figure | None, stem: str, caption: str) -> Html:
+        """A figure with its caption, written as ``STEM.png`` and ``STEM.svg``; nothing for None.
+
+        Raises:
+            OutputError: a file can't be written.
+        """
+        if drawn is None:
+            return Html("")
+        return figure(write_figure(drawn, self.folder / stem), caption, caption)
+
+
+def _text(part: Traversable | str) -> str:
+    return part if isinstance(part, str) else part.read_text(encoding="utf-8")
