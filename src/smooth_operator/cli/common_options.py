@@ -15,7 +15,7 @@ from smooth_operator.plugins import Entry
 HandSide: TypeAlias = Literal["right", "left"]
 METHOD_HELP: Final = (
     f"Retargeting method: {', '.join(METHODS)}; or package.module:NAME of your own "
-    "(docs/plugins.md)."
+    "(docs/how-to/plugins.md)."
 )
 PRESET_HELP: Final = (
     "Preset of the method, its first if left out. "

@@ -22,7 +22,7 @@ class Teleop(Common, Meshes, Page):
     work: ClassVar[str] = "smooth_operator.cli.teleop:teleop"
     details: ClassVar[str] = f"""Sources and sinks are named by a word, with an argument and
 settings after it: replay:glove.npz,speed=2 or record:take.mcap. Your own class is named
-package.module:Class in the same way: mylab.driver:MySink,port=7 (docs/plugins.md).
+package.module:Class in the same way: mylab.driver:MySink,port=7 (docs/how-to/plugins.md).
 
 Sources:
 {SOURCES.describe()}
