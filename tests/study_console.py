@@ -19,8 +19,8 @@ from typing import Any
 
 from smooth_operator.study.console.access import ConsoleAuth
 from smooth_operator.study.console.commands import Command
-from smooth_operator.study.console.desk import Desk
 from smooth_operator.study.console.server import Console
+from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
 from smooth_operator.study.store.progress import Progress
@@ -106,13 +106,13 @@ def eventually(check: Callable[[], Any], what: str = "it") -> Any:
 
 
 @contextlib.contextmanager
-def served(desk: Desk, auth: ConsoleAuth | None = None) -> Iterator[int]:
+def served(service: SessionService, auth: ConsoleAuth | None = None) -> Iterator[int]:
     """A console in a thread; its port."""
     listening = listen("127.0.0.1", 0)
     port = int(listening.getsockname()[1])
     auth = auth or ConsoleAuth(None)
-    console = Console(desk, auth, auth.links("127.0.0.1", port), local=auth.tokens is None)
-    desk._changed = console.changed
+    console = Console(service, auth, auth.links("127.0.0.1", port), local=auth.tokens is None)
+    service._changed = console.changed
     ready, ends = threading.Event(), threading.Event()
     failed: list[BaseException] = []
 

@@ -32,8 +32,8 @@ from smooth_operator.cli import main
 from smooth_operator.errors import RemoteError, RemoteRefusedError, StudyError, UnknownNameError
 from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
 from smooth_operator.study.console.commands import command_of
-from smooth_operator.study.console.desk import Desk, StoreFailedError
-from smooth_operator.study.console.hand import HIDDEN
+from smooth_operator.study.console.session_service import SessionService, StoreFailedError
+from smooth_operator.study.console.session_teleop import HIDDEN
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
@@ -51,7 +51,7 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
         yield made
 
 
-def walk(desk: Desk, store: StudyStore, until: str, operator: str = "P01") -> None:
+def walk(service: SessionService, store: StudyStore, until: str, operator: str = "P01") -> None:
     """Commands until a step is due."""
     for _ in range(200):
         progress = store.progress(operator)
@@ -59,7 +59,7 @@ def walk(desk: Desk, store: StudyStore, until: str, operator: str = "P01") -> No
             return
         asked = due_command(progress)
         assert asked is not None
-        desk.carry_out(asked, "operator" if asked.do in ("answer", "weigh") else "experimenter")
+        service.carry_out(asked, "operator" if asked.do in ("answer", "weigh") else "experimenter")
     raise AssertionError("no end")
 
 
@@ -71,14 +71,14 @@ def kinds(store: StudyStore, operator: str = "P01") -> list[str]:
 
 
 def test_every_command_that_is_sent_twice_is_done_once(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
+    service = SessionService(store, operator="P01")
     sent = []
     while (asked := due_command(store.progress("P01"))) is not None:
-        numbers = {desk.carry_out(asked, "experimenter") for _ in range(2)}
+        numbers = {service.carry_out(asked, "experimenter") for _ in range(2)}
         assert len(numbers) == 1
         sent.append(asked)
     for asked in sent:  # long after, from a page that was asleep
-        desk.carry_out(asked, "experimenter")
+        service.carry_out(asked, "experimenter")
     counted = Counter(kinds(store))
     assert counted["trial_scored"] == counted["trial_started"] == 6
     assert counted["questionnaire_answered"] == 6
@@ -87,56 +87,56 @@ def test_every_command_that_is_sent_twice_is_done_once(store: StudyStore) -> Non
 
 
 def test_a_token_of_another_command_is_refused(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
+    service = SessionService(store, operator="P01")
     first = command(store.progress("P01"), "calibrated")
-    desk.carry_out(first, "experimenter")
+    service.carry_out(first, "experimenter")
     thief = command(store.progress("P01"), "start_block", token=first.token)
     with pytest.raises(StudyError, match="belongs to another"):
-        desk.carry_out(thief, "experimenter")
+        service.carry_out(thief, "experimenter")
     assert kinds(store) == ["calibrated"]
 
 
 def test_what_two_tabs_do_at_once_is_done_once_and_told(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
-    walk(desk, store, "start_trial")
+    service = SessionService(store, operator="P01")
+    walk(service, store, "start_trial")
     before = store.progress("P01")
     one, other = command(before, "start_trial"), command(before, "start_trial")
-    desk.carry_out(one, "experimenter")
+    service.carry_out(one, "experimenter")
     with pytest.raises(StudyError, match=r"another page.*trial started"):
-        desk.carry_out(other, "experimenter")
+        service.carry_out(other, "experimenter")
     during = store.progress("P01")
-    desk.carry_out(command(during, "score", line="done"), "experimenter")
+    service.carry_out(command(during, "score", line="done"), "experimenter")
     with pytest.raises(StudyError, match="another page"):
-        desk.carry_out(command(during, "score", line="failed"), "experimenter")
+        service.carry_out(command(during, "score", line="failed"), "experimenter")
     assert store.progress("P01").trials[-1].line == "done"
 
 
 def test_two_tabs_that_reset_at_once_reset_once(tmp_path: Path) -> None:
     with open_study(tmp_path, console_plan(resets=2)) as store:
-        desk = Desk(store, operator="P01")
-        walk(desk, store, "trial")
+        service = SessionService(store, operator="P01")
+        walk(service, store, "trial")
         seen = store.progress("P01")
-        desk.carry_out(command(seen, "reset"), "experimenter")
+        service.carry_out(command(seen, "reset"), "experimenter")
         with pytest.raises(StudyError, match="another page"):
-            desk.carry_out(command(seen, "reset"), "experimenter")
+            service.carry_out(command(seen, "reset"), "experimenter")
         running = store.progress("P01").running
         assert running is not None
         assert running.resets == 1
 
 
 def test_a_note_never_stands_in_the_way(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
+    service = SessionService(store, operator="P01")
     seen = store.progress("P01")
-    desk.carry_out(command(seen, "note", text="left hand is cold"), "experimenter")
-    desk.carry_out(command(seen, "calibrated"), "experimenter")
-    desk.carry_out(command(seen, "note", text="warm now"), "experimenter")
+    service.carry_out(command(seen, "note", text="left hand is cold"), "experimenter")
+    service.carry_out(command(seen, "calibrated"), "experimenter")
+    service.carry_out(command(seen, "note", text="warm now"), "experimenter")
     assert kinds(store) == ["noted", "calibrated", "noted"]
 
 
 def test_a_command_for_somebody_who_is_not_on_is_refused(store: StudyStore) -> None:
-    desk = Desk(store, operator="P02")
+    service = SessionService(store, operator="P02")
     with pytest.raises(StudyError, match="for operator P01, but operator P02 is on"):
-        desk.carry_out(command(store.progress("P01"), "calibrated"), "experimenter")
+        service.carry_out(command(store.progress("P01"), "calibrated"), "experimenter")
     assert kinds(store) == []
 
 
@@ -161,10 +161,10 @@ def test_the_operators_page_answers_and_nothing_else(store: StudyStore) -> None:
     for do in ("start_trial", "undo", "choose", "note"):
         with pytest.raises(StudyError, match="may not"):
             command_of({"token": "x" * 16, "do": do, "operator": "P01"}, "operator")
-    desk = Desk(store, operator="P01")
-    walk(desk, store, "questionnaire")
+    service = SessionService(store, operator="P01")
+    walk(service, store, "questionnaire")
     answer = command(store.progress("P01"), "answer", ratings=ratings(1))
-    desk.carry_out(answer, "operator")
+    service.carry_out(answer, "operator")
     assert store.records("P01")[-1].author == "operator"
 
 
@@ -172,15 +172,15 @@ def test_the_operators_page_answers_and_nothing_else(store: StudyStore) -> None:
 
 
 def test_a_trial_ends_when_its_clock_was_stopped(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
-    walk(desk, store, "trial")
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
     started = store.progress("P01").step.since
     assert started is not None
     late = command(store.progress("P01"), "score", line="done", waited_s=3600.0)
-    desk.carry_out(late, "experimenter")  # longer than the trial: a clock was set
+    service.carry_out(late, "experimenter")  # longer than the trial: a clock was set
     assert store.progress("P01").trials[-1].time_s == 0.0
-    walk(desk, store, "trial")
-    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    walk(service, store, "trial")
+    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     trial, record = store.progress("P01").trials[-1], store.records("P01")[-1]
     assert trial.time_s == pytest.approx((record.at - trial.started).total_seconds(), abs=0.5)
 
@@ -202,38 +202,38 @@ class SetClock:
 
 @pytest.mark.parametrize("step", [-600.0, 3600.0])
 def test_a_clock_that_is_set_changes_no_trial(store: StudyStore, step: float) -> None:
-    machine, told = SetClock(), list[str]()
+    machine, said = SetClock(), list[str]()
     store.clock = machine.clock()
-    desk = Desk(store, operator="P01", tell=told.append)
-    walk(desk, store, "trial")
+    service = SessionService(store, operator="P01", report=said.append)
+    walk(service, store, "trial")
     machine.passes(10.0)
     machine.day += step
     machine.passes(2.5)
-    desk.tick()
-    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    service.tick()
+    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     assert store.progress("P01").trials[-1].time_s == 12.5
     assert store.records("P01")[-1].at - store.progress("P01").trials[-1].started == timedelta(
         seconds=12.5
     )
     (note,) = [text for _, text in store.progress("P01").notes]
     assert f"clock was set by {step:+.0f} s" in note
-    assert told == [note]
-    assert not desk.tick()
-    assert len(told) == 1  # a step is told once
+    assert said == [note]
+    assert not service.tick()
+    assert len(said) == 1  # a step is reported once
 
 
 @pytest.mark.parametrize("step", [-600.0, 0.0, 3600.0])
 def test_a_clock_that_is_set_while_the_console_is_away(store: StudyStore, step: float) -> None:
     machine = SetClock()
     store.clock = machine.clock()
-    walk(Desk(store, operator="P01"), store, "trial")
+    walk(SessionService(store, operator="P01"), store, "trial")
     machine.passes(10.0)
     machine.day += step
     store.clock = machine.clock()  # killed, and started again
     machine.passes(2.5)
-    desk = Desk(store, operator="P01")
-    desk.tick()
-    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    service = SessionService(store, operator="P01")
+    service.tick()
+    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     progress = store.progress("P01")
     assert progress.trials[-1].time_s == 12.5
     notes = [text for _, text in progress.notes]
@@ -251,13 +251,13 @@ def test_after_a_restart_of_the_machine_a_time_is_in_doubt(
 ) -> None:
     machine = SetClock()
     store.clock = machine.clock()
-    walk(Desk(store, operator="P01"), store, "trial")
+    walk(SessionService(store, operator="P01"), store, "trial")
     machine.passes(12.5)
     machine.day += step
     machine.steady = 3.0
     store.clock = machine.clock("another-boot")
-    desk = Desk(store, operator="P01")
-    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    service = SessionService(store, operator="P01")
+    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     progress = store.progress("P01")
     assert progress.trials[-1].time_s == time
     assert [says in text for _, text in progress.notes] == [True]
@@ -267,56 +267,56 @@ def test_free_movement_lasts_although_the_clock_is_set(tmp_path: Path) -> None:
     machine = SetClock()
     with open_study(tmp_path, console_plan(seconds=30.0)) as store:
         store.clock = machine.clock()
-        desk = Desk(store, operator="P01")
-        walk(desk, store, "familiarise")
+        service = SessionService(store, operator="P01")
+        walk(service, store, "familiarise")
         machine.passes(3.0)
         machine.day += 3600.0
-        assert not desk.tick()
+        assert not service.tick()
         machine.passes(26.9)
-        assert not desk.tick()
+        assert not service.tick()
         machine.passes(0.2)
-        assert desk.tick()
+        assert service.tick()
 
 
 def test_a_score_that_is_undone_keeps_its_time(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
-    walk(desk, store, "trial")
-    desk.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
+    service.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
     first = store.records("P01")[-1]
     assert isinstance(first.event, TrialScored)
     undo = command(store.progress("P01"), "undo", number=first.number, reason="wrong key")
-    desk.carry_out(undo, "experimenter")
-    desk.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
+    service.carry_out(undo, "experimenter")
+    service.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
     again = store.records("P01")[-1].event
     assert isinstance(again, TrialScored)
     assert (again.time_s, again.score) == (first.event.time_s, 0.5)
-    log = desk.look()[0]["log"]
+    log = service.look()[0]["log"]
     assert [entry["undone"] for entry in log[:3]] == [False, False, True]
     assert "wrong key" in log[1]["text"]
 
 
 def test_after_a_reset_lines_above_the_cap_are_off(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
-    walk(desk, store, "trial")
-    assert [line["possible"] for line in desk.look()[0]["now"]["rubric"]] == [True] * 3
-    desk.carry_out(command(store.progress("P01"), "reset"), "experimenter")
-    now = desk.look()[0]["now"]
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
+    assert [line["possible"] for line in service.look()[0]["now"]["rubric"]] == [True] * 3
+    service.carry_out(command(store.progress("P01"), "reset"), "experimenter")
+    now = service.look()[0]["now"]
     assert [line["possible"] for line in now["rubric"]] == [False, True, True]
     assert now["resets_left"] == 0
 
 
 def test_free_movement_ends_by_itself_and_once(tmp_path: Path) -> None:
     with open_study(tmp_path, console_plan(seconds=0.3)) as store:
-        desk = Desk(store, operator="P01")
-        walk(desk, store, "familiarise")
-        assert eventually(desk.tick, "the end of free movement")
+        service = SessionService(store, operator="P01")
+        walk(service, store, "familiarise")
+        assert eventually(service.tick, "the end of free movement")
         with open_study(tmp_path) as other:  # as after a restart
-            assert not Desk(other, operator="P01").tick()
+            assert not SessionService(other, operator="P01").tick()
         last = store.records("P01")[-1]
         assert (last.event.kind, last.author) == ("familiarisation_ended", "system")
         undo = command(store.progress("P01"), "undo", number=last.number)
-        desk.carry_out(undo, "experimenter")
-        assert not desk.tick()  # whoever undoes it wants it to go on
+        service.carry_out(undo, "experimenter")
+        assert not service.tick()  # whoever undoes it wants it to go on
         assert store.progress("P01").step.what == "familiarise"
 
 
@@ -324,30 +324,30 @@ def test_free_movement_ends_by_itself_and_once(tmp_path: Path) -> None:
 
 
 def test_a_restarted_console_is_on_whoever_was(store: StudyStore) -> None:
-    assert Desk(store).operator is None
-    walk(Desk(store, operator="P01"), store, "trial")
-    walk(Desk(store, operator="P02"), store, "start_block", "P02")
-    desk = Desk(store)
-    assert desk.operator == "P02"
-    desk.propose("P01")  # a page that was on P01 comes back
-    desk.propose("P02")  # and one that was left open, later
-    assert desk.operator == "P01"
+    assert SessionService(store).operator is None
+    walk(SessionService(store, operator="P01"), store, "trial")
+    walk(SessionService(store, operator="P02"), store, "start_block", "P02")
+    service = SessionService(store)
+    assert service.operator == "P02"
+    service.propose("P01")  # a page that was on P01 comes back
+    service.propose("P02")  # and one that was left open, later
+    assert service.operator == "P01"
     with pytest.raises(UnknownNameError):
-        Desk(store, operator="P99")
+        SessionService(store, operator="P99")
 
 
 def test_enrolling_on_the_page_is_stored_and_kept(store: StudyStore) -> None:
     plans: list[Plan] = []
-    desk = Desk(store, operator="P01", enrolled=plans.append)
+    service = SessionService(store, operator="P01", enrolled=plans.append)
     enrol = command_of(
         {"token": "x" * 16, "do": "enrol", "operator": "P03", "fields": {"tasks": ["card"]}},
         "experimenter",
     )
-    desk.carry_out(enrol, "experimenter")
-    desk.carry_out(enrol, "experimenter")
+    service.carry_out(enrol, "experimenter")
+    service.carry_out(enrol, "experimenter")
     assert store.plan.codes == ("P01", "P02", "P03")
     assert [plan.codes for plan in plans] == [("P01", "P02", "P03")]
-    assert desk.operator == "P03"
+    assert service.operator == "P03"
 
 
 # -- the teleoperation ------------------------------------------------------------------------
@@ -378,8 +378,8 @@ class FakeTeleop:
 
 def test_each_block_switches_the_hand(store: StudyStore) -> None:
     teleop = FakeTeleop()
-    desk = Desk(store, operator="P01", teleop=teleop)
-    walk(desk, store, "done")
+    service = SessionService(store, operator="P01", teleop=teleop)
+    walk(service, store, "done")
     blocks = store.plan.blocks("P01")
     known = {"sbr": {"method": "sbr", "preset": "realtime"}, "dexpilot": {"method": "dexpilot"}}
     assert teleop.switched == [known[block.condition.method] for block in blocks]
@@ -398,64 +398,65 @@ def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path: Path) -> None:
     plan = replace(plan, protocol=replace(plan.protocol, rate_hz=30.0))
     with open_study(tmp_path, plan) as store:
         teleop = Paced()
-        desk = Desk(store, operator="P01", teleop=teleop)
-        walk(desk, store, "trial")
+        service = SessionService(store, operator="P01", teleop=teleop)
+        walk(service, store, "trial")
         assert teleop.rate == 30.0
         assert [do for do, _ in teleop.asked].count("rate") == 1
         teleop.rate = 100.0  # it was started again
-        desk.watch()
+        service.watch()
         assert teleop.rate == 30.0
-        assert desk.look()[0]["study"]["rate_hz"] == 30.0
+        assert service.look()[0]["study"]["rate_hz"] == 30.0
 
 
 def test_no_block_starts_on_a_hand_that_was_not_switched(store: StudyStore) -> None:
-    teleop, told = FakeTeleop(), []
-    desk = Desk(store, operator="P01", teleop=teleop, blind=True, tell=told.append)
-    walk(desk, store, "start_block")
+    teleop, said = FakeTeleop(), []
+    service = SessionService(store, operator="P01", teleop=teleop, blind=True, report=said.append)
+    walk(service, store, "start_block")
     teleop.refusing = True
     start = command(store.progress("P01"), "start_block")
     with pytest.raises(StudyError, match=HIDDEN):
-        desk.carry_out(start, "experimenter")
+        service.carry_out(start, "experimenter")
     assert kinds(store) == ["calibrated"]
-    assert told == ["the teleoperation: dexpilot needs four fingers"]
-    assert desk.look()[0]["teleop"]["state"] == "refused"
-    assert "dexpilot" not in json.dumps(desk.look())
+    assert said == ["the teleoperation: dexpilot needs four fingers"]
+    assert service.look()[0]["teleop"]["state"] == "refused"
+    assert "dexpilot" not in json.dumps(service.look())
     teleop.refusing = False
-    desk.carry_out(start, "experimenter")
+    service.carry_out(start, "experimenter")
     assert kinds(store) == ["calibrated", "block_started"]
-    assert desk.look()[0]["teleop"]["state"] == "ready"
+    assert service.look()[0]["teleop"]["state"] == "ready"
 
 
 def test_a_hand_that_was_started_again_is_put_back_on_its_method(store: StudyStore) -> None:
     teleop = FakeTeleop()
-    desk = Desk(store, operator="P01", teleop=teleop)
-    walk(desk, store, "trial")
+    service = SessionService(store, operator="P01", teleop=teleop)
+    walk(service, store, "trial")
     block = store.progress("P01").begun
     assert block is not None
     teleop.gone = True
-    desk.watch()
-    assert desk.look()[0]["teleop"]["state"] == "gone"
+    service.watch()
+    assert service.look()[0]["teleop"]["state"] == "gone"
     assert kinds(store)[-1] == "trial_started"
     teleop.gone, teleop.method, teleop.preset = False, "geort", "default"
-    desk.watch()
+    service.watch()
     assert teleop.method == block.condition.method
     note = store.records("P01")[-1]
     assert isinstance(note.event, Noted)
     assert note.author == "system"
     count = len(teleop.switched)
-    desk.watch()
+    service.watch()
     assert len(teleop.switched) == count  # it runs what it should
-    Desk(store, teleop=teleop).watch()  # a console that was killed does not know its preset
+    # A console that was killed does not know its preset.
+    SessionService(store, teleop=teleop).watch()
     assert teleop.method == block.condition.method
 
 
 def test_no_trial_starts_while_the_hand_is_gone(store: StudyStore) -> None:
     teleop = FakeTeleop()
-    desk = Desk(store, operator="P01", teleop=teleop)
-    walk(desk, store, "start_trial")
+    service = SessionService(store, operator="P01", teleop=teleop)
+    walk(service, store, "start_trial")
     teleop.gone = True
     with pytest.raises(StudyError, match=r"the trial does not start: .*nobody answers"):
-        desk.carry_out(command(store.progress("P01"), "start_trial"), "experimenter")
+        service.carry_out(command(store.progress("P01"), "start_trial"), "experimenter")
     assert store.progress("P01").step.what == "start_trial"
 
 
@@ -471,18 +472,20 @@ def test_a_calibration_is_loaded_and_loaded_again(store: StudyStore, tmp_path: P
             return {**super().request(do, **fields), "operators": {"right": self.source}}
 
     teleop = Calibrated()
-    desk = Desk(store, operator="P01", teleop=teleop)
+    service = SessionService(store, operator="P01", teleop=teleop)
     missing = command(store.progress("P01"), "calibrated", detail="nobody.json")
     with pytest.raises(StudyError, match="not loaded into the hand: no such file"):
-        desk.carry_out(missing, "experimenter")
+        service.carry_out(missing, "experimenter")
     assert kinds(store) == []
     file = tmp_path / "P01.json"
     file.touch()
-    desk.carry_out(command(store.progress("P01"), "calibrated", detail=str(file)), "experimenter")
-    walk(desk, store, "trial")
+    service.carry_out(
+        command(store.progress("P01"), "calibrated", detail=str(file)), "experimenter"
+    )
+    walk(service, store, "trial")
     assert [do for do, _ in teleop.asked].count("calibration") == 2  # one of them in vain
     teleop.method, teleop.source = "geort", None  # it was started again
-    desk.watch()
+    service.watch()
     assert teleop.source == str(file)
 
 
@@ -517,46 +520,47 @@ class FakeSimulation(FakeTeleop):
 
 def test_trials_of_a_simulation_go_with_those_of_the_protocol(store: StudyStore) -> None:
     simulation = FakeSimulation()
-    desk = Desk(store, operator="P01", teleop=simulation, blind=True)
+    service = SessionService(store, operator="P01", teleop=simulation, blind=True)
 
     def proposed() -> dict[str, Any]:
-        desk.watch()
-        proposal: dict[str, Any] = desk.look()[0]["teleop"]["trial"]
+        service.watch()
+        proposal: dict[str, Any] = service.look()[0]["teleop"]["trial"]
         return proposal
 
-    walk(desk, store, "start_trial")
+    walk(service, store, "start_trial")
     assert simulation.task == "card"  # the scene of the block's task
-    walk(desk, store, "trial")
+    walk(service, store, "trial")
     assert proposed()["phase"] == "running"
     about = next(fields["about"] for do, fields in simulation.asked if fields.get("begin"))
     assert (about["operator"], about["trial"]) == ("P01", 1)
-    desk.carry_out(command(store.progress("P01"), "reset"), "experimenter")
+    service.carry_out(command(store.progress("P01"), "reset"), "experimenter")
     simulation.done("done-after-reset", 0.5, 12.25)
     assert (proposed()["score"], proposed()["time_s"]) == (0.5, 12.25)
-    desk.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
+    service.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
     assert store.progress("P01").trials[-1].time_s == 12.25  # by the scene's clock
-    walk(desk, store, "trial")
+    walk(service, store, "trial")
     void = command(store.progress("P01"), "void", reason="tracker lost")
-    desk.carry_out(void, "experimenter")
+    service.carry_out(void, "experimenter")
     assert simulation.trial["phase"] == "ready"
-    walk(desk, store, "trial")
-    first = desk.look()[0]["now"]["undoable"]["number"]
-    desk.carry_out(command(store.progress("P01"), "undo", number=first), "experimenter")
-    walk(desk, store, "trial")  # that of the simulation still ran
-    desk.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
+    walk(service, store, "trial")
+    first = service.look()[0]["now"]["undoable"]["number"]
+    service.carry_out(command(store.progress("P01"), "undo", number=first), "experimenter")
+    walk(service, store, "trial")  # that of the simulation still ran
+    service.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
     assert simulation.trial["phase"] == "done"  # the experimenter has the last word
     assert store.progress("P01").trials[-1].time_s != 30.0
 
 
 def test_a_simulated_trial_is_not_taken_for_another(store: StudyStore) -> None:
     simulation = FakeSimulation()
-    walk(Desk(store, operator="P01"), store, "trial")  # the console had no teleoperation then
+    # The console had no teleoperation then.
+    walk(SessionService(store, operator="P01"), store, "trial")
     simulation.task = "card"
     simulation.done("done", 1.0, 3.0)
-    desk = Desk(store, operator="P01", teleop=simulation)
-    desk.watch()
-    assert desk.look()[0]["teleop"]["trial"] is None
-    desk.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    service = SessionService(store, operator="P01", teleop=simulation)
+    service.watch()
+    assert service.look()[0]["teleop"]["trial"] is None
+    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
     assert store.progress("P01").trials[-1].time_s != 3.0
 
 
@@ -564,19 +568,19 @@ def test_a_simulated_trial_is_not_taken_for_another(store: StudyStore) -> None:
 
 
 def test_no_page_that_is_blind_knows_a_condition(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01", blind=True, teleop=FakeTeleop())
+    service = SessionService(store, operator="P01", blind=True, teleop=FakeTeleop())
     for _ in range(100):
-        experimenter, operator = (json.dumps(view) for view in desk.look())
+        experimenter, operator = (json.dumps(view) for view in service.look())
         assert not re.search("secret|sbr|dexpilot|realtime", experimenter + operator)
         labels = [c.label for c in store.plan.protocol.conditions]
         assert not any(label in operator for label in labels)
         asked = due_command(store.progress("P01"))
         if asked is None:
             break
-        desk.carry_out(asked, "experimenter")
+        service.carry_out(asked, "experimenter")
     assert store.progress("P01").step.what == "done"
-    assert "secret" in json.dumps(Desk(store, operator="P01").look()[0])
-    assert "secret" not in json.dumps(Desk(store, operator="P01").look()[1])
+    assert "secret" in json.dumps(SessionService(store, operator="P01").look()[0])
+    assert "secret" not in json.dumps(SessionService(store, operator="P01").look()[1])
 
 
 def test_the_pages_need_nothing_from_elsewhere() -> None:
@@ -606,34 +610,34 @@ def full(store: StudyStore, pages: int) -> None:
 
 
 def test_on_a_full_disk_nothing_is_acknowledged(store: StudyStore) -> None:
-    desk = Desk(store, operator="P01")
-    walk(desk, store, "trial")
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
     full(store, 1)
     note = command(store.progress("P01"), "note", text="long " * 3000)
     with pytest.raises(StoreFailedError, match="full"):
-        desk.carry_out(note, "experimenter")
+        service.carry_out(note, "experimenter")
     assert "noted" not in kinds(store)
     full(store, 10_000)
-    assert desk.carry_out(note, "experimenter") == len(store.records("P01"))
+    assert service.carry_out(note, "experimenter") == len(store.records("P01"))
     assert kinds(store).count("noted") == 1
 
 
 def test_a_database_that_is_gone_is_told(store: StudyStore, tmp_path: Path) -> None:
-    desk = Desk(store, operator="P01")
+    service = SessionService(store, operator="P01")
     asked = command(store.progress("P01"), "calibrated")
     (tmp_path / "study.db").rename(tmp_path / "elsewhere.db")
     with pytest.raises(StoreFailedError):
-        desk.carry_out(asked, "experimenter")
+        service.carry_out(asked, "experimenter")
     (tmp_path / "study.db").write_bytes((tmp_path / "elsewhere.db").read_bytes())
     with pytest.raises(StoreFailedError, match="replaced"):  # SQLite would not notice
-        desk.carry_out(asked, "experimenter")
+        service.carry_out(asked, "experimenter")
     with pytest.raises(StoreFailedError):
-        desk.look()
+        service.look()
 
 
 def test_pages_say_that_the_store_fails_and_come_back(store: StudyStore, tmp_path: Path) -> None:
-    desk = Desk(store, operator="P01")
-    with served(desk) as port:
+    service = SessionService(store, operator="P01")
+    with served(service) as port:
         tab = Tab(port)
         tab.until(lambda s: s["now"])
         asked = command(store.progress("P01"), "calibrated")
@@ -680,7 +684,7 @@ def test_postgresql_in_the_place_of_the_file_and_gone(tmp_path: Path) -> None:
 
 
 def test_two_tabs_and_a_tablet_see_what_happens(store: StudyStore) -> None:
-    with served(Desk(store, operator="P01")) as port:
+    with served(SessionService(store, operator="P01")) as port:
         one, other, tablet = Tab(port), Tab(port), Tab(port, "operator")
         one.until(lambda s: s["pages"] == {"experimenter": 2, "operator": 1})
         other.until(lambda s: s["now"])
@@ -704,17 +708,17 @@ def test_two_tabs_and_a_tablet_see_what_happens(store: StudyStore) -> None:
 
 
 def test_what_another_program_writes_is_shown(store: StudyStore, tmp_path: Path) -> None:
-    with served(Desk(store, operator="P01")) as port:
+    with served(SessionService(store, operator="P01")) as port:
         tab = Tab(port)
         tab.until(lambda s: s["now"]["what"] == "calibrate")
         with open_study(tmp_path) as other:
-            walk(Desk(other, operator="P01"), other, "start_block")
+            walk(SessionService(other, operator="P01"), other, "start_block")
         tab.until(lambda s: s["now"]["what"] == "start_block")
         tab.close()
 
 
 def test_nonsense_on_the_socket_does_no_harm(store: StudyStore) -> None:
-    with served(Desk(store, operator="P01")) as port:
+    with served(SessionService(store, operator="P01")) as port:
         tab = Tab(port)
         for text in ("", "[]", "{", "[" * 100_000, json.dumps({"type": "hello", "operator": 5})):
             tab.socket.send(text)
@@ -745,7 +749,7 @@ def test_the_operators_link_opens_the_operators_page_alone(
     assert len(set(tokens.values())) == 2
     assert min(map(len, tokens.values())) >= 24
     ok, see, no = http.HTTPStatus.OK, http.HTTPStatus.SEE_OTHER, http.HTTPStatus.UNAUTHORIZED
-    with served(Desk(store, operator="P01"), auth) as port:
+    with served(SessionService(store, operator="P01"), auth) as port:
 
         def status(path: str, **headers: str) -> int:
             return fetch(port, path, **headers)[0]
@@ -783,7 +787,7 @@ def test_the_operators_link_opens_the_operators_page_alone(
 def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> None:
     auth = ConsoleAuth({"experimenter": "e" * 24, "operator": "o" * 24})
     with contextlib.ExitStack() as stack:
-        port = stack.enter_context(served(Desk(store, operator="P01"), auth))
+        port = stack.enter_context(served(SessionService(store, operator="P01"), auth))
         client = pytest.importorskip("websockets.sync.client")
 
         def connect(path: str, token: str) -> Any:
@@ -803,7 +807,7 @@ def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> No
 
 
 def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
-    with served(Desk(store, operator="P01"), ConsoleAuth(None)) as port:
+    with served(SessionService(store, operator="P01"), ConsoleAuth(None)) as port:
         status, headers, body = fetch(port, "/")
         assert status == http.HTTPStatus.OK
         assert b"experimenter.js" in body

@@ -21,7 +21,7 @@ from study_console import (
 from test_study_console import FakeSimulation
 
 from smooth_operator.study.console.access import ConsoleAuth
-from smooth_operator.study.console.desk import Desk
+from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.store.opening import open_study
@@ -198,7 +198,7 @@ def check_store(folder: Path) -> None:
 def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> None:
     with (
         open_study(tmp_path, console_plan()) as store,
-        served(Desk(store, operator="P01"), ConsoleAuth(None)) as port,
+        served(SessionService(store, operator="P01"), ConsoleAuth(None)) as port,
     ):
         pages = Pages(chromium, port)
         page = pages.experimenter
@@ -222,7 +222,7 @@ def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -
     auth = ConsoleAuth({"experimenter": "e" * 24, "operator": "o" * 24})
     with (
         open_study(tmp_path, console_plan()) as store,
-        served(Desk(store, operator="P01"), auth) as port,
+        served(SessionService(store, operator="P01"), auth) as port,
     ):
         page = chromium.new_page()
         page.goto(leading_to(auth.links("127.0.0.1", port)["experimenter"]).as_uri())
@@ -238,7 +238,7 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
     teleop = FakeSimulation()
     with (
         open_study(tmp_path, cube_plan()) as store,
-        served(Desk(store, operator="P01", teleop=teleop), ConsoleAuth(None)) as port,
+        served(SessionService(store, operator="P01", teleop=teleop), ConsoleAuth(None)) as port,
     ):
         pages = Pages(chromium, port)
         page = pages.experimenter
@@ -262,12 +262,12 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
 def test_scales_and_send_are_in_sight_on_a_tablet(chromium: Any, tmp_path: Path) -> None:
     with (
         open_study(tmp_path, console_plan()) as store,
-        served(Desk(store, operator="P01"), ConsoleAuth(None)) as port,
+        served(SessionService(store, operator="P01"), ConsoleAuth(None)) as port,
     ):
         while store.progress("P01").step.what != "questionnaire":
             asked = due_command(store.progress("P01"))
             assert asked is not None
-            Desk(store, operator="P01").carry_out(asked, "experimenter")
+            SessionService(store, operator="P01").carry_out(asked, "experimenter")
         page = chromium.new_page()
         page.goto(f"http://127.0.0.1:{port}/operator")
         for width, height, scales in ((1180, 820, 6), (820, 1180, 5), (390, 844, 2)):

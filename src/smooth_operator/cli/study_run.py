@@ -13,8 +13,8 @@ from pathlib import Path
 from smooth_operator.cli.study_run_options import Run
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.study.console.access import auth_for
-from smooth_operator.study.console.desk import Desk
 from smooth_operator.study.console.server import Console, check_installed
+from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import NAME, read_plan
@@ -43,16 +43,16 @@ def run_study(options: Run) -> None:
         auth = auth_for(options.host, store.name)
         links = auth.links(options.host, port)
         folder = None if "://" in options.study else _folder(options.study)
-        desk = Desk(
+        service = SessionService(
             store,
             operator=options.operator,
             blind=options.blind,
             teleop=teleop,
             enrolled=lambda plan: _kept(plan, folder),
             changed=lambda: console.changed(),
-            tell=_say,
+            report=_say,
         )
-        console = Console(desk, auth, links, local=is_local(options.host))
+        console = Console(service, auth, links, local=is_local(options.host))
 
         def ready() -> None:
             _say(f"study {store.name!r}, for the experimenter: {links['experimenter']}")

@@ -11,7 +11,7 @@ from smooth_operator.parallel import TaskResult
 T = TypeVar("T")
 
 Execute: TypeAlias = Callable[[Sequence[T]], Iterable[TaskResult[Any]]]
-"""Computes tasks in any order; ``run_tasks`` with a function, or ``Crew.run``."""
+"""Computes tasks in any order; ``run_tasks`` with a function, or ``PersistentPool.run``."""
 
 
 class Cache(Protocol):

@@ -22,7 +22,7 @@ from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.lab.tuning.variables import values_at
 from smooth_operator.methods.preset_file import PresetFile, write_preset_file
-from smooth_operator.parallel import Crew
+from smooth_operator.parallel import PersistentPool
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import Note, no_note
 
@@ -97,10 +97,10 @@ def tune(
         np.array([v.share(v.start) for v in todo.variables]), settings.trials, settings.seed
     )
     try:
-        with Crew(run_trial, settings.workers) as crew:
+        with PersistentPool(run_trial, settings.workers) as pool:
             batch = next(points)
             while True:
-                batch = points.send(run.scores(crew, batch))
+                batch = points.send(run.scores(pool, batch))
     except StopIteration:
         pass
     except KeyboardInterrupt:
@@ -124,7 +124,9 @@ class _Run:
         good = [one for one in self.trials if math.isfinite(one[0])]
         return min(good, key=lambda one: one[0]) if good else None
 
-    def scores(self, crew: Crew[TrialTask, Any], batch: Sequence[np.ndarray]) -> list[float]:
+    def scores(
+        self, pool: PersistentPool[TrialTask, Any], batch: Sequence[np.ndarray]
+    ) -> list[float]:
         """Of some points; those that fail have infinity."""
         todo = self.todo
         every = [values_at(todo.variables, point) for point in batch]
@@ -134,7 +136,7 @@ class _Run:
         self.done += len(every) - len(once)
         trials: list[Trial | None] = [None] * len(once)
         tasks = [(values, self._task(values)) for values in once]
-        for i, trial, fresh in self.log.run(tasks, crew.run):
+        for i, trial, fresh in self.log.run(tasks, pool.run):
             trials[i] = trial
             self.done, self.fresh = self.done + 1, self.fresh + fresh
             if fresh:

@@ -1,10 +1,10 @@
 """Both pages and their WebSockets on one port.
 
 From a page come ``{"type": "hello", "operator": ...}`` and ``{"type": "command", ...}``
-(``.commands``). To it go ``state`` (all that it shows, anew after each change), ``done`` and
+(``.commands``). To it go ``state`` (all that it shows, again after each change), ``done`` and
 ``refused`` (by the command's token; ``again`` if the same may succeed later) and, once a second,
-``alive``, whose silence tells the page that it is cut off. A command is answered with ``done`` only
-when it is on the disk.
+``alive``: without it a page knows that it is cut off. A command is answered with ``done`` only when
+it is on the disk.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from smooth_operator.errors import MissingExtraError, SmoothOperatorError
 from smooth_operator.io.documents import json_object
 from smooth_operator.study.console.access import HOME, LINK, ConsoleAuth, qr_code
 from smooth_operator.study.console.commands import Role, command_of
-from smooth_operator.study.console.desk import Desk, StoreFailedError
+from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.web.files import answer_with, page_files, shielded
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ _LOGGER.addHandler(logging.NullHandler())
 
 @dataclass(eq=False)
 class _Page:
-    """A page that is connected, and what it has not been told yet."""
+    """A page that is connected, and what was not sent to it yet."""
 
     connection: ServerConnection
     role: Role
@@ -61,19 +61,19 @@ class _Page:
 
 
 class Console:
-    """Serves a desk.
+    """Serves the pages of a session.
 
     Args:
-        desk: what commands are carried out by; tell it ``changed``.
+        service: carries commands out; its ``changed`` is ``Console.changed``.
         auth: who may open what.
         links: role -> address of its page.
         local: whether only this machine reaches the pages.
     """
 
     def __init__(
-        self, desk: Desk, auth: ConsoleAuth, links: dict[Role, str], *, local: bool
+        self, service: SessionService, auth: ConsoleAuth, links: dict[Role, str], *, local: bool
     ) -> None:
-        self._desk = desk
+        self._service = service
         self._auth = auth
         self._links = links
         self._local = local
@@ -162,7 +162,7 @@ class Console:
         self._pages.add(page)
         self._count_pages()
         page.news.set()
-        telling = asyncio.create_task(self._tell(page))
+        sending = asyncio.create_task(self._send_news(page))
         try:
             async for message in connection:
                 self._hear(page, message)
@@ -171,8 +171,8 @@ class Console:
         finally:
             self._pages.discard(page)
             self._count_pages()
-            telling.cancel()
-            await asyncio.gather(telling, return_exceptions=True)
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
 
     def _hear(self, page: _Page, message: str | bytes) -> None:
         said = json_object(message) or {}
@@ -187,7 +187,7 @@ class Console:
         answer: dict[str, Any] = {"type": "done", "token": said.get("token")}
         try:
             command = command_of(said, page.role)
-            answer["number"] = await self._in_thread(self._desk.carry_out, command, page.role)
+            answer["number"] = await self._in_thread(self._service.carry_out, command, page.role)
             self._note_trouble("command", None)
         except SmoothOperatorError as error:
             again = isinstance(error, StoreFailedError)
@@ -202,7 +202,7 @@ class Console:
         page.answers.append(answer)
         page.news.set()
 
-    async def _tell(self, page: _Page) -> None:
+    async def _send_news(self, page: _Page) -> None:
         """Sends what is new; a slow page gets the newest state, not all of them."""
         from websockets.exceptions import ConnectionClosed
 
@@ -222,15 +222,17 @@ class Console:
                     page.answers.pop(0)
 
     async def _send(self, page: _Page, what: dict[str, Any]) -> None:
-        await page.connection.send(json.dumps({**what, "sent": 1e3 * self._desk.now().timestamp()}))
+        await page.connection.send(
+            json.dumps({**what, "sent": 1e3 * self._service.now().timestamp()})
+        )
 
     # All pages.
 
     async def _draw(self) -> None:
-        """Makes the states anew, and has those pages told that show something else."""
+        """Makes the states again and wakes the pages that show something else."""
         self._stale.clear()
         try:
-            experimenter, operator = await self._in_thread(self._desk.look)
+            experimenter, operator = await self._in_thread(self._service.look)
             self._note_trouble("look", None)
         except SmoothOperatorError as error:
             self._note_trouble("look", error)
@@ -265,14 +267,14 @@ class Console:
 
     async def _tick(self) -> None:
         while True:
-            await self._regularly(self._desk.tick)
+            await self._regularly(self._service.tick)
             await asyncio.sleep(_TICK_S)
 
     async def _look(self) -> None:
         marks: object = None
         while True:
-            await self._regularly(self._desk.watch)
-            marks_now = await self._regularly(self._desk.marks)
+            await self._regularly(self._service.watch)
+            marks_now = await self._regularly(self._service.marks)
             if marks_now != marks or self._troubles:
                 marks = marks_now
                 self._stale.set()
@@ -280,7 +282,7 @@ class Console:
             await asyncio.sleep(_LOOK_S if hand.get("trial") is None else _LOOK_CLOSER_S)
 
     async def _regularly(self, job: Callable[[], object]) -> object:
-        """A job that is done again and again; the store's failing is told on the pages."""
+        """A job that is done again and again; a failure of the store is shown on the pages."""
         try:
             result = await self._in_thread(job)
             self._note_trouble(job.__name__, None)
@@ -311,7 +313,7 @@ class Console:
 
     def _propose(self, operator: str) -> None:
         with contextlib.suppress(SmoothOperatorError):
-            self._desk.propose(operator)
+            self._service.propose(operator)
 
     def _in_thread(self, job: Callable[..., Any], *given: Any) -> asyncio.Future[Any]:
         return asyncio.get_running_loop().run_in_executor(self._threads, job, *given)

@@ -73,7 +73,7 @@ class Switch:
     """Tells the teleoperation what to run, and sees whether it still does.
 
     Args:
-        teleop: what is told.
+        teleop: what is switched.
         changed: called when ``heard`` is new, from the thread that found out.
     """
 
@@ -97,7 +97,9 @@ class Switch:
                 fields["preset"] = condition.preset
             running = _running(self.ask("method", **fields))
             if running[0] != condition.method:
-                why = f"it was told {condition.method!r} and answers that it runs {running[0]!r}"
+                why = (
+                    f"it was asked for {condition.method!r} and answers that it runs {running[0]!r}"
+                )
                 self._hear(replace(self.heard, state="refused", detail=why, running=running))
                 raise StudyError(why)
             self._answered[condition.name] = running
@@ -130,7 +132,7 @@ class Switch:
             wanted = self._answered.get(condition.name)
             if wanted is None and condition.preset is not None:
                 wanted = (condition.method, condition.preset)
-            right = running == wanted  # its default preset is known only once it was told
+            right = running == wanted  # its default preset is known only once it was asked for
             state: State = "ready" if right else "unknown"
             if not right and self.heard.state == "refused":
                 self._hear(_seen(status, "refused", self.heard.detail))

@@ -37,7 +37,7 @@ function contradiction({ now, teleop }, name) {
 }
 
 /** Everything that a part of the page may ask for. */
-const desk = {
+const actions = {
   link,
   stopped,
   /** Something for the operator who is on, at the place that is shown. */
@@ -60,25 +60,25 @@ const desk = {
   },
   async score(line) {
     const since = stopped.at ?? moment(); // the question takes no time from the trial
-    const fields = { ...desk.place('task', 'block', 'trial'), line };
+    const fields = { ...actions.place('task', 'block', 'trial'), line };
     const doubt = contradiction(link.state, line);
     if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it all the same')) return;
-    desk.send('score', fields, { since });
+    actions.send('score', fields, { since });
   },
   async voidTrial() {
     const given = await ask('Void this trial', 'For a reason that is not the operator’s. It will be done again.',
       [{ name: 'reason', label: 'Reason', required: true }], 'Void');
-    if (given) desk.send('void', { ...desk.place('task', 'block', 'trial'), reason: given.reason });
+    if (given) actions.send('void', { ...actions.place('task', 'block', 'trial'), reason: given.reason });
   },
   async endFamiliarisation() {
     const given = await ask('End free movement now?', 'Its time is not over yet.', [], 'End it');
-    if (given) desk.send('end_familiarisation', desk.place('task', 'block'));
+    if (given) actions.send('end_familiarisation', actions.place('task', 'block'));
   },
   async undo() {
     const last = link.state?.now?.undoable;
     if (!last || !part('undo').matches(':enabled')) return;
     const given = await ask('Undo?', last.text, [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo');
-    if (given) desk.send('undo', { number: last.number, reason: given.reason });
+    if (given) actions.send('undo', { number: last.number, reason: given.reason });
   },
   async enrol() {
     const tasks = link.state.study.tasks;
@@ -112,10 +112,10 @@ function draw() {
   const key = JSON.stringify([state.now, state.teleop?.trial, state.links, state.pages, blocked, link.connected, stopped.at]);
   if (key !== drawn) {
     drawn = key;
-    drawStep(part('step'), state, desk, blocked);
+    drawStep(part('step'), state, actions, blocked);
     drawLog(state.log);
   }
-  drawPeople(part('people'), state, desk);
+  drawPeople(part('people'), state, actions);
   part('undo').disabled = blocked || !state.now?.undoable;
   part('enrol').disabled = !link.connected;
   tick();
@@ -206,16 +206,16 @@ part('noting').addEventListener('submit', (event) => {
   event.preventDefault();
   const text = part('note').value.trim();
   if (!text || !link.state?.now) return;
-  desk.send('note', { text });
+  actions.send('note', { text });
   part('note').value = '';
   keep('smooth-operator:note', null);
   part('note').blur();
 });
 part('note').addEventListener('input', () => keep('smooth-operator:note', part('note').value || null));
 part('note').value = kept('smooth-operator:note') ?? '';
-part('undo').addEventListener('click', desk.undo);
-part('enrol').addEventListener('click', desk.enrol);
-part('switch').addEventListener('click', () => desk.send('switch'));
+part('undo').addEventListener('click', actions.undo);
+part('enrol').addEventListener('click', actions.enrol);
+part('switch').addEventListener('click', () => actions.send('switch'));
 part('drop').addEventListener('click', () => link.drop());
 part('dismiss').addEventListener('click', () => { refusal = ''; draw(); });
 link.addEventListener('state', () => {

@@ -4,15 +4,15 @@ import { fill, h } from './dom.js';
 
 let drawn = '';
 
-export function drawPeople(place, { overview, now }, desk) {
-  const key = JSON.stringify([overview, now?.operator, desk.link.connected]);
+export function drawPeople(place, { overview, now }, actions) {
+  const key = JSON.stringify([overview, now?.operator, actions.link.connected]);
   if (key === drawn) return;
   drawn = key;
   fill(place, overview.map((one) => {
     const on = one.operator === now?.operator;
     return h('button', {
-      type: 'button', class: `person ${on ? 'on' : ''} ${one.begun ? 'begun' : ''}`, 'data-key': `person-${one.operator}`, disabled: !desk.link.connected,
-      'aria-pressed': String(on), onclick: () => on || desk.choose(one.operator),
+      type: 'button', class: `person ${on ? 'on' : ''} ${one.begun ? 'begun' : ''}`, 'data-key': `person-${one.operator}`, disabled: !actions.link.connected,
+      'aria-pressed': String(on), onclick: () => on || actions.choose(one.operator),
     }, h('b', {}, one.operator), tasks(one),
     h('span', { class: 'soft' }, one.begun || one.what === 'done' ? one.step : 'not begun'));
   }));

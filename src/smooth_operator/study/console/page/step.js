@@ -8,23 +8,23 @@ const POINTS = { initial: 'after the first trial', midpoint: 'in the middle', fi
 let typed = { name: '', text: '' }; // as it stands, when the page is drawn anew
 
 /** Draws the step of the operator who is on. blocked: nothing may be started now. */
-export function drawStep(card, state, desk, blocked) {
+export function drawStep(card, state, actions, blocked) {
   const { now } = state;
   if (!now) {
     fill(card, h('h2', {}, 'Who takes part?'), h('p', {}, 'Choose an operator from the list, or enrol one.'));
     return;
   }
   card.dataset.what = now.what;
-  fill(card, where(now), ...(STEPS[now.what] ?? (() => []))(now, state, desk, blocked), results(now), aside(now, desk, blocked));
+  fill(card, where(now), ...(STEPS[now.what] ?? (() => []))(now, state, actions, blocked), results(now), aside(now, actions, blocked));
 }
 
 const STEPS = {
-  calibrate(now, state, desk, blocked) {
+  calibrate(now, state, actions, blocked) {
     const name = `${now.operator}/${now.task}`;
     const detail = h('input', { id: 'detail', maxLength: 400, autocomplete: 'off', 'data-key': 'detail',
       placeholder: 'file of the calibration, e.g. P03.json', value: typed.name === name ? typed.text : '',
       oninput: () => { typed = { name, text: detail.value }; } });
-    const send = (text) => desk.send('calibrated', { ...desk.place('task'), detail: text });
+    const send = (text) => actions.send('calibrated', { ...actions.place('task'), detail: text });
     return [
       h('h2', {}, 'Calibration'),
       h('p', {}, 'Calibrate tracker and hand to the operator, with the live page or smooth-operator calibrate. ',
@@ -35,7 +35,7 @@ const STEPS = {
         button('Left out', { id: 'left-out', kind: 'quiet', disabled: blocked, onclick: () => send('left out') })),
     ];
   },
-  start_block(now, state, desk, blocked) {
+  start_block(now, state, actions, blocked) {
     return [
       h('h2', {}, `Block ${now.block} of ${now.blocks}`),
       h('p', { class: 'condition' }, now.condition),
@@ -43,42 +43,42 @@ const STEPS = {
         : 'Switch the hand to this, then start the block.',
         state.study.rate_hz && ` It is sent ${state.study.rate_hz} commands a second.`),
       h('div', { class: 'row' }, main('Start block', 'Space', blocked,
-        () => desk.send('start_block', desk.place('task', 'block')))),
+        () => actions.send('start_block', actions.place('task', 'block')))),
     ];
   },
-  start_familiarisation(now, state, desk, blocked) {
+  start_familiarisation(now, state, actions, blocked) {
     return [
       h('h2', {}, 'Free movement'),
       h('p', {}, `The operator moves the hand for ${seconds(state.study.familiarisation_s)}, without the object.`),
       h('div', { class: 'row' }, main('Start free movement', 'Space', blocked,
-        () => desk.send('start_familiarisation', desk.place('task', 'block')))),
+        () => actions.send('start_familiarisation', actions.place('task', 'block')))),
     ];
   },
-  familiarise(now, state, desk, blocked) {
+  familiarise(now, state, actions, blocked) {
     const until = now.since + 1000 * state.study.familiarisation_s;
     return [
       h('h2', {}, 'Free movement'),
       h('p', { class: 'clock', role: 'timer', 'data-until': String(until) }),
       h('progress', { 'aria-label': 'Free movement', max: state.study.familiarisation_s, value: 0, 'data-until': String(until) }),
       h('p', { class: 'soft' }, 'Ends by itself.'),
-      h('div', { class: 'row' }, button('End now', { key: 'E', id: 'end', kind: 'quiet', disabled: blocked, onclick: desk.endFamiliarisation })),
+      h('div', { class: 'row' }, button('End now', { key: 'E', id: 'end', kind: 'quiet', disabled: blocked, onclick: actions.endFamiliarisation })),
     ];
   },
-  start_trial(now, state, desk, blocked) {
+  start_trial(now, state, actions, blocked) {
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
       now.instruction && h('p', {}, now.instruction),
       h('div', { class: 'row' }, main(`Start trial ${now.trial}`, 'Space', blocked,
-        () => desk.send('start_trial', desk.place('task', 'block', 'trial')))),
-      rubric(now, desk, true),
+        () => actions.send('start_trial', actions.place('task', 'block', 'trial')))),
+      rubric(now, actions, true),
     ];
   },
-  trial(now, state, desk) {
-    const waiting = desk.link.pending;
+  trial(now, state, actions) {
+    const waiting = actions.link.pending;
     const sim = state.teleop?.trial;
     const over = sim?.phase === 'done';
     const fixed = now.undone_time_s ?? (over ? sim.time_s : null); // measured already
-    const stopped = desk.stopped.at !== null;
+    const stopped = actions.stopped.at !== null;
     const limit = now.limit_s ?? state.teleop?.limit_s ?? null;
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
@@ -89,13 +89,13 @@ const STEPS = {
         : stopped ? 'The clock is stopped. Choose a line of the rubric.'
           : limit ? `Time limit ${seconds(limit)}${now.limit_s ? '' : ', of the simulation'}.` : 'No time limit.'),
       now.resets > 0 && h('p', { class: 'notice' }, `The object was put back: at most ${now.reset_cap} from here.`),
-      sim && proposal(now, sim, desk, waiting),
+      sim && proposal(now, sim, actions, waiting),
       h('div', { class: 'row' },
-        fixed === null && button(stopped ? 'Clock goes on' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: desk.stop }),
-        button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !desk.link.connected || now.resets_left === 0,
-          onclick: () => desk.send('reset', desk.place('task', 'block', 'trial')) }),
-        button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: waiting || !desk.link.connected, onclick: desk.voidTrial })),
-      rubric(now, desk, waiting),
+        fixed === null && button(stopped ? 'Clock goes on' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: actions.stop }),
+        button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !actions.link.connected || now.resets_left === 0,
+          onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
+        button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: waiting || !actions.link.connected, onclick: actions.voidTrial })),
+      rubric(now, actions, waiting),
     ];
   },
   questionnaire(now, state) {
@@ -107,12 +107,12 @@ const STEPS = {
     return [h('h2', {}, 'Pairs of scales'),
       h('p', {}, 'The operator compares the six scales in pairs on the tablet. This page goes on by itself.'), ...tablet(state)];
   },
-  break(now, state, desk, blocked) {
+  break(now, state, actions, blocked) {
     return [
       h('h2', {}, 'Break'),
       h('p', { class: 'clock', role: 'timer', 'aria-live': 'off', 'data-since': String(now.since), 'data-limit': String(state.study.break_s) }),
       h('p', { class: 'soft' }, `Planned: ${seconds(state.study.break_s)}. Next: ${now.task ? `block ${now.block} of ${now.blocks}` : 'the end'}.`),
-      h('div', { class: 'row' }, main('Go on', 'Space', blocked, () => desk.send('end_break'))),
+      h('div', { class: 'row' }, main('Go on', 'Space', blocked, () => actions.send('end_break'))),
     ];
   },
   done(now) {
@@ -131,19 +131,19 @@ function main(text, key, disabled, onclick) {
 }
 
 /** What the simulation makes of the trial; the experimenter has the last word. */
-function proposal(now, sim, desk, waiting) {
+function proposal(now, sim, actions, waiting) {
   if (sim.phase !== 'done') return h('p', { class: 'soft' }, `In the simulation: ${sim.reason}.`);
   const possible = now.rubric.filter((line) => line.possible);
   const line = possible.find(({ name }) => name === sim.line) ?? possible.find(({ score }) => score === sim.score);
   return h('p', { class: 'notice good proposal' }, h('span', {}, `The simulation says: ${sim.line}, ${sim.score} (${sim.reason})`),
-    line && button(`Score it ${line.name}`, { key: 'Enter', id: 'take', kind: 'main', disabled: waiting, onclick: () => desk.score(line.name) }));
+    line && button(`Score it ${line.name}`, { key: 'Enter', id: 'take', kind: 'main', disabled: waiting, onclick: () => actions.score(line.name) }));
 }
 
-function rubric(now, desk, off) {
+function rubric(now, actions, off) {
   return h('div', { class: 'rubric', role: 'group', 'aria-label': 'Rubric' }, now.rubric.map((line, k) =>
     h('button', {
       type: 'button', 'data-key': line.name, 'data-press': off ? null : String(k + 1), class: `line ${SCORES[line.score]}`,
-      disabled: off || !line.possible, onclick: () => desk.score(line.name),
+      disabled: off || !line.possible, onclick: () => actions.score(line.name),
     }, h('kbd', {}, String(k + 1)), h('b', { class: 'score' }, String(line.score)),
     h('span', {}, h('strong', {}, line.name), h('span', {}, line.text)))));
 }
@@ -155,9 +155,9 @@ function results(now) {
       h('b', {}, String(trial.score)), h('span', {}, `${trial.time_s.toFixed(1)} s`))));
 }
 
-function aside(now, desk, blocked) {
+function aside(now, actions, blocked) {
   return now.break_possible && h('div', { class: 'row foot' },
-    button('Break', { key: 'B', id: 'break', kind: 'quiet', disabled: blocked, onclick: () => desk.send('start_break') }));
+    button('Break', { key: 'B', id: 'break', kind: 'quiet', disabled: blocked, onclick: () => actions.send('start_break') }));
 }
 
 function tablet({ links, pages }) {

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.parallel import Crew
+from smooth_operator.parallel import PersistentPool
 
 
 def whoami(task: object) -> tuple[int, object]:
@@ -22,16 +22,16 @@ def whoami(task: object) -> tuple[int, object]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_workers_stay_and_those_that_die_are_replaced():
-    with Crew(whoami, 2, retries=0) as crew:
-        first = sorted(crew.run([1, 2, 3]), key=lambda r: r.index)
+    with PersistentPool(whoami, 2, retries=0) as pool:
+        first = sorted(pool.run([1, 2, 3]), key=lambda r: r.index)
         assert [r.value[1] for r in first if r.value] == [1, 2, 3]
-        second = {r.index: r for r in crew.run(["a", "die", "raise", "b"])}
+        second = {r.index: r for r in pool.run(["a", "die", "raise", "b"])}
         assert sorted(second) == [0, 1, 2, 3]
         assert "died" in str(second[1].error)
         assert second[2].error == "ValueError: no"
         known = {r.value[0] for r in (*first, *second.values()) if r.value}
-        assert list(crew.run([])) == []
-        third = list(crew.run([7]))
+        assert list(pool.run([])) == []
+        third = list(pool.run([7]))
         assert third[0].value is not None
         assert third[0].value[1] == 7
         assert third[0].value[0] in known  # nobody new was needed
@@ -40,7 +40,7 @@ def test_workers_stay_and_those_that_die_are_replaced():
 
 
 def test_without_workers_it_runs_here():
-    with Crew(whoami, 0) as crew:
-        assert [r.value for r in crew.run([1, 2])] == [(os.getpid(), 1), (os.getpid(), 2)]
+    with PersistentPool(whoami, 0) as pool:
+        assert [r.value for r in pool.run([1, 2])] == [(os.getpid(), 1), (os.getpid(), 2)]
     with pytest.raises(ConfigError):
-        Crew(whoami, -1)
+        PersistentPool(whoami, -1)

@@ -1,7 +1,6 @@
-"""The desk between pages and store: carries commands out, knows who is on, keeps the hand right.
+"""What the console does, without a network: commands, the current operator, the running method.
 
-Nothing here talks to a network. All methods may be called from any thread; a command returns when
-what it caused is on the disk.
+All methods may be called from any thread. A command returns when what it caused is on the disk.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from smooth_operator.study.console.commands import (
     check_seen,
     event_for,
 )
-from smooth_operator.study.console.hand import Hand
+from smooth_operator.study.console.page_state import experimenter_view, operator_view
+from smooth_operator.study.console.session_teleop import SessionTeleop
 from smooth_operator.study.console.switching import Switch, Teleop
-from smooth_operator.study.console.view import experimenter_view, operator_view
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store.clock import Elapsed
 from smooth_operator.study.store.events import (
@@ -43,8 +42,8 @@ class StoreFailedError(StudyError):
     """Nothing is wrong with the command, but it can't be written now: trying again may help."""
 
 
-class Desk:
-    """One console's part of a study.
+class SessionService:
+    """Carries out the commands of one console's pages and says what they show.
 
     Args:
         store: of the study.
@@ -52,8 +51,8 @@ class Desk:
         blind: whether the experimenter sees labels in the place of conditions.
         teleop: the running teleoperation, if it is to be switched.
         enrolled: called with a plan that was changed here and is stored.
-        changed: called, from any thread, when the pages should be drawn anew.
-        tell: where a sentence for the terminal goes.
+        changed: called, from any thread, when the pages should be drawn again.
+        report: where a sentence for the terminal goes.
 
     Raises:
         UnknownNameError: there is no such operator.
@@ -68,18 +67,18 @@ class Desk:
         teleop: Teleop | None = None,
         enrolled: Callable[[Plan], None] = lambda plan: None,
         changed: Callable[[], None] = lambda: None,
-        tell: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._store = store
         self._blind = blind
         self._enrolled = enrolled
         self._changed = changed
-        self._tell = tell
+        self._report = report
         self._lock = threading.RLock()
         self._switching = threading.RLock()
         self._known_progress: dict[str, tuple[tuple[int, int], Progress]] = {}
         switch = None if teleop is None else Switch(teleop, lambda: self._changed())
-        self._hand = None if switch is None else Hand(switch, blind=blind, tell=tell)
+        self._hand = None if switch is None else SessionTeleop(switch, blind=blind, report=report)
         self.chosen = operator is not None
         """Whether somebody said who is on, and it was not guessed."""
         if operator is not None:
@@ -99,7 +98,7 @@ class Desk:
             SmoothOperatorError: it is refused; nothing was written.
         """
         at = self._store.clock.seconds()  # what takes long here does not count
-        with _store_told_apart():
+        with _store_failures():
             if command.do == "choose":
                 return self._choose(command.operator)
             if command.do == "enrol":
@@ -130,8 +129,8 @@ class Desk:
         operator = self.operator
         if operator is None:
             return False
-        self._tell_of_steps(operator)
-        with _store_told_apart(), self._lock:
+        self._note_clock_steps(operator)
+        with _store_failures(), self._lock:
             progress = self._store.progress(operator)
             step, block = progress.step, progress.step.block
             if step.what != "familiarise" or block is None or step.since is None:
@@ -150,15 +149,15 @@ class Desk:
             self._store.append(operator, event, author="system", token=token)
         return True
 
-    def _tell_of_steps(self, operator: str) -> None:
+    def _note_clock_steps(self, operator: str) -> None:
         step = self._store.clock.step()
         if step:
             text = (
                 f"the machine's clock was set by {step:+.0f} s; this console goes on by its own, "
                 "so durations are right, and moments are as they would be without that"
             )
-            self._tell(text)
-            with _store_told_apart():
+            self._report(text)
+            with _store_failures():
                 self._store.append(operator, Noted(text), author="system")
 
     def watch(self) -> None:
@@ -170,7 +169,7 @@ class Desk:
         if self._hand is None or not self._switching.acquire(blocking=False):
             return  # something is being switched right now
         try:
-            with _store_told_apart():
+            with _store_failures():
                 progress = None if self.operator is None else self._store.progress(self.operator)
                 if self._hand.watch(progress) and progress and progress.running is not None:
                     text = "the teleoperation ran something else during a trial; switched back"
@@ -186,7 +185,7 @@ class Desk:
         Raises:
             StoreFailedError: the store can't be read.
         """
-        with _store_told_apart():
+        with _store_failures():
             version, counts = self._store.newest()
             plan = self._store.plan
             everyone = [self._seen(code, (version, counts.get(code, 0))) for code in plan.codes]
@@ -201,12 +200,12 @@ class Desk:
 
     def marks(self) -> tuple[object, ...]:
         """Changes whenever what the pages show does, whoever wrote it."""
-        with _store_told_apart():
+        with _store_failures():
             version, counts = self._store.newest()
             return (self.operator, version, *sorted(counts.items()))
 
     def _seen(self, operator: str, mark: tuple[int, int]) -> Progress:
-        """An operator's progress, read anew only where something was written."""
+        """An operator's progress, read again only where something was written."""
         known = self._known_progress.get(operator)
         if known is None or known[0] != mark:
             known = self._known_progress[operator] = (mark, self._store.progress(operator))
@@ -274,7 +273,7 @@ class Desk:
                 text = f"Trial {trial.number} of {trial.block.task.name}: {doubt}"
                 self._store.append(command.operator, Noted(text), author="system")
 
-    def _write_with(self, hand: Hand, command: Command, role: Role, at: float) -> int:
+    def _write_with(self, hand: SessionTeleop, command: Command, role: Role, at: float) -> int:
         """The same, with what the hand has to do before and along with it."""
         starts = command.do in ("calibrated", "start_block", "start_trial")
         with self._switching if starts else nullcontext():
@@ -331,12 +330,12 @@ class Desk:
                 try:
                     self._enrolled(plan)
                 except SmoothOperatorError as error:  # the store has it; the file is a copy
-                    self._tell(f"{code} is enrolled, but the files of the plan are old: {error}")
+                    self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
             return self._choose(code)
 
 
 @contextmanager
-def _store_told_apart() -> Iterator[None]:
+def _store_failures() -> Iterator[None]:
     """Raises ``StoreFailedError`` where a database is to blame, and not what was asked."""
     from sqlalchemy.exc import SQLAlchemyError
 

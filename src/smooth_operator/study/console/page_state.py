@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any, Final
 
-from smooth_operator.study.console.words import Named, event_in_words, naming, step_in_words
+from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import Undone
 from smooth_operator.study.store.progress import Progress, Step

@@ -16,12 +16,11 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Crew(Generic[T, R]):
+class PersistentPool(Generic[T, R]):
     """Processes that keep what they have compiled from one list of tasks to the next.
 
-    For a search, whose next tasks depend on the results of the last. What is said of
-    ``run_tasks`` holds here, too; use it as a context manager, so that
-    the workers end with it.
+    For a search, whose next tasks depend on the results of the last. What ``run_tasks`` says of
+    failures and retries holds here too. Use it as a context manager: at its end the workers end.
 
     Args:
         function: importable by its module and name.
@@ -62,7 +61,7 @@ class Crew(Generic[T, R]):
         if self._pool is not None:
             self._pool.stop()
 
-    def __enter__(self) -> Crew[T, R]:
+    def __enter__(self) -> PersistentPool[T, R]:
         return self
 
     def __exit__(

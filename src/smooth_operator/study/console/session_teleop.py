@@ -1,4 +1,4 @@
-"""The hand that an operator drives, as far as a study tells it what to do.
+"""The running teleoperation of a study: its method, and the trials of its simulation.
 
 A block starts when the running teleoperation has gone over to its condition, and not before. Where
 that drives a simulation with a task, its trials begin, reset and end with those of the protocol,
@@ -22,23 +22,23 @@ from smooth_operator.study.store.events import Calibrated, Undone
 from smooth_operator.study.store.progress import Progress
 
 HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
-"""What a blind experimenter is told, since the reason may name the method."""
+"""What a blind experimenter reads, since the reason may name the method."""
 
 
-class Hand:
+class SessionTeleop:
     """What is done at each step of the protocol.
 
     Args:
         switch: of the running teleoperation.
         blind: whether methods are not to be named.
-        tell: where reasons go that a blind experimenter may not see.
+        report: where reasons go that a blind experimenter may not see.
     """
 
-    def __init__(self, switch: Switch, *, blind: bool, tell: Callable[[str], None]) -> None:
+    def __init__(self, switch: Switch, *, blind: bool, report: Callable[[str], None]) -> None:
         self.switch = switch
         self._blind = blind
-        self._tell = tell
-        self._told = ""
+        self._report = report
+        self._reported = ""
         self._loaded: tuple[str, tuple[tuple[str, str], ...]] | None = None
         self._begun = False  # a trial of the simulation, for the next one of the log
         self._follows: datetime | None = None  # start of the logged trial that it belongs to
@@ -216,9 +216,9 @@ class Hand:
         return self.switch.heard.task is not None and self.switch.heard.task == _scene(block)
 
     def _complain(self, error: Exception) -> None:
-        if str(error) != self._told:
-            self._told = str(error)
-            self._tell(f"the teleoperation: {error}")
+        if str(error) != self._reported:
+            self._reported = str(error)
+            self._report(f"the teleoperation: {error}")
 
 
 def calibration(progress: Progress, block: Block) -> str | None:
