@@ -29,7 +29,7 @@ class WaveSource(teleop.ThreadedSource):
 
 
 @dataclass
-class CsvSink:
+class CsvSink(teleop.Sink):
     """Joint positions as rows of a CSV file; stands for the driver of your robot."""
 
     path: str = "commands.csv"

@@ -91,6 +91,10 @@ class Log:
     loop: LoopTrack | None = None
     methods: tuple[MethodUse, ...] = ()
 
+    def __repr__(self) -> str:
+        end = "truncated" if self.truncated else "whole"
+        return f"<Log: {end}, {self.recording!r}, {self.commands!r}>"
+
 
 def read_log(path: str | os.PathLike[str]) -> Log:
     """Read a log that ``LogWriter`` wrote.

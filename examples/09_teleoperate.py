@@ -1,0 +1,35 @@
+"""A live run in one call: tracker, method, limits, simulated robot, and an MCAP log of all of it.
+
+On a real robot the source is a tracker (``webcam``, ``webxr``, ``manus``) and a sink your driver.
+``smooth-operator teleop`` is the same with a page in the browser.
+"""
+
+import threading
+
+from smooth_operator.teleop import LimitsConfig, TeleopLoop, read_log, teleoperate
+
+
+def pause_for_a_moment(loop: TeleopLoop) -> None:
+    """A foot pedal could do this: the controls may be used from any thread."""
+    threading.Timer(1.0, loop.controls.pause).start()
+    threading.Timer(1.5, loop.controls.resume).start()
+
+
+summary = teleoperate(
+    source="synthetic",
+    sinks=["mujoco", "record:take.mcap"],
+    hand="ability_hand",
+    rate=100.0,
+    duration=3.0,
+    limits=LimitsConfig(velocity=8.0, acceleration=400.0),
+    started=pause_for_a_moment,
+)
+print(f"{summary['frames_answered']} frames answered, {summary['rate_hz']:.0f} commands a second")
+
+# The log has what the tracker saw, what the robot was commanded, and what happened when.
+log = read_log("take.mcap")
+print(log.recording)
+print(log.commands)
+events = [event for happened in log.loop.events.values() for event in happened]
+print(", ".join(events))
+assert any("-> paused" in event for event in events)
