@@ -513,3 +513,12 @@ def test_published_is_a_preset_of_each_baseline_and_of_sbr() -> None:
         assert method_config(method, "published") != method_config(method)
     with pytest.raises(UnknownNameError, match="'published' is a preset of keyvector"):
         method_config("joint_angle", "published")
+
+
+def test_the_repr_tells_hand_side_method_and_preset() -> None:
+    named = Retargeter("mimic_p050", side="left", method="joint_angle")
+    assert repr(named) == (
+        "Retargeter('mimic_p050', side='left', method='joint_angle', preset='default')"
+    )
+    own = Retargeter("mimic_p050", config=method_config("keyvector", "vector"))
+    assert repr(own) == "Retargeter('mimic_p050', side='right', config=SlsqpMethodConfig(...))"

@@ -151,6 +151,10 @@ class MethodConfig(ABC):
     """Whether retargeters with equal settings, and those of a mirrored hand, may share one compiled
     program. False where the settings do not determine the program, such as the path of a file."""
 
+    color: ClassVar[str | None] = None
+    """Colour of a plugin's method in reports, ``#rrggbb``; None for one that follows from its name.
+    Those of the built-in methods are in ``smooth_operator.methods.registry``."""
+
     @abstractmethod
     def build(self, hand: Hand) -> Method:
         """The method for one hand.

@@ -6,8 +6,10 @@ default, or one configuration, whose preset is called ``default``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
+from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.plugins import Entry, Registry
 
 _HERE: Final = "smooth_operator.methods.presets"
@@ -30,3 +32,32 @@ METHODS: Final = Registry(
     advice="derive its settings from smooth_operator.methods.MethodConfig",
 )
 """Name -> presets. The summaries list the presets, the default one first."""
+
+COLORS: Final = {
+    "sbr": "#0072b2",
+    "smooth": "#7a68c7",
+    "joint_angle": "#8c6d4f",
+    "keyvector": "#e69f00",
+    "hybrid": "#cc79a7",
+    "dexpilot": "#d55e00",
+    "ako": "#56b4e9",
+    "geort": "#009e73",
+}
+"""Built-in method -> its colour in every report; most are of Okabe and Ito's safe palette. They go
+by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
+
+
+def method_color(name: str) -> str | None:
+    """The colour of a method in reports, ``#rrggbb``; None if it has none of its own.
+
+    A plugin's method has that of its settings, ``MethodConfig.color``.
+    """
+    if name not in METHODS.plugins:
+        return COLORS.get(name)
+    try:
+        found = METHODS.load(name)
+    except SmoothOperatorError:  # reports go on without it
+        return None
+    config = next(iter(found.values())) if isinstance(found, Mapping) else found
+    color: str | None = config.color
+    return color

@@ -21,7 +21,7 @@ from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.io.checks import stamps_from_rate
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.program import RetargetState as RetargetState
 from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.shared import shared_program
@@ -88,7 +88,12 @@ class Retargeter:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
-        self.config = method_config(method, preset) if config is None else config
+        if config is None:
+            self.config: MethodConfig = method_config(method, preset)
+            self._named = f"method={method!r}, preset={preset or default_preset(method)!r}"
+        else:
+            self.config = config
+            self._named = f"config={type(config).__name__}(...)"
         if self.config.alignment.operator is not None:
             self.config.alignment.operator.check(self.hand)
         stamps_from_rate(0, rate, "rate")  # refuses one that can't be
@@ -106,6 +111,10 @@ class Retargeter:
         """What a person should know of this method on this hand, such as collision shapes that are
         estimated because the model's mesh files can't be read; empty for most hands."""
         return self.config.notes(self.hand)
+
+    def __repr__(self) -> str:
+        """Hand, side, method and preset; the settings' class where they were given instead."""
+        return f"Retargeter({self.hand.name!r}, side={self.hand.spec.side!r}, {self._named})"
 
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import re
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.io import atomic_write
+from smooth_operator.methods.registry import method_color
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,17 +24,8 @@ INK: Final = "#20262d"
 """Text and axes; on a page it becomes the colour of the text around."""
 GRID: Final = "#8a939c"
 
-METHOD_COLORS: Final = {
-    "sbr": "#0072b2",
-    "dexpilot": "#d55e00",
-    "geort": "#009e73",
-    "hybrid": "#cc79a7",
-    "keyvector": "#e69f00",
-    "ako": "#56b4e9",
-    "joint_angle": "#8c6d4f",
-}
-"""One colour for a method in every report; most of them Okabe and Ito's safe palette."""
-_MORE: Final = ("#7a68c7", "#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790")
+_SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3", "#b05fb8")
+"""Colours of names that have none of their own, such as presets that are no default."""
 
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
 """Shapes, so that nothing is told by colour alone."""
@@ -42,13 +35,24 @@ _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 
 
 def colors_of(methods: Iterable[str]) -> dict[str, str]:
-    """A colour for each method; presets that are no default get colours of their own."""
+    """A colour for each method: its own, or one that follows from its name.
+
+    The order of the names makes no difference. Names without a colour of their own get different
+    ones, as long as there are enough.
+    """
+    names = list(dict.fromkeys(methods))
     chosen: dict[str, str] = {}
-    spare = iter(_MORE * 8)
-    for method in methods:
-        if method not in chosen:
-            chosen[method] = METHOD_COLORS.get(method) or next(spare)
-    return chosen
+    for name in sorted(names):
+        chosen[name] = method_color(name) or _spare_color(name, chosen.values())
+    return {name: chosen[name] for name in names}
+
+
+def _spare_color(name: str, taken: Iterable[str]) -> str:
+    """The first free spare colour, from a place that the name decides."""
+    start = zlib.crc32(name.encode()) % len(_SPARE)
+    turned = (*_SPARE[start:], *_SPARE[:start])
+    used = set(taken)
+    return next((color for color in turned if color not in used), turned[0])
 
 
 @contextmanager

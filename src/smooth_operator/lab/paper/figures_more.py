@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from smooth_operator.lab.paper.figures import plain_log
 from smooth_operator.lab.paper.fk_libraries import LIBRARIES
 from smooth_operator.lab.paper.intervals import Estimate
-from smooth_operator.reporting.drawing import GRID, INK, MARKERS, METHOD_COLORS
+from smooth_operator.methods.registry import COLORS
+from smooth_operator.reporting.drawing import GRID, INK, MARKERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,13 +44,13 @@ class Look:
 
 def looks_of(labels: Sequence[str]) -> dict[str, Look]:
     """A look for each method."""
-    families = list(dict.fromkeys([*METHOD_COLORS, *(label.partition(":")[0] for label in labels)]))
-    known = len(METHOD_COLORS)
+    families = list(dict.fromkeys([*COLORS, *(label.partition(":")[0] for label in labels)]))
+    known = len(COLORS)
     looks = {}
     for label in labels:
         family, _, preset = label.partition(":")
         at = families.index(family)
-        color = METHOD_COLORS.get(family, _SPARE[(at - known) % len(_SPARE)])
+        color = COLORS.get(family, _SPARE[(at - known) % len(_SPARE)])
         looks[label] = Look(color, MARKERS[at % len(MARKERS)], not preset)
     return looks
 
