@@ -44,6 +44,7 @@ SHARED = {
     "calibration": 5,
     "synthetic": 5,
     ROOT: 7,
+    "compilation": 7,
     "planning": 7,
     "reporting": 7,
 }

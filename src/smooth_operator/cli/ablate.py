@@ -13,6 +13,8 @@ from rich.table import Table
 
 from smooth_operator.cli.ablate_options import Ablate, Experimenting, Paper
 from smooth_operator.cli.outputs import folder_for
+from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.offline.finished import claimed
@@ -23,8 +25,6 @@ from smooth_operator.lab.paper.sizes import trial_note
 from smooth_operator.lab.paper.store import check_folder
 from smooth_operator.lab.paper.study import Advance, Track
 from smooth_operator.lab.paper.suite import Settings, load_recordings, run_experiments
-from smooth_operator.methods.compile_cache import enable_cache, healing
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.terminal import open_console
 
 _WIDTH_OF_A_FILE = 160

@@ -18,6 +18,7 @@ from rich.progress import (
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.outputs import folder_for
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
@@ -35,7 +36,6 @@ from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.store import REPORT, RESULTS, write_json
 from smooth_operator.lab.benchmark.suite import Advance
 from smooth_operator.lab.offline.finished import claimed
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.terminal import open_console
 
 SOME_FAILED = 1

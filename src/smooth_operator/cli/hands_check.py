@@ -19,9 +19,9 @@ from rich.table import Table
 from rich.text import Text
 
 from smooth_operator.cli.hands_check_options import Check
+from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.lab.validation import Checkup, check_hand
 from smooth_operator.lab.validation.checks import Verdict
-from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.terminal import open_console
 
 FAILED: Final = 1

@@ -21,6 +21,7 @@ from rich.progress import (
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.train_options import Train
+from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import frame_slice, read_recording, reading_notes
@@ -33,7 +34,6 @@ from smooth_operator.lab.training import (
     synthetic_recordings,
     training_data,
 )
-from smooth_operator.methods.compile_cache import enable_cache, healing
 from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
 

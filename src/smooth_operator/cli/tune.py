@@ -20,12 +20,12 @@ from rich.table import Table
 
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.tune_options import Tune
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.tuning.score import Bound, figure
 from smooth_operator.lab.tuning.tune import KEPT
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.terminal import open_console
 
 _WIDTH_OF_A_FILE = 140

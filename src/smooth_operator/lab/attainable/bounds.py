@@ -44,6 +44,7 @@ import numpy as np
 import tyro
 
 from smooth_operator import SmoothOperatorError
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.lab.attainable.pose_search import Aim
 from smooth_operator.lab.attainable.samples import (
     BINS,
@@ -58,7 +59,6 @@ from smooth_operator.lab.attainable.search import TOLERANCE, Attained, Frames, a
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.lab.judging.judge import FILES, GLOVE
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 from smooth_operator.parallel import run_tasks

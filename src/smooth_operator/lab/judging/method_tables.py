@@ -26,6 +26,7 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from smooth_operator import SmoothOperatorError
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
 from smooth_operator.lab.benchmark.sources import SYNTHETIC, Source, load_sources, parse_request
@@ -57,7 +58,6 @@ from smooth_operator.lab.tuning.pareto import (
     TradeOff,
     save_trade_offs,
 )
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.reporting.run_report import RESULTS, BenchmarkError, Report
 from smooth_operator.result_cache import ResultCache
 

@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.compilation.building import build_retargeter as build_retargeter
+from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.methods.building import build_retargeter as build_retargeter
-from smooth_operator.methods.compile_cache import enable_cache, healing
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Definition, Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace

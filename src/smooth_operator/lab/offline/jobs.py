@@ -9,6 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import frame_slice, read_recording, to_json
@@ -19,7 +20,6 @@ from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.execution import Runner, build
 from smooth_operator.lab.offline.finished import digest, identity
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan, find_scan
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan

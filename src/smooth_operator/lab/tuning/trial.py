@@ -9,12 +9,12 @@ from typing import Any
 
 import jax
 
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.sources import Request, load_sources
 from smooth_operator.lab.offline import TrajectoryRetargeter
 from smooth_operator.lab.tuning.traced import TracedRun, can_trace
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.setting_paths import with_settings

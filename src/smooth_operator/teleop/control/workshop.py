@@ -11,9 +11,9 @@ from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
 from typing import Final
 
+from smooth_operator.compilation.building import build_retargeter
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.methods.building import build_retargeter
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.retargeter import Retargeter

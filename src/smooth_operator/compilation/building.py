@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
+from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.hands.hand import Hand
-from smooth_operator.methods.compile_cache import enable_cache, healing
-from smooth_operator.methods.dispatch import dispatch_here
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 

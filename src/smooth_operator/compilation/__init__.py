@@ -1,0 +1,1 @@
+"""Settings of a process for compiled programs, and retargeters built with them."""
