@@ -33,7 +33,7 @@ from smooth_operator.human.operator_file import write_operator
 from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
-from smooth_operator.simulation.tasks.desk import TaskDesk
+from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 from smooth_operator.teleop.control import workshop as workshop_module
 from smooth_operator.teleop.control.orders import Orders
 from smooth_operator.teleop.control.workshop import Workshop
@@ -67,7 +67,7 @@ class Stage:
     loop: TeleopLoop
     workshop: Workshop
     simulation: Simulation
-    desk: TaskDesk
+    runner: TrialRunner
     orders: Orders
     session: LiveSession
     folder: Path
@@ -97,7 +97,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
         config,
     )
     workshop = Workshop(loop, asked)
-    opened: list[TaskDesk] = []
+    opened: list[TrialRunner] = []
     orders = Orders(loop, workshop, lambda: opened[0] if opened else None, blind=True)
     session = LiveSession(loop, asked, (simulation,), folder, workshop=workshop, blind=True)
     ticks: list[Tick] = []
@@ -111,8 +111,8 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     def started() -> None:
         about = lambda: {"method": workshop.used.method}  # noqa: E731
         note = lambda side, text: loop.controls.change(lambda hand: hand.note(text))  # noqa: E731
-        desk = TaskDesk(simulation, ("right",), folder / "trials", about, note=note)
-        opened.append(desk)
+        runner = TrialRunner(simulation, ("right",), folder / "trials", about, note=note)
+        opened.append(runner)
 
     turn = sys.getswitchinterval()
     sys.setswitchinterval(5e-4)  # as the command does
@@ -429,7 +429,7 @@ def test_a_trial_from_begin_to_record(stage: Stage) -> None:
             stage.do("trial", **fields)
     stage.do("trial", begin=True)
     assert stage.do("trial", cancel=True)["phase"] == "ready"
-    assert len(stage.desk.outcomes["right"]) == 1
+    assert len(stage.runner.outcomes["right"]) == 1
     until(lambda: any("is forgotten" in " ".join(t.events) for t in stage.ticks[-50:]), LONG)
     said = [event for tick in stage.ticks for event in tick.events if event.startswith("trial ")]
     assert said == [f"trial {n} of screwdriver: {what}" for n, what in (
@@ -439,15 +439,15 @@ def test_a_trial_from_begin_to_record(stage: Stage) -> None:
     stage.do("trial", begin=True)
     stage.do("task", task="card")  # which forgets it
     assert stage.do("trial")["phase"] == "ready"
-    assert len(stage.desk.outcomes["right"]) == 1
+    assert len(stage.runner.outcomes["right"]) == 1
     stage.do("task")
 
 
 class Script:
-    """Shows the session at the desk a card that goes where the script says."""
+    """Shows the session at the runner a card that goes where the script says."""
 
     def __init__(self, stage: Stage) -> None:
-        self.session = stage.desk._sessions["right"]
+        self.session = stage.runner._sessions["right"]
         stage.simulation.watch("right", None)  # the physics' own card is not looked at
         seen = stage.simulation.scene_state("right")
         assert seen is not None
@@ -513,7 +513,7 @@ def test_without_a_simulation_there_is_no_task(stage: Stage) -> None:
     with pytest.raises(SinkError, match="not open"):
         closed.change_task("card")
     with pytest.raises(UnknownNameError, match="chess"):
-        stage.desk.change("chess")
+        stage.runner.change("chess")
 
 
 # -- the client -------------------------------------------------------------------------------

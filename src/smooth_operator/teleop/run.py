@@ -201,7 +201,7 @@ def teleoperate(
             about=about,
             record=record,
         )
-        orders = Orders(loop, workshop, lambda: tried.desk, blind=blind)
+        orders = Orders(loop, workshop, lambda: tried.runner, blind=blind)
         granted = "normal"
         begin = time.perf_counter()
         where = ", ".join(sink.label for sink in runner.health()) or "no sink"

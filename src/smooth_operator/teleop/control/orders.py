@@ -48,7 +48,7 @@ from smooth_operator.teleop.runtime.switchboard import Word
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # physics, which a run without a task need not have
-    from smooth_operator.simulation.tasks.desk import TaskDesk
+    from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 
 _LOOK_S: Final = 0.5
 """How often it is looked whether a run still goes on in which something is waited for [s]."""
@@ -60,7 +60,7 @@ class Orders:
     Args:
         loop: the loop.
         workshop: builds its methods.
-        desk: the simulation's, or None where there is none; asked again each time.
+        runner: the simulation's, or None where there is none; asked again each time.
         blind: the operator is not to know the method; for the status.
     """
 
@@ -68,11 +68,11 @@ class Orders:
         self,
         loop: TeleopLoop,
         workshop: Workshop,
-        desk: Callable[[], TaskDesk | None] = lambda: None,
+        runner: Callable[[], TrialRunner | None] = lambda: None,
         *,
         blind: bool = False,
     ) -> None:
-        self._loop, self._workshop, self._desk, self._blind = loop, workshop, desk, blind
+        self._loop, self._workshop, self._runner, self._blind = loop, workshop, runner, blind
 
     @property
     def words(self) -> dict[str, Word]:
@@ -88,13 +88,13 @@ class Orders:
 
     def status(self) -> dict[str, Any]:
         """What is known of the run without asking the loop."""
-        loop, workshop, desk = self._loop, self._workshop, self._desk()
+        loop, workshop, runner = self._loop, self._workshop, self._runner()
         used = workshop.used
-        task = None if desk is None else desk.task
+        task = None if runner is None else runner.task
         trial = None
-        if desk is not None and task is not None:
+        if runner is not None and task is not None:
             try:
-                trial = desk.report()
+                trial = runner.report()
             except SmoothOperatorError:  # the scene is just being changed
                 task = None
         return {
@@ -138,7 +138,7 @@ class Orders:
         return {"rate": self._loop.config.rate}
 
     def _task(self, fields: Mapping[str, Any]) -> dict[str, Any]:
-        loaded = self._open_desk().change(_text(fields, "task"))
+        loaded = self._open_runner().change(_text(fields, "task"))
         if loaded is None:
             return {"task": None}
         task = loaded.task
@@ -151,7 +151,7 @@ class Orders:
         }
 
     def _trial(self, fields: Mapping[str, Any]) -> dict[str, Any]:
-        desk = self._open_desk()
+        runner = self._open_runner()
         wanted = [word for word in ("begin", "finish", "cancel") if fields.get(word)]
         if len(wanted) > 1:
             raise ConfigError(f"a trial can't {' and '.join(wanted)} at once")
@@ -159,23 +159,23 @@ class Orders:
             about = fields.get("about") or {}
             if not isinstance(about, dict):
                 raise ConfigError(f"about: expected an object, not {about!r}")
-            desk.go(**about)
+            runner.go(**about)
         elif wanted:
-            getattr(desk, wanted[0])()
-        return desk.report(_side(fields))
+            getattr(runner, wanted[0])()
+        return runner.report(_side(fields))
 
     def _reset(self, fields: Mapping[str, Any]) -> dict[str, Any]:
-        desk = self._open_desk()
-        desk.reset()
-        return desk.report(_side(fields))
+        runner = self._open_runner()
+        runner.reset()
+        return runner.report(_side(fields))
 
-    def _open_desk(self) -> TaskDesk:
-        desk = self._desk()
-        if desk is None:
+    def _open_runner(self) -> TrialRunner:
+        runner = self._runner()
+        if runner is None:
             raise ConfigError(
                 "this run has no simulation: start teleop with --task card or with --sink mujoco"
             )
-        return desk
+        return runner
 
     def _await(self, wish: Future[Choice]) -> Choice:
         """What was asked for, once the hands are driven by it."""

@@ -14,7 +14,7 @@ from smooth_operator.types import Side
 
 if TYPE_CHECKING:
     from smooth_operator.simulation.tasks import Outcome
-    from smooth_operator.simulation.tasks.desk import TaskDesk
+    from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 
 
 class TaskTrials:
@@ -33,7 +33,7 @@ class TaskTrials:
         record: takes what happens to trials, for the record of the run.
 
     Attributes:
-        desk: where trials are begun, once everything is open; None without a simulation.
+        runner: where trials are begun, once everything is open; None without a simulation.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class TaskTrials:
         self._task, self._folder = task, folder
         self._controlled, self._attended = controlled, attended
         self._about, self._record = about, record
-        self.desk: TaskDesk | None = None
+        self.runner: TrialRunner | None = None
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
@@ -76,30 +76,30 @@ class TaskTrials:
         simulation = simulated_hands(self._sinks)
         if simulation is None or (self._task is None and not self._controlled):
             return
-        from smooth_operator.simulation.tasks.desk import TaskDesk
+        from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 
-        self.desk = TaskDesk(
+        self.runner = TrialRunner(
             simulation, self._sides, self._folder, self._about, self._tell, self._record
         )
-        if self._task is None or self.desk.task is None:
+        if self._task is None or self.runner.task is None:
             return
-        task = self.desk.task.task
+        task = self.runner.task.task
         self._said.note(f"{task.title}: {task.instruction}", matters=True)
         if not self._controlled and not self._attended:
             self._tried("go")
 
     def end(self) -> None:
         """No trial any more."""
-        if self.desk is not None:
-            self.desk.end()
-            for failed in self.desk.failures:
+        if self.runner is not None:
+            self.runner.end()
+            for failed in self.runner.failures:
                 self._said.note(failed, matters=True)
 
     def summary(self) -> dict[str, Any]:
         """Outcomes of each hand, for ``--json``; nothing without a task and its trials."""
-        if self.desk is None:
+        if self.runner is None:
             return {}
-        outcomes = self.desk.outcomes
+        outcomes = self.runner.outcomes
         if self._task is None and not any(outcomes.values()):
             return {}
         return {
@@ -108,10 +108,10 @@ class TaskTrials:
         }
 
     def _tried(self, word: str) -> None:
-        if self.desk is None:
+        if self.runner is None:
             return
         try:
-            getattr(self.desk, word)()
+            getattr(self.runner, word)()
         except SmoothOperatorError as error:
             self._said.note(str(error), matters=True)
 

@@ -1,4 +1,4 @@
-"""The experimenter's place at a running simulation: which task, and its trials, on all hands."""
+"""Trials of a task in a running simulation, on all hands that it has; the task can change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from smooth_operator.simulation.tasks.session import TaskSession
 from smooth_operator.types import Side
 
 
-class TaskDesk:
+class TrialRunner:
     """Trials on each hand of a simulation, and the scenes around them. Safe from any thread.
 
     Args:
@@ -23,7 +23,7 @@ class TaskDesk:
         sides: the hands that are driven.
         folder: where the trials' records go; None keeps none.
         about: what is to stand in every record; asked when a trial begins.
-        told: called with each outcome, from the thread of the physics; it must not take long.
+        on_outcome: called with each outcome, from the thread of the physics; it must not take long.
         note: called with what happens to a trial, without its score, for a record of the hand.
     """
 
@@ -33,11 +33,11 @@ class TaskDesk:
         sides: Sequence[Side],
         folder: str | Path | None = None,
         about: Callable[[], Mapping[str, Any]] = dict,
-        told: Callable[[Side, Outcome], None] = lambda side, outcome: None,
+        on_outcome: Callable[[Side, Outcome], None] = lambda side, outcome: None,
         note: Callable[[Side, str], None] = lambda side, text: None,
     ) -> None:
         self._simulation, self._sides, self._folder = simulation, tuple(sides), folder
-        self._about, self._told, self._note = about, told, note
+        self._about, self._on_outcome, self._note = about, on_outcome, note
         self._sessions: dict[Side, TaskSession] = {}
         self._past: dict[Side, list[Outcome]] = {side: [] for side in sides}
         self._lock = threading.RLock()
@@ -196,7 +196,7 @@ class TaskDesk:
 
     def _ended(self, side: Side, outcome: Outcome) -> None:
         self._say(side, "ends")
-        self._told(side, outcome)
+        self._on_outcome(side, outcome)
 
     def _say(self, side: Side, what: str) -> None:
         session = self._sessions[side]
