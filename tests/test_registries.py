@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,14 @@ def broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
     (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('no\\nlicence')\n")
     monkeypatch.syspath_prepend(tmp_path)
     return "broken_plugin:CONFIG"
+
+
+def test_help_imports_no_numerical_library() -> None:
+    """The registries that help texts list name their parts, and import none of them."""
+    heavy = "{'numpy', 'jax', 'scipy', 'mujoco'}"
+    code = f"import sys, smooth_operator.cli.options; print({heavy} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
 
 
 def test_the_summary_of_a_method_lists_its_presets() -> None:

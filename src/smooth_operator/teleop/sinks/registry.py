@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.teleop.components import build_component
-from smooth_operator.teleop.sinks.sink import Sink
+
+if TYPE_CHECKING:  # --help names the sinks, and needs no NumPy
+    from smooth_operator.teleop.sinks.sink import Sink
 
 _HERE: Final = "smooth_operator.teleop.sinks"
 
@@ -34,4 +36,4 @@ def build_sink(text: str) -> Sink:
         UnknownNameError: there is no such sink or setting.
         ConfigError: a setting can't be read, or the class can't be imported or is no sink.
     """
-    return cast(Sink, build_component(SINKS, text))
+    return cast("Sink", build_component(SINKS, text))

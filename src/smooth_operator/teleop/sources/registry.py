@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Final, cast, get_type_hints
+from typing import TYPE_CHECKING, Final, cast, get_type_hints
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.teleop.components import build_component
-from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.stream import Hands
-from smooth_operator.teleop.sources.webcam.video_file import is_video
+
+if TYPE_CHECKING:  # --help names the sources, and needs no NumPy
+    from smooth_operator.teleop.sources.live import LiveSource
+    from smooth_operator.teleop.sources.stream import Hands
 
 _HERE: Final = "smooth_operator.teleop.sources"
 
@@ -63,17 +64,24 @@ def build_source(text: str, hands: Hands | None = None) -> LiveSource:
                 f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
             )
     made = build_component(SOURCES, text)
-    if hands is not None and get_type_hints(type(made)).get("side") == Hands:
+    if hands is not None and _takes_hands(made):
         settings = SOURCES.split(text)[1].split(",")
         if not any(part.startswith("side=") for part in settings):
             made = dataclasses.replace(made, side=hands)
-    return cast(LiveSource, made)
+    return cast("LiveSource", made)
+
+
+def _takes_hands(source: object) -> bool:
+    from smooth_operator.teleop.sources.stream import Hands
+
+    return bool(get_type_hints(type(source)).get("side") == Hands)
 
 
 def _word_for(path: Path) -> str | None:
     """The source that a file is for, by its name."""
+    from smooth_operator.io.registry import recording_suffixes
+    from smooth_operator.teleop.sources.webcam.video_file import is_video
+
     if is_video(path):
         return "video"
-    from smooth_operator.io.registry import recording_suffixes  # which --help does not need
-
     return "replay" if path.suffix.lower() in recording_suffixes() else None
