@@ -728,7 +728,7 @@ def test_foreign_configuration_beside_an_npz(tmp_path: Path, run: Run) -> None:
     path = write(tmp_path, episode(), "hdf5")
     (tmp_path / "out.json").write_text("{}")
     status, err = run(path, "--output", tmp_path / "out.npz", "--overwrite")
-    assert (status, "the configuration beside out.npz" in err) == (2, True)
+    assert (status, "the configuration of out.npz" in err) == (2, True)
     assert not (tmp_path / "out.npz").exists()
 
 

@@ -18,10 +18,44 @@ import pytest
 PROJECT = Path(__file__).resolve().parents[1]
 SOURCE = PROJECT / "src" / "smooth_operator"
 PAGES = [*sorted((PROJECT / "docs").glob("**/*.md")), PROJECT / "README.md"]
-FORBIDDEN = re.compile(r"\b(told|anew|beside|at\s+once|of\s+which)\b", re.IGNORECASE)
+FORBIDDEN = re.compile(
+    r"\b(told|anew|beside|at\s+once|of\s+which)\b(?!: [a-z])", re.IGNORECASE | re.MULTILINE
+)
+"""Not the name of an argument in the section ``Args``, with a colon after it."""
 
-CLEAN: tuple[str, ...] = ()
-"""Packages and modules of the source whose prose is clean. It only grows, until it has all."""
+NOT_YET = {
+    "cli/study_analyze.py",
+    "human/pursuit.py",
+    "lab/attainable/bounds.py",
+    "lab/attainable/search.py",
+    "lab/benchmark/page/report.py",
+    "lab/benchmark/suite.py",
+    "lab/judging/judge.py",
+    "lab/judging/method_tables.py",
+    "lab/judging/setting_rows.py",
+    "lab/offline/trajectory_retargeter.py",
+    "lab/paper/comparison.py",
+    "lab/paper/contestants.py",
+    "lab/paper/figures.py",
+    "lab/paper/figures_more.py",
+    "lab/paper/rate.py",
+    "lab/paper/runs.py",
+    "lab/paper/solver.py",
+    "lab/paper/table.py",
+    "lab/tuning/pareto.py",
+    "lab/tuning/trial.py",
+    "lab/tuning/tune.py",
+    "methods/method.py",
+    "methods/registry.py",
+    "methods/setting_paths.py",
+    "methods/smooth.py",
+    "reporting/drawing.py",
+    "teleop/control/workshop.py",
+    "teleop/run.py",
+}
+"""Files of the source whose prose is still to be rewritten; the set only shrinks."""
+
+PARTS = sorted(path for path in SOURCE.iterdir() if path.suffix == ".py" or path.is_dir())
 
 
 def in_page(text: str) -> list[str]:
@@ -52,14 +86,14 @@ def test_pages(page: Path) -> None:
     assert in_page(page.read_text(encoding="utf-8")) == []
 
 
-@pytest.mark.parametrize("name", CLEAN)
-def test_source(name: str) -> None:
-    """Docstrings, comments, help and error texts."""
-    path = SOURCE / name
-    files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+def test_source(part: Path) -> None:
+    """Docstrings, comments, help and error texts of a package or module."""
+    files = sorted(part.rglob("*.py")) if part.is_dir() else [part]
     wrong = [
         f"{file.relative_to(SOURCE).as_posix()}: {words}"
         for file in files
+        if file.relative_to(SOURCE).as_posix() not in NOT_YET
         for line, text in prose_of(file.read_text(encoding="utf-8"))
         for words in found(text, line)
     ]

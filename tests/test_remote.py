@@ -403,7 +403,7 @@ def test_a_trial_from_begin_to_record(stage: Stage) -> None:
     assert (begun["phase"], begun["number"], begun["resets"]) == ("running", 1, 0)
     with pytest.raises(RemoteRefusedError, match="running"):
         stage.do("trial", begin=True)
-    with pytest.raises(RemoteRefusedError, match="at once"):
+    with pytest.raises(RemoteRefusedError, match="together"):
         stage.do("trial", begin=True, finish=True)
     until(lambda: stage.do("trial")["elapsed_s"] > 0.2, LONG)
     assert stage.do("reset")["resets"] == 1

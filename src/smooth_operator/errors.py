@@ -108,7 +108,7 @@ class RemoteError(SmoothOperatorError, RuntimeError):
 
 
 class RemoteRefusedError(RemoteError):
-    """It answers that it can't do what it was told."""
+    """The other program answers that it can't do what was requested."""
 
 
 class WorkerError(SmoothOperatorError, RuntimeError):

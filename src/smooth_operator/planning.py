@@ -109,7 +109,7 @@ class Plan:
         config: its configuration, scale and operator filled in.
         seed: of the random numbers.
         fingers: robot finger -> human finger that drives it, as asked for; None for all. The hand
-            has them already; this is for the configuration beside the result.
+            has them already; this is for the configuration of the result.
     """
 
     recording: HandRecording
@@ -187,7 +187,7 @@ def resolve_config(
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
-    """The resolved configuration, to be written beside a result.
+    """The resolved configuration, to be written with a result.
 
     Args:
         command: which command made it.

@@ -28,7 +28,7 @@ from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 
 SURE: Final = 0.3
-"""A pose of less confidence than this is told as found, but not used where it can be helped."""
+"""A pose of less confidence is reported, but used only if there is no better one."""
 MARGIN: Final = 0.005
 """From where pinches are held to where the latch closes [m]."""
 PROJECT: Final = (0.010, 0.020)

@@ -1,4 +1,4 @@
-"""What the poses of a calibration are told by: sizes, straightness, spread, distances of tips."""
+"""Features that identify the poses of a calibration: sizes, straightness, spread, tip distances."""
 
 from __future__ import annotations
 

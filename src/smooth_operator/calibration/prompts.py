@@ -18,7 +18,7 @@ class Prompt:
 
     Attributes:
         pose: its name, as in ``Segment``.
-        text: what the operator is told.
+        text: the instruction to the operator.
         settle: time to get there, which is not used [s].
         hold: time to hold it, which is used [s].
     """

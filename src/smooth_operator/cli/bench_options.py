@@ -19,7 +19,7 @@ class Bench(Ordered, Common):
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and
 method), report.html (everything in one file: tables, plots, clips), plots/, and cells/
 (the commands of each). Run the same command again to go on where it was stopped; what is
-unchanged is not measured again. Latency is measured at the end, with nothing beside it.
+unchanged is not measured again. Latency is measured at the end, with no other work.
 
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in
 operator, which is used if there is none. It may bring settings of its own after an @:
@@ -78,7 +78,7 @@ Examples:
     """How the metrics are defined; paper is as published."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Processes that measure quality at once: one for each core if left out, 0 for none beside this
+    """Processes that measure quality: one for each core if left out, 0 for none but this
     one. Latency is measured alone in any case."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
@@ -89,7 +89,7 @@ Examples:
     """Frames of each recording to measure latency over, after a warm-up; 0 to leave it out."""
 
     compare: Annotated[Path | None, arg(metavar="OTHER/results.json")] = None
-    """Results of another benchmark to lay beside this one."""
+    """Results of another benchmark to compare with this one."""
 
     no_report: bool = False
     """Write results.json, but no report and no plots."""

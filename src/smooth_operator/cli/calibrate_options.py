@@ -21,10 +21,10 @@ class Calibrate(Ordered, Common):
     ] = """With --source the operator is asked for the poses, one after the other.
 A recording should show, for some seconds each and in any order, a flat hand, the fingers
 spread, a fist, and a pinch of the thumb with each finger. What is not in it is said, and the
-rest is calibrated all the same. Beside OPERATOR.json come OPERATOR.png (the poses on a time
+rest is calibrated all the same. With OPERATOR.json come OPERATOR.png (the poses on a time
 line; reach and pinches before and after) and OPERATOR.report.json (the same as figures).
 
-Parts of a calibration, of which --apply names those that the file shall use:
+Parts of a calibration (--apply names those that the file uses):
   scale    one scale of the palm instead of one a frame
   tips     from the tracker's tip landmark to the pad
   pinch    what distance is left in a pinch is closed; latches at the operator's distances

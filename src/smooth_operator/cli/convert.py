@@ -162,7 +162,7 @@ def _check(target: Path, to: Format, options: Convert) -> None:
     for path in others:
         if path.exists() and (not path.is_file() or read_configuration(path) is None):
             raise OutputError(
-                f"can't write {str(path)!r}, the configuration beside {main.name}: it holds "
+                f"can't write {str(path)!r}, the configuration of {main.name}: it holds "
                 "something else; choose another name, or remove it first"
             )
 

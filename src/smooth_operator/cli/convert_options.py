@@ -45,7 +45,7 @@ Examples:
     """What to write; its folder is made if need be."""
 
     commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
-    """Commands to put beside the recording: the result of retargeting it. For several recordings
+    """Commands to add to the recording: the result of retargeting it. For several recordings
     the folder of their results, each with the name of its recording."""
 
     to: Annotated[

@@ -37,7 +37,7 @@ def simulate(options: GloveSimulate) -> None:
     try:
         if not options.quiet:
             hands = "both hands" if options.side == "both" else f"the {options.side} hand"
-            # At once, for a script that waits for the address.
+            # Flushed, for a script that waits for the address.
             print(
                 printable(f"publishing {hands} at {glove.rate:.4g} Hz on {glove.address}"),
                 flush=True,

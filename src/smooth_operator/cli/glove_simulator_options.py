@@ -72,7 +72,7 @@ Examples:
     """Share of messages that are cut off in the middle."""
 
     restart_every: Annotated[float, arg(metavar="SECONDS")] = 0.0
-    """Start anew every so often, stamps from 0 [s]; 0 is never."""
+    """Time between restarts, each with stamps from 0 [s]; 0 is never."""
 
     quiet: bool = False
     """Print nothing but errors."""

@@ -39,7 +39,7 @@ def check_commands_path(path: Path, recording: Path) -> None:
             ) from None
     if beside.exists() and read_configuration(beside) is None:
         raise OutputError(
-            f"can't write {str(beside)!r}, the configuration beside {path.name}: it holds "
+            f"can't write {str(beside)!r}, the configuration of {path.name}: it holds "
             "something else; choose another name for the result, or remove it first"
         )
 

@@ -18,10 +18,10 @@ class Retarget(Common, Ordered, Retargeting):
     work: ClassVar[str] = "smooth_operator.cli.retarget:retarget"
     details: ClassVar[str] = """OUT.npz holds joint_positions (T, n) [rad], joint_names (n,),
 timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration is
-written beside it, as OUT.json.
+written with it, as OUT.json.
 
 Of a folder, every recording in it, however deep, is retargeted to the same path in the folder
-named by --output, several at once; latency_ms is then NaN, and summary.json tells what became
+named by --output, several in parallel; latency_ms is then NaN, and summary.json says what became
 of each. Run the same command again to go on where it was stopped, or to add new recordings:
 what is whole and unchanged is kept, and the bytes are the same as if nothing had happened.
 
@@ -53,7 +53,7 @@ Examples:
     """Frames a second of a recording that holds no time stamps [Hz]; in a folder, of those."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Of a folder: how many recordings at once; as many as there are cores if left out, 0 for one
+    """Of a folder: how many recordings in parallel; one per core if left out, 0 for one
     after the other in this process."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None

@@ -27,7 +27,7 @@ what is wrong is named by row and column. Columns:
               weighted also weight_mental, weight_physical, ... (times chosen, 15 together)
   simulation  operator, retargeter, and a column for each metric
 
-Where trials.csv is given and sim_metrics.csv lies beside it, that is read, too.
+sim_metrics.csv in the folder of a given trials.csv is read, too.
 
 Both modes are computed: small-sample (what to report) and paper (as published; right for many
 operators only). FOLDER gets results.json, CSV tables, methods.txt, figures/ and report.html.

@@ -33,7 +33,7 @@ def erase_data(options: Erase) -> None:
     Raises:
         StudyError: there is no such study.
         UnknownNameError: there is no such operator.
-        ConfigError: it may not ask, and was not told to go on.
+        ConfigError: it may not ask, and has no option to go on.
     """
     _check_there(options.study)
     with open_study(options.study, name=options.name) as store:

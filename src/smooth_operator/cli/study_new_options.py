@@ -72,7 +72,7 @@ Examples:
     """Ask nothing, even in a terminal."""
 
     overwrite: bool = False
-    """Replace the plan of a study of which nothing is stored yet."""
+    """Replace the plan of a study without stored data."""
 
 
 @dataclass(frozen=True, kw_only=True)

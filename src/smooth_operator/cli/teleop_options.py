@@ -27,7 +27,7 @@ package.module:Class in the same way: mylab.driver:MySink,port=7 (docs/how-to/pl
 Sources:
 {SOURCES.describe()}
 
-Sinks, several at once:
+Sinks, one or several:
 {SINKS.describe()}
 
 When the tracker falls silent the hand is held, then goes to its neutral pose; when the operator

@@ -80,7 +80,7 @@ Examples:
     """An upper bound, such as flatness=2e-6, self_collision.share=0.05 or lag_frames=0.5."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """How many trials at once; as many as there are cores if left out, 0 for this process alone."""
+    """How many trials in parallel; one per core if left out, 0 for this process alone."""
 
     seed: int = 0
     """Of the search: the same seed and recordings give the same preset."""

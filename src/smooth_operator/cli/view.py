@@ -1,4 +1,4 @@
-"""``smooth-operator view``: any result beside the hand that it came from."""
+"""``smooth-operator view``: any result with the hand that it came from."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import Common, HandSide, Meshes, Ordered
 
 @dataclass(frozen=True, kw_only=True)
 class View(Common, Page, Ordered, Meshes):
-    """Play joint commands beside the hand that they came from, in the browser."""
+    """Play joint commands with the hand that they came from, in the browser."""
 
     work: ClassVar[str] = "smooth_operator.cli.view:view"
     details: ClassVar[

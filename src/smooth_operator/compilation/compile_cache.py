@@ -28,7 +28,7 @@ def enable_cache() -> Path | None:
 
     Returns:
         The folder; None if it is switched off (``SWITCH``), can't be written, or the user has
-        told JAX of a folder already.
+        already given JAX a folder.
     """
     wanted = os.environ.get(SWITCH, "").strip()
     if wanted.lower() in OFF:

@@ -30,7 +30,7 @@
     gains = { index_mcp = 1.0 }
 
 Offsets are in the body's frame [m]. The points of a finger are the counterparts of its human
-landmarks; the first and the tip are needed. What each entry means is told by
+landmarks; the first and the tip are needed. For the meaning of each entry see
 ``HandSpec``.
 """
 

@@ -24,7 +24,7 @@ class OneEuroConfig:
         cutoff: of a point at rest [Hz]; lower is smoother, and later.
         gain: by how much the cutoff rises with speed [Hz per m/s].
         speed_cutoff: of the low-pass on the speed itself [Hz].
-        gap: after a longer gap in the stamps the filter begins anew [s].
+        gap: after a longer gap in the stamps the filter restarts [s].
     """
 
     cutoff: float = 4.0
@@ -65,8 +65,8 @@ def one_euro(
 
     Args:
         state: of the last frame; None at the start.
-        points: (N, 3) [m]; one that is not finite stays so, and begins anew when it is back.
-        stamp: time of the frame [s]; if it stands or goes back, the filter begins anew.
+        points: (N, 3) [m]; one that is not finite stays so, and restarts when it is back.
+        stamp: time of the frame [s]; if it stands or goes back, the filter restarts.
         config: how strongly.
 
     Returns:

@@ -57,7 +57,7 @@ def output_error(path: str | os.PathLike[str], cause: OSError) -> OutputError:
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """Write a file atomically: a temporary file beside it takes its place when the block ends.
+    """Write a file atomically: a temporary file in its folder takes its place when the block ends.
 
     If the block raises, or the process dies, a file that stood at ``path`` is as it was. A symbolic
     link is followed, so its target is replaced and not the link.

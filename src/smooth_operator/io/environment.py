@@ -1,4 +1,4 @@
-"""What a result depended on: written beside it, so that it can be told apart and made again."""
+"""What a result depends on, written with it, so that results can be compared and repeated."""
 
 from __future__ import annotations
 

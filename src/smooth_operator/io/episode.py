@@ -20,7 +20,7 @@ held them as whole microseconds.
 """
 
 DERIVED_META: Final = ("format", "truncated", "side_assumed", "implausible_frames", "layout")
-"""Entries of ``HandRecording.meta`` that every reader makes anew, and that no file keeps."""
+"""Entries of ``HandRecording.meta`` that every reader computes, and that no file keeps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Episode:
 
     @property
     def meta(self) -> dict[str, Any]:
-        """What the recording's source said of it, less what every reader finds out anew."""
+        """Metadata from the recording's source, without what every reader computes."""
         meta = {} if self.recording is None else self.recording.meta
         return {key: value for key, value in meta.items() if key not in DERIVED_META}
 
@@ -128,7 +128,7 @@ class Episode:
         return replace(self, recording=recording, commands=commands, stages_ms=stages)
 
     def joined(self, other: Episode, where: str) -> Episode:
-        """This recording with the commands of another file beside it.
+        """This recording with the commands of another file.
 
         Args:
             other: what holds the commands.
@@ -144,7 +144,7 @@ class Episode:
             )
         if self.recording is None or self.commands is not None:
             raise RecordingError(
-                f"{self.name}: commands of another file can be put beside a recording only, and it "
+                f"{self.name}: commands of another file can be added to a recording only, and it "
                 + ("holds no hand frames" if self.recording is None else "has commands already")
             )
         both = replace(

@@ -119,7 +119,7 @@ def read_recording(
 def rated_if_unstamped(
     read: Callable[[float | None], _Read], rate: float | None
 ) -> tuple[_Read, float | None]:
-    """One of many files, of which those without stamps need a rate and the others have their own.
+    """One of many files: those without stamps need a rate, the others have their own.
 
     Args:
         read: reads it, with a rate or without.

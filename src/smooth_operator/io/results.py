@@ -23,7 +23,7 @@ _KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")
 
 
 def config_path(path: str | os.PathLike[str]) -> Path:
-    """Where the configuration of a result stands: beside ``OUT.npz``, as ``OUT.json``."""
+    """Path of the configuration of a result: ``OUT.json`` for ``OUT.npz``."""
     return Path(path).with_suffix(".json")
 
 
@@ -40,7 +40,7 @@ def write_commands(
     Args:
         path: ``OUT.npz``; its folder must exist, a file that stands there is replaced.
         commands: what to write.
-        config: what to write beside it; see ``to_json``.
+        config: the configuration to write with it; see ``to_json``.
 
     Raises:
         OutputError: the name does not end in ``.npz``, or the files can't be written.

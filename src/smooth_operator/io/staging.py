@@ -49,7 +49,7 @@ def staged_folder(path: Path) -> Iterator[Path]:
     """A new folder to fill, which takes its place when the block ends.
 
     A folder that stood at ``path`` is moved aside and then removed; should the process die between
-    the two moves, it is still there under a hidden name beside it (``.NAME.….old``).
+    the two moves, it is still there under a hidden name in the same folder (``.NAME.….old``).
 
     Raises:
         OutputError: no permission, no space, or a file stands there.

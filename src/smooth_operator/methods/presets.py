@@ -153,7 +153,7 @@ SBR_OFFLINE: Final = TrajectoryMethodConfig(
     _FUTURE,
     leap=0.03,
 )
-"""For recordings: Eq. (1) for all frames at once, with a price on acceleration, and on fingertips
+"""For recordings: Eq. (1) for all frames together, with a cost of acceleration, and of fingertips
 that move otherwise than the human's.
 
 With the future known, velocity need not cost anything, and the pull to the neutral pose can be
@@ -168,7 +168,7 @@ SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     leap=0.02,
     noise=50.0,
 )
-"""For recordings: the objective of ``smooth`` for all frames at once, without its filters.
+"""For recordings: the objective of ``smooth`` for all frames together, without its filters.
 
 That objective is stiffer than Eq. (1), and so is what stands against it.
 """

@@ -1,7 +1,7 @@
 """Many frames in one call of a compiled program, where that changes no bit of the result.
 
 A live loop enters and leaves the compiled program once a frame, which for a small program takes
-longer than the program itself. A recording is known in advance, so 64 frames go in at once.
+longer than the program itself. A recording is known in advance, so 64 frames go in per call.
 Measured on one core, preset realtime: 0.22 ms a frame against 0.6 to 0.9 ms.
 """
 

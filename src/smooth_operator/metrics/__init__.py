@@ -1,6 +1,6 @@
-"""Metrics of a run: pure functions of what the human did and what the robot was told to do.
+"""Metrics of a run: pure functions of the human's motion and the robot's commands.
 
-``evaluate(trace)`` gives all of them; the modules beside it hold one family each and can be used
+``evaluate(trace)`` gives all of them; each module of the package holds one family and can be used
 alone: ``smooth_operator.metrics.accuracy``, ``smooth_operator.metrics.consistency``,
 ``smooth_operator.metrics.joints``, ``smooth_operator.metrics.safety``,
 ``smooth_operator.metrics.service`` and ``smooth_operator.metrics.published``.

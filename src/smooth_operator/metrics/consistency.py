@@ -34,7 +34,7 @@ def motion_preservation(
         robot: (T, F, 3) robot wrist to tip vectors [m].
 
     Returns:
-        In [-1, 1], or None if the two never move at once.
+        In [-1, 1], or None if the two never move together.
     """
     dh, dr = np.diff(human, axis=0), np.diff(robot, axis=0)
     lh, lr = np.linalg.norm(dh, axis=-1), np.linalg.norm(dr, axis=-1)

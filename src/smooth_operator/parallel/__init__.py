@@ -1,4 +1,4 @@
-"""Many tasks at once, on this machine or on a cluster; what dies is tried again.
+"""Parallel tasks, on this machine or on a cluster; a task whose worker dies is tried again.
 
 Knows nothing of hands: a task is a value, what is done with it a function.
 """

@@ -123,7 +123,7 @@ def _connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
             try:
                 _knock(cluster)
                 with warnings.catch_warnings():
-                    # JAX's, of its threads; what Ray forks becomes another program at once.
+                    # JAX's, of its threads; what Ray forks becomes another program immediately.
                     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
                     ray.init(address=cluster, **options)
             except Exception as error:  # ConnectionError, RuntimeError, ...: as Ray likes

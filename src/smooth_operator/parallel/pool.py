@@ -1,7 +1,7 @@
 """A pool of processes on this machine in which a death costs one attempt at one task.
 
 The standard library's pools break, or wait for ever, when a worker is killed; here each worker has
-its own link, so that a death is seen at once and known to be that worker's.
+its own link, so that a death is seen immediately and known to be that worker's.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _GRACE_S: Final = 5.0
-"""How long a worker may clean up before it is killed; compiling can't be interrupted at once."""
+"""How long a worker may clean up before it is killed; compiling can't be interrupted."""
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Pool:
         self._attempts: list[int] = []
         self._workers: list[_Worker] = []
         self._false_starts = 0
-        # Fork is unsafe beside JAX's threads.
+        # Fork is unsafe with JAX's threads.
         self._context = multiprocessing.get_context("spawn")
 
     def add(self, tasks: Sequence[Any]) -> None:
@@ -92,7 +92,7 @@ class Pool:
             process.start()
         theirs.close()  # so that its end is the last one, and its death is read as the end
         self._workers.append(_Worker(slot, process, ours))
-        with contextlib.suppress(OSError):  # it died at once: seen when it is waited for
+        with contextlib.suppress(OSError):  # it died at its start: seen when it is waited for
             ours.send(self._function)
 
     def results(self) -> Iterator[TaskResult[Any]]:

@@ -22,7 +22,7 @@ def run_tasks(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Iterator[TaskResult[R]]:
-    """Calls a function with each task, several at once; results come as they finish.
+    """Calls a function with each task, several in parallel; results come as they finish.
 
     Tasks are started in their order. An exception of the function is the result of its task and is
     not tried again; a worker that dies (killed, out of memory) is replaced and its task tried
@@ -35,7 +35,7 @@ def run_tasks(
             needs the usual ``if __name__ == "__main__":``.
         tasks: values that can be pickled; they, and what the function returns, travel between
             processes, so large data is better named by a path.
-        workers: how many at once; None for as many as there are usable cores, or on a running
+        workers: how many in parallel; None for as many as there are usable cores, or on a running
             cluster CPUs. 0 without a cluster is none: the tasks run in this process, in turn.
         cluster: None for processes on this machine; ``"auto"`` or the address of a running Ray
             cluster; ``"local"`` for a Ray started for this run. Nodes need this package, and the

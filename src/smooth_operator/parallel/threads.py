@@ -30,7 +30,7 @@ def one_thread(slot: int) -> Iterator[Callable[[], None]]:
 
     Yields:
         a function to call when all libraries are imported: XLA, where it is there, then starts its
-        threads at once and not at its first use.
+        threads immediately and not at its first use.
     """
     # Several processes share an accelerator; by default the first would take all its memory.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")

@@ -88,7 +88,7 @@ def _unraisable(lost: sys.UnraisableHookArgs) -> None:
 
 
 def _die_with_parent() -> None:
-    # A parent that was killed closes nothing; a worker must not go on writing beside a second run.
+    # A parent that was killed closes nothing; a worker must not go on writing during a second run.
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

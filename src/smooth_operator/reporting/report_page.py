@@ -38,7 +38,7 @@ def write_report_page(
     scripts: Sequence[Traversable] = (),
     without_scripts: str = "",
 ) -> Path:
-    """Writes a report. It needs nothing beside it, and nothing from the network.
+    """Writes a report. It needs no other file, and nothing from the network.
 
     Args:
         path: where to.

@@ -85,7 +85,7 @@ class Report:
 
         Args:
             output: the file; None for ``build/benchmarks/<benchmark>.json``.
-            compare: an earlier result of the same benchmark to lay beside this one.
+            compare: an earlier result of the same benchmark to compare with this one.
 
         Raises:
             BenchmarkError: if the file to compare with is no result of this benchmark.

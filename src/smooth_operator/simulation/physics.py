@@ -17,7 +17,7 @@ _RUNAWAY = 500.0
 
 
 class HandPhysics:
-    """A hand with position servos on a fixture. Not for several threads at once.
+    """A hand with position servos on a fixture. Not thread-safe.
 
     Args:
         hand: the robot hand.

@@ -93,7 +93,7 @@ def slsqp_minimise(
     """Minimise within bounds.
 
     Args:
-        objective: value and gradient at a point; not finite where it can't be told.
+        objective: value and gradient at a point; not finite where it is undefined.
         start: (m,) where to begin; clipped to the bounds.
         limits: (m, 2) bounds.
         config: when to stop.

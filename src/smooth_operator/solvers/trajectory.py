@@ -1,4 +1,4 @@
-"""All frames of a recording at once: a cost for each frame, and a price on the motion between them.
+"""Trajectory optimisation: a cost for each frame of a recording, and of the motion between frames.
 
 What is minimised over q(1) .. q(T) is::
 
@@ -43,7 +43,7 @@ _DAMPING_FIRST, _DAMPING_MOST = 1e-3, 1e8
 
 @dataclass(frozen=True)
 class TrajectoryConfig:
-    """What motion costs, beside a frame's cost of one.
+    """Weights of the motion's cost, against a frame's cost of one.
 
     Attributes:
         velocity_weight: of squared joint velocity [s^2/rad^2].

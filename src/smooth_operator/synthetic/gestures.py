@@ -1,4 +1,4 @@
-"""What the synthetic operator does: gestures, drawn anew each time round, without an end."""
+"""What the synthetic operator does: gestures in a new random order each round, without end."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class SyntheticOperator:
         A longer recording starts with the frames of a shorter one.
 
         Args:
-            duration: [s]; ``round(duration * rate_hz)`` ticks of the tracker, of which lost frames
+            duration: [s]; ``round(duration * rate_hz)`` ticks of the tracker; lost frames
                 are left out.
 
         Returns:

@@ -115,7 +115,7 @@ def _least_squares(
     upper: Float[np.ndarray, "P K"],
     steps: int = 40,
 ) -> Float[np.ndarray, "P K"]:
-    """Levenberg-Marquardt within bounds, for several problems at once.
+    """Levenberg-Marquardt within bounds, for several problems together.
 
     scipy's ``least_squares`` does the same for one problem, but importing it takes longer than
     all the rest of the synthetic operator's work together.

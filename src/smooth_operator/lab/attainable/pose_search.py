@@ -30,13 +30,13 @@ Aim: TypeAlias = Literal["thumb", "all"]
 """Which mean cosine is brought as high as it goes: of the thumb's keyvectors, or of all."""
 
 SECOND = 0.01
-"""Weight of the other mean cosine beside the one that is sought: decides among equals."""
+"""Weight of the mean cosine that is not optimised: decides among equals."""
 SIZE = 1e-3
 """Weight of thumb vectors' lengths, in squares of 50 mm: the same."""
 ELASTIC = 10.0
 """Price of each millimetre that a gap is too wide: far above what it could gain in cosine."""
 BLOCK = 256
-"""Poses that descend at once."""
+"""Poses that descend together."""
 STEPS = 200
 MARGIN = 2e-5
 """How far inside the limits the search aims, so that its end is within them [m]."""

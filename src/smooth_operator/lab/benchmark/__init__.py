@@ -1,7 +1,7 @@
 """Benchmarks: recordings x hands x methods into one table of results, plots and a report.
 
 ``plan_cells`` looks everything up, ``run_suite`` measures, ``make_rows`` makes the rows
-of ``results.json``, ``compare`` lays an earlier one beside them, and
+of ``results.json``, ``compare`` compares an earlier one with them, and
 ``smooth_operator.lab.benchmark.page`` writes the report. Nothing here prints.
 """
 

@@ -1,4 +1,4 @@
-"""Compiled retargeters of this process, the last used ones: a next recording needs none anew."""
+"""Compiled retargeters of this process, the last used ones: the next recording reuses them."""
 
 from __future__ import annotations
 

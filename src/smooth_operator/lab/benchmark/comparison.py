@@ -83,7 +83,7 @@ class Comparison:
 
 
 def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison:
-    """Lays an earlier benchmark beside one.
+    """Compares an earlier benchmark with one.
 
     Args:
         rows: of this one.

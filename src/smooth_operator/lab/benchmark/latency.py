@@ -1,6 +1,6 @@
 """Latency, measured alone: one process, no other worker, methods taking turns.
 
-Beside other workers a latency says how busy the machine is, not how fast a method. So it has
+With other workers a latency says how busy the machine is, not how fast a method. So it has
 a phase of its own. Methods take turns in short blocks, each with its own state, so that whatever
 else the machine does hits all alike; who begins changes from round to round.
 """

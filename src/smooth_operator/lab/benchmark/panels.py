@@ -1,4 +1,4 @@
-"""One recording on one hand, method beside method: what plots and clips are drawn from."""
+"""One recording on one hand, all methods: the data of plots and clips."""
 
 from __future__ import annotations
 

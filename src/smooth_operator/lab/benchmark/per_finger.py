@@ -18,7 +18,7 @@ PER_FINGER: Final = (
     Metric("pinch_error_mm", "mm", "down", "tip gap to the thumb while the human's is under 15 mm"),
     Metric("workspace_utilisation", "", "up", "share of the tip's reachable set in use"),
 )
-"""What is told of each finger. All follow the sound definition, whichever the run's metrics do."""
+"""Figures of each finger. All follow the sound definition, whichever the run's metrics do."""
 
 
 def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:

@@ -1,4 +1,4 @@
-"""The paper's table, to lay beside a benchmark: other data, another machine."""
+"""The paper's table, to compare with a benchmark: other data, another machine."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Measured:
     """What was measured of a cell, without latency.
 
     Attributes:
-        commands: the joint commands. Their latency is NaN: taken beside other workers it would
+        commands: the joint commands. Their latency is NaN: measured with other workers it would
             not be to believe, and without it the same cell has the same bytes.
         metrics: of ``evaluate``.
         fingers: of ``finger_metrics``.

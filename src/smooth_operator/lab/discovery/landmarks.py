@@ -24,7 +24,7 @@ def finger_points(
 ) -> tuple[Point, Point | None, Point | None, Point]:
     """The robot's counterparts of a finger's four human landmarks.
 
-    A joint's origin may lie anywhere on its axis; where it is beside the finger, the landmark is
+    A joint's origin may lie anywhere on its axis; where it is next to the finger, the landmark is
     put on the axis level with the tip.
 
     Args:
@@ -72,7 +72,7 @@ def finger_points(
 
 
 def _level(at: Placement, joint: int, end: np.ndarray, length: float) -> np.ndarray:
-    """A joint's origin; if that is beside the finger, the point of its axis level with the tip."""
+    """A joint's origin; if that is off the finger, the point of its axis level with the tip."""
     anchor: np.ndarray = at.anchors[joint]
     axis = at.axes[joint]
     shift = float((end - anchor) @ axis)

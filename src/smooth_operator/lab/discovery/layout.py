@@ -14,7 +14,7 @@ from smooth_operator.lab.discovery.motion import Bending, Reach
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
-_CLEAR: Final = 0.12  # of a finger's length: thumb beside the middle of the palm, for a clear side
+_CLEAR: Final = 0.12  # of a finger's length: thumb off the middle of the palm, for a clear side
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def find_layout(
         # what the shape leaves open, names may decide
         ranked = sorted(others, key=lambda i: FINGERS.index(said[i] or ""))
         ordered = 0.6
-        reasons[1:] = ["its ends are told apart by names only (weak evidence)"]
+        reasons[1:] = ["its ends are distinguished by names only (weak evidence)"]
         if side_said is None and side_given is None and len(ranked) > 1:
             across = bases @ lateral
             side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"

@@ -107,7 +107,7 @@ def _check_names(root: ElementTree.Element, path: Path) -> None:
         if twice:
             raise HandModelError(
                 f"{path} names the {tag} {', '.join(map(repr, twice))} twice; give each its own "
-                "name, so that a fingertip or joint can be told from another"
+                "name, so that fingertips and joints can be distinguished"
             )
 
 

@@ -1,4 +1,4 @@
-"""The picture beside a calibration: poses on a time line, reach and pinches before and after."""
+"""The picture of a calibration: poses on a time line, reach and pinches before and after."""
 
 from __future__ import annotations
 

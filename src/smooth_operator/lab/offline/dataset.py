@@ -96,7 +96,7 @@ def survey(
 def retarget_all(
     jobs: list[Job], *, workers: int | None = None, cluster: str | None = None
 ) -> Generator[Entry, None, None]:
-    """Retargets recordings at once; nothing that goes wrong with one touches another.
+    """Retargets recordings in parallel; a failure of one does not touch another.
 
     Each result is written whole or not at all. It depends on its recording and the request alone,
     to the last bit: not on the number of workers, nor on what else was done before. To that end

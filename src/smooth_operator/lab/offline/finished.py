@@ -57,7 +57,7 @@ def digest(content: bytes | Path) -> str:
 
 
 def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The configuration beside a result that need not be made again.
+    """The configuration of a result that need not be made again.
 
     It is one if the result is whole to the last byte, and was made by this version, as it is asked
     for now, from a recording that has not changed since. A recording with another date but the same
@@ -111,7 +111,7 @@ def foreign(output: Path) -> str | None:
         if taken.exists() and not taken.is_file():
             return f"can't write {str(taken)!r}: it is not a plain file; remove it first"
     if read_configuration(beside) is not None:
-        return None  # and what is beside it is its result, whole or cut off
+        return None  # and the other file is its result, complete or cut off
     if beside.exists():
         return f"can't write {str(beside)!r}: it holds something else; remove it first"
     if output.exists():

@@ -33,7 +33,7 @@ def segments(
     Args:
         seen: (T,) frames with a usable hand.
         stamps: (T,) times [s].
-        bridge: longest time from one seen frame to the next within a stretch [s], beside a period.
+        bridge: longest time from one seen frame to the next within a stretch, plus a period [s].
     """
     at = np.flatnonzero(seen)
     if not len(at):
@@ -49,7 +49,7 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
     """What a tracker usually adds to a point, as a second difference [m].
 
     Of each frame the median of the points, over time the mean of roots: as
-    ``pursue`` has it, but of all frames at once.
+    ``pursue`` has it, but of all frames together.
 
     Args:
         points: (T, N, 3) [m].
@@ -74,7 +74,7 @@ def without_leaps(
     Args:
         points: (T, N, 3) [m].
         seen: (T,) frames that count; the others stay as they are.
-        leap: a step in one frame of which half is followed [m]; 0 follows all.
+        leap: the filter follows half of a step of this length in a frame [m]; 0 follows all.
     """
     at = np.flatnonzero(seen)
     if not leap or len(at) < 2:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 
 ROOT: Final = "palm"
-"""Name of the link that all positions are told in."""
+"""Name of the link that is the frame of all positions."""
 
 _LIMIT: Final = 100.0  # beyond any joint's; limits are not what is compared [rad or m]
 

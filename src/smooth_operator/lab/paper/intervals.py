@@ -93,7 +93,7 @@ class Estimate:
         """The ends of the interval.
 
         Args:
-            among: of how many this is one, of which all are to hold the truth at once with the
+            among: number of intervals that are to hold the truth together with the
                 level's probability (Bonferroni): the interval is wider for more.
         """
         points = np.asarray(self.points)

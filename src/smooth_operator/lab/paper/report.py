@@ -83,7 +83,7 @@ def write_outcome(
 
 
 def write_report(store: Store) -> Path:
-    """One page of all experiments whose results stand in the folder; nothing beside it is needed.
+    """One page of all experiments whose results are in the folder; it needs no other file.
 
     Raises:
         OutputError: it can't be written.

@@ -1,7 +1,7 @@
 """The folder of the experiments: what is in it, and what of it need not be done again.
 
 ``config.json`` says what was asked for. ``cells/`` holds what was computed, one ``.npz`` a cell,
-shared by the experiments. ``NAME/results.json`` and the figures beside it are what an experiment
+shared by the experiments. ``NAME/results.json`` and the figures are what an experiment
 comes to, ``report.html`` all of them. Files are whole or not there.
 """
 

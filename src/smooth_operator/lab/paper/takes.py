@@ -1,6 +1,6 @@
 """Recordings as a tracker would have given them: noisier, with frames lost, or at another rate.
 
-Beside what is seen stands what was there, which a method is measured against.
+With the degraded frames it keeps the true ones, which a method is measured against.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -
 def at_rate(source: Source, rate_hz: float, seconds: float) -> Take | None:
     """The same motion at another frame rate.
 
-    The built-in operator is recorded anew, so that nothing is made up between frames. Of another
+    The built-in operator is recorded again, so that nothing is interpolated. Of another
     recording the frames nearest to the ticks are taken with their own stamps.
 
     Args:

@@ -128,7 +128,7 @@ def judge(judging: Judge, found: Sequence[Estimate], missing: int = 0) -> Held:
     Args:
         judging: judges a part.
         found: what was measured of each part.
-        missing: parts of which nothing could be measured: the claim can't hold as a whole then.
+        missing: parts without a measurement: the claim can't hold as a whole then.
     """
     parts = len(found) + missing
     plain = [judging(one) for one in found]

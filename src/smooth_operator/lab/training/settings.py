@@ -10,7 +10,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import AlignmentConfig
 
 VOXEL: Final = 1e-3
-"""Size of the cells of which one point each is kept, for the losses without pairs [m]."""
+"""Size of the cells that keep one point each, for the losses without pairs [m]."""
 STEP_RANGE: Final = (1e-3, 11e-3)
 """Lengths of the human steps whose direction the robot's are to keep [m]."""
 BEND: Final = 2e-3
@@ -53,7 +53,7 @@ class GeortTraining:
         surround: standard deviation of the displacement from recorded points to those where
             direction and curvature are asked for [m]; 0 for the points themselves, as published.
         ramp: share of the epochs over which the weight of coverage rises to its full value; 0 for
-            at once, as published.
+            none, as published.
         validation: share of each recording, its end, that is kept out of training.
         seed: of all random numbers.
         alignment: how human landmarks reach the palm frame.

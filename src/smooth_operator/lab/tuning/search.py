@@ -1,7 +1,7 @@
 """Where to look next: low-discrepancy points over the box, then steps along the axes of the best.
 
-Both are deterministic, and ask for points by the batch, so that workers have something to do at
-once. A search that is begun again and told the same scores asks for the same points.
+Both are deterministic, and ask for points by the batch, so that workers run in
+parallel. A repeated search with the same scores asks for the same points.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def search(
     """Points to try, in the unit cube; to be sent the score of each, less is better.
 
     First comes ``start``, alone. Then a scrambled Sobol sequence, ``spread`` of the trials. Then,
-    from the best so far, one step up and one down along each axis, and one that takes all steps at
-    once that helped alone; the best of them is the next to step from, and where none is better the
+    from the best so far, one step up and one down along each axis, and one that takes all
+    steps that helped alone; the best of them is the next to step from, and where none is better the
     steps are halved. It ends with the trials, or with steps under ``LAST_STEP``.
 
     Args:

@@ -1,4 +1,4 @@
-"""All checks on one hand, in an order in which a fault is told once."""
+"""All checks on one hand, in an order that reports a fault once."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
 def _place(hand: Hand, finger: str) -> dict[str, float]:
     """``own``: distance to the tip's own link; ``other``: to the nearest other part [m].
 
-    Links beyond the tip are not looked at: that joints move them in vain is told elsewhere.
+    Links beyond the tip are not looked at: another check reports joints that move them in vain.
     """
     spec = hand.spec.fingers[hand.fingers.index(finger)]
     body = hand.model.body(spec.tip.body).id

@@ -160,5 +160,5 @@ class ScenePhysics(HandPhysics):
 
     def _place(self, target: np.ndarray) -> None:
         super()._place(target)
-        if hasattr(self, "_touching"):  # the physics came apart: the object starts anew, too
+        if hasattr(self, "_touching"):  # the physics diverged: the object is reset, too
             self.reset_object()

@@ -23,7 +23,7 @@ from smooth_operator.simulation.tasks.scorer import (
 OVER: Final = 0.005
 """So far beyond the table's edge, and still lying on it, the card is over the edge [m]."""
 
-_SIDEWAYS: Final = 0.07  # a card that lies this far beside its start is out of reach [m]
+_SIDEWAYS: Final = 0.07  # a card this far sideways from its start is out of reach [m]
 _FACE: Final = 0.0003  # a touch this far from the card's middle plane is on a face [m]
 _CORNERS: Final = np.array(list(product((-0.5, 0.5), repeat=3))) * CARD
 

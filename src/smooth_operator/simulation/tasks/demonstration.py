@@ -1,6 +1,6 @@
 """Trajectories that are known to do the tasks: key poses found by search, shipped as JSON.
 
-They say that a scene can be done by a hand of which only the fingers move, and hold that in the
+They show that a hand can do a scene with its fingers alone, and hold that in the
 tests. ``docs/how-to/user-study.md`` says how they were found.
 """
 

@@ -1,4 +1,4 @@
-"""A trial in simulation on disk: what the scene showed, what was told, what it came to.
+"""A trial in simulation on disk: states of the scene, commands, outcome.
 
 One ``.npz`` for each trial, which opens without unpickling and scores again the same
 (``rescore``).
@@ -54,7 +54,7 @@ class TrialRecord:
         positions: (n,) where the hand's joints were at each of them [rad].
         events: (time, ``go``, ``reset`` or ``finish``), by the scene's clock [s].
         outcome: what it came to.
-        about: what else is to stand beside it: operator, condition, number.
+        about: further entries: operator, condition, number.
     """
 
     task: str

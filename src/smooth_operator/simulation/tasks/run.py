@@ -58,7 +58,7 @@ class TaskRun:
         task: which.
         scene: where.
         phase: ready, running or done.
-        started: when it was told to go [s]; NaN before.
+        started: time of its start [s]; NaN before.
         resets: how often the object was put back; once is allowed.
         was_stuck: only the reset had helped.
         scorer: what has happened since 'go', or since the reset.

@@ -1,4 +1,4 @@
-"""Trials of a task in the running simulation: told by the experimenter, recorded one by one."""
+"""Trials of a task in the running simulation: controlled by the experimenter, each recorded."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class TaskSession:
         Returns:
             ``task``, ``side``; ``number`` of the trial, from 1; ``phase`` ready, running or done;
             ``elapsed_s`` since 'go', by the scene's clock; ``score``, ``line`` of the rubric, its
-            ``text``, and the ``reason`` for it, of which only those of a trial that is done are
+            ``text``, and the ``reason`` for it, which only for a finished trial are
             final; ``time_s`` and ``ended`` of such a one, None before; ``resets``; ``placed``:
             whether the object is at its start, and no longer waits for the hand to leave its place.
         """

@@ -97,7 +97,7 @@ class TrialRunner:
         """Start a trial on every hand.
 
         Args:
-            about: what is to stand in the records beside what always does.
+            about: further entries of the records.
 
         Raises:
             StudyError: one runs, or there is no task.

@@ -89,7 +89,7 @@ def analyze_study(
         data: the study.
         baseline: the retargeter that others are compared with.
         seed: of the bootstrap.
-        report: is told what is being done.
+        report: is called with a text on what is being done.
 
     Returns:
         The analysis. What can't be analysed is refused there, with its reason, part by part.

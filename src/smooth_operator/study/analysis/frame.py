@@ -14,7 +14,7 @@ INTERCEPT: Final = "(Intercept)"
 INDEX: Final = "t"
 _DEPENDENT: Final = 1e-9
 """Share of a column's length that earlier columns may leave unexplained, and it still counts as
-told by them."""
+determined by them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def check_frame(frame: Frame) -> None:
     told = dependent_columns(design)
     if told:
         raise StudyError(
-            f"{', '.join(names[j] for j in told)} can't be told from the other terms: retargeters, "
+            f"{', '.join(names[j] for j in told)}: not independent of the other terms: methods, "
             "tasks and trials were not crossed in these rows"
         )
     if len(frame) <= len(names):

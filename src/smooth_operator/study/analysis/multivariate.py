@@ -34,7 +34,7 @@ _ROUGH: Final = 1e-6
 """From this error on, the points do as well and are quicker."""
 _CHI_NODES: Final = 14
 _BLOCK: Final = 2_000_000
-"""Nodes evaluated at once, so that memory stays small."""
+"""Nodes evaluated per block, so that memory stays small."""
 
 
 def outside(
@@ -85,7 +85,7 @@ def outside(
 
 
 def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
-    """The same variables, each next one the least told by those before: keeps limits smooth."""
+    """The same variables, each the least determined by the previous ones: keeps limits smooth."""
     left = list(range(len(correlation)))
     chosen: list[int] = []
     while left:

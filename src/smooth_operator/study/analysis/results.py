@@ -1,6 +1,6 @@
 """What an analysis comes to, and how it looks as JSON.
 
-``results.json`` is ``{mode: {outcome: {scope: ...}}}``, beside it ``learning``, ``spearman``,
+``results.json`` is ``{mode: {outcome: {scope: ...}}}``, and ``learning``, ``spearman``,
 ``tlx_items``, ``operator_variance`` and ``study``. Numbers that do not exist are null; a refused
 analysis has its reason in ``refused``, empty tables, and never a number.
 """

@@ -2,7 +2,7 @@
 
 A point is one operator with one retargeter: the metric, and the operator's mean outcome. Points of
 one operator are not independent, so the interval to believe is the bootstrap's, which draws whole
-operators; Fisher's, which takes points for independent, is given beside it.
+operators; Fisher's, which takes points for independent, is given too.
 """
 
 from __future__ import annotations

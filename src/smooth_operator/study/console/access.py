@@ -1,4 +1,4 @@
-"""Who may open which page: two tokens, of which the operator's opens the operator's page alone.
+"""Token authentication: the operator's token opens the operator's page alone.
 
 On this machine alone no token is asked for; other pages of the same browser are kept out by their
 origin. Tokens are kept, since a tablet must come back by itself when the console is started again.
@@ -111,6 +111,6 @@ def _keep(file: Path, content: bytes) -> None:
         with os.fdopen(handle, "wb") as out:
             out.write(content)
         with contextlib.suppress(FileExistsError):
-            os.link(draft, file)  # the first of two that do this at once wins
+            os.link(draft, file)  # the first of two that do this in parallel wins
     finally:
         draft.unlink()

@@ -1,4 +1,4 @@
-"""Files of a study: CSV tables told apart by their columns, a folder of them, or one JSON file."""
+"""Files of a study: CSV tables recognised by their columns, a folder of them, or one JSON file."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
 PAIRS: Final = len(ITEMS) * (len(ITEMS) - 1) // 2
-"""Of scales, of each of which an operator says which added more to the workload."""
+"""Pairs of scales: an operator says of each pair which added more to the workload."""
 Workload: TypeAlias = Literal["raw", "weighted"]
 """``raw``: mean of the six answers (Hart 2006); ``weighted``: each as often as its scale was chosen
 (Hart and Staveland 1988)."""

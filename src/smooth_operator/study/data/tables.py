@@ -174,7 +174,7 @@ def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
     table = Checked(name, rows, unit)
     names = tuple(column for column in rows[0][1] if column not in METRIC_COLUMNS)
     if not names:
-        table.problems.append("expected a column for each metric beside operator and retargeter")
+        table.problems.append("expected a column for each metric next to operator and retargeter")
     values = [table.numbers(metric, "a number, or nothing", lambda x: True) for metric in names]
     found = SimulationMetrics(
         operator=np.array(table.words("operator")),

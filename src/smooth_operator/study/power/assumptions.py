@@ -47,7 +47,7 @@ class Assumptions:
         workload: condition -> mean raw NASA-TLX, 0 to 100.
         operators: standard deviation between operators.
         interaction: standard deviation of how an operator does with one condition in particular.
-        trials: standard deviation between trials of an operator; of success there is none beside
+        trials: standard deviation between trials of an operator; of success there is none but in
             its probability; of workload it is shared by the six scales.
         scales: standard deviation of each scale of NASA-TLX on top [points].
         practice: change per trial, or per questionnaire for workload, centred.

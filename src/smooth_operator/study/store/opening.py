@@ -26,7 +26,7 @@ def open_study(
 
     Args:
         target: folder of the study, an SQLite file, or the URL of a database.
-        plan: of the study; operators that it enrols anew are taken over. None for what is stored.
+        plan: of the study; operators that it newly enrols are taken over. None for what is stored.
         name: of the study, where a database holds several and no plan is given.
 
     Raises:

@@ -66,7 +66,7 @@ class Trial:
     """A trial that was begun.
 
     Attributes:
-        block: of which.
+        block: number of the block.
         number: in the block.
         started: when.
         resets: how often the object was put back.

@@ -236,7 +236,7 @@ class StudyStore:
         self.close()
 
     def _empty_write_ahead_log(self) -> None:
-        """What was overwritten in the file may still stand in the log beside it, until now."""
+        """What was overwritten in the file may still be in its write-ahead log, until now."""
         connection = self._engine.raw_connection()
         try:
             busy, *_ = connection.cursor().execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()

@@ -51,7 +51,7 @@ _APPEND_ONLY_POSTGRESQL: Final = (
     FOR EACH ROW EXECUTE FUNCTION study_log_is_append_only()""",
 )
 _CREATING: Final = 7_261_905
-"""Key of the lock under which PostgreSQL's tables are made, so that two can't make them at once."""
+"""Key of the lock under which PostgreSQL's tables are made, so that only one makes them."""
 
 
 def open_engine(target: str | Path) -> Engine:

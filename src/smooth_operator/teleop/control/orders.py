@@ -1,6 +1,6 @@
 """The words of ``teleop --control`` that change what the hands are driven by, and what they do.
 
-Beside those of ``smooth_operator.teleop.runtime.remote``:
+In addition to those of ``smooth_operator.teleop.runtime.remote``:
 
     {"do": "method", "method": "dexpilot", "preset": "default"}
         another method; compiled while the old one goes on, and answered when the hands go over to
@@ -16,7 +16,7 @@ Beside those of ``smooth_operator.teleop.runtime.remote``:
     {"do": "trial"}
         how the trial stands. With "begin": true a trial begins, with the object at its start, and
         "about": {...} stands in its record; with "finish": true it ends, the operator can do no
-        more; with "cancel": true it is forgotten. "side" says whose is told, where there are two:
+        more; with "cancel": true it is forgotten. "side" says which one, if there are two:
         {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
          "line": "not-done", "text": ..., "reason": "on the table", "time_s": null, "ended": null,
          "resets": 0, "number": 1, "placed": true, "side": "right"}; "phase" is ready, running or
@@ -154,7 +154,7 @@ class Orders:
         runner = self._open_runner()
         wanted = [word for word in ("begin", "finish", "cancel") if fields.get(word)]
         if len(wanted) > 1:
-            raise ConfigError(f"a trial can't {' and '.join(wanted)} at once")
+            raise ConfigError(f"a trial can't {' and '.join(wanted)} together")
         if "begin" in wanted:
             about = fields.get("about") or {}
             if not isinstance(about, dict):

@@ -226,7 +226,7 @@ def serve_hand(
         host: address to listen on; this machine only by default.
         port: first port to try; the one that was free is printed.
         open_browser: open the page, where there is a desktop to open it on.
-        block: return only after Ctrl-C; otherwise at once, and the caller stops the page.
+        block: return only after Ctrl-C; otherwise immediately, and the caller stops the page.
 
     Raises:
         ConfigError: if the address is not one of this machine's, or no port is free.

@@ -31,7 +31,7 @@ _COLORS: Final = 96  # of the PNG's palette: a fifth of the bytes, and no eye se
 
 
 def hand_figure(hand: Hand, q: Float[np.ndarray, " m"] | None = None) -> Figure:
-    """Draws a hand from the palm and from the thumb's side, and its joints beside it.
+    """Draws a hand from the palm and from the thumb's side, and a list of its joints.
 
     Args:
         hand: the robot hand.

@@ -14,7 +14,7 @@ from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
 
-_POSES = 24  # in which the bodies of a finger are told from the motion of its tip
+_POSES = 24  # in which the motion of its tip identifies the bodies of a finger
 
 
 class HandView:

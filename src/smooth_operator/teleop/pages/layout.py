@@ -21,7 +21,7 @@ FOREARM = 0.03
 _MARGIN = 1.1
 _LABEL = 0.012  # label above the highest fingertip [m]
 _SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
-_TILT = np.deg2rad(8.0)  # camera a little above and beside the palm normal: depth can be read
+_TILT = np.deg2rad(8.0)  # camera a little off the palm normal: depth can be read
 _MCPS = [landmarks.index(f"{finger}_mcp") for finger in landmarks.FINGERS[1:]]
 
 

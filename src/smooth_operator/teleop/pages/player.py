@@ -266,7 +266,7 @@ def serve(
         host: address to listen on; this machine only by default.
         port: first port to try; the one that was free is printed.
         open_browser: open the page, where there is a desktop to open it on.
-        block: return only after Ctrl-C; otherwise at once, and the caller stops the server.
+        block: return only after Ctrl-C; otherwise immediately, and the caller stops the server.
 
     Returns:
         The server: stopped if ``block``, running otherwise.

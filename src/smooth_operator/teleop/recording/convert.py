@@ -79,7 +79,7 @@ def read_episode(
 
     Args:
         path: a recording (see ``read_recording``), the ``OUT.npz``
-            of a retargeting, a log, an HDF5 file or the folder of a LeRobot dataset, told by
+            of a retargeting, a log, an HDF5 file or the folder of a LeRobot dataset, recognised by
             content.
         rate: frames a second [Hz], needed where the file has no stamps.
         side: which hand; needed where the file does not say and it is a left one.
@@ -264,7 +264,7 @@ def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool
 
 
 def files_of(path: Path, to: Format) -> list[Path]:
-    """The files that writing an output may replace: itself, and a configuration beside it."""
+    """The files that writing an output may replace: itself, and its configuration."""
     return [path, config_path(path)] if to == "npz" else [path]
 
 

@@ -1,4 +1,4 @@
-"""Episodes as HDF5: one file, one episode, units beside every array.
+"""Episodes as HDF5: one file, one episode, units with every array.
 
 ::
 

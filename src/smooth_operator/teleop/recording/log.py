@@ -61,7 +61,7 @@ class LogWriter:
     is older than ``flush_seconds`` at the next write, on ``flush`` and on ``close``. If the
     process dies, ``read_log`` reads every chunk that was ended.
 
-    One log holds one hand and one robot. Use as a context manager; not for several threads at once.
+    One log holds one hand and one robot. Use as a context manager; not thread-safe.
 
     Attributes:
         path: the file.
@@ -231,7 +231,7 @@ class LogWriter:
             self._append()
 
     def write_origin(self, origin: Mapping[str, str]) -> None:
-        """Append where the log came from, as a metadata record beside the messages.
+        """Append where the log came from, as a metadata record.
 
         Args:
             origin: texts by name; ``name``, ``task`` and ``meta`` (JSON) are those that
@@ -243,7 +243,7 @@ class LogWriter:
         self._metadata(ORIGIN, origin)
 
     def write_method(self, stamp: float, method: str, preset: str, config: Any) -> None:
-        """Append what drives the hand from now on, as a metadata record beside the messages.
+        """Append what drives the hand from now on, as a metadata record.
 
         Args:
             stamp: of the first command that it gives [s].

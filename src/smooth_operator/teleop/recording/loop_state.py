@@ -1,4 +1,4 @@
-"""What a log of the live loop tells of each command, beside the command itself."""
+"""What a log of the live loop says of each command, in addition to the command itself."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def read_npz_episode(
 ) -> Episode:
     """Reads a recording, a file of commands, or one of both.
 
-    The configuration is the one in the file, or else the one beside it (``OUT.json``).
+    The configuration is the one in the file, or else ``OUT.json`` in its folder.
 
     Raises:
         RecordingError: as ``read_recording`` and
@@ -82,7 +82,7 @@ def read_npz_episode(
 
 
 def write_npz_episode(path: Path, episode: Episode) -> None:
-    """Writes an episode; with commands and a configuration, ``OUT.json`` beside it as well.
+    """Writes an episode; with commands and a configuration, ``OUT.json`` as well.
 
     Raises:
         OutputError: it can't be written.

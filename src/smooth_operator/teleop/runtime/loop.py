@@ -21,7 +21,7 @@ from smooth_operator.types import Side
 
 
 class TeleopLoop:
-    """Drives robot hands from a source until told to end.
+    """Drives robot hands from a source until stopped.
 
     A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
     commands go out at the loop's pace all the same, held or easing as the policies say. Commands of

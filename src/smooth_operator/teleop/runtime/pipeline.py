@@ -25,7 +25,7 @@ SWITCHED: Final = "another method, or other settings"
 class HandPipeline:
     """Frames of one hand to commands of one robot hand.
 
-    Not for several threads at once: the loop owns it, and whoever else wants something of it asks
+    Not thread-safe: the loop owns it, and whoever else wants something of it asks
     the loop (``Controls``).
 
     Args:

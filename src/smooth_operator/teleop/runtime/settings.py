@@ -21,7 +21,7 @@ class SafetyConfig:
             shorter than this, as long as the gap.
         restart_s: stamps that go back by more than this are a tracker that was started again; by
             less, frames out of order, which are refused [s].
-        watchdog_s: silence of the loop after which sinks are told [s].
+        watchdog_s: silence of the loop after which sinks are notified [s].
     """
 
     stale_s: float = 0.1
@@ -37,7 +37,7 @@ class SafetyConfig:
     restart_s: float = 1.0
     """Stamps that go back by more are a tracker that was started again; by less, refused [s]."""
     watchdog_s: float = 0.2
-    """Silence of the loop after which sinks are told [s]."""
+    """Silence of the loop after which sinks are notified [s]."""
 
     def __post_init__(self) -> None:
         for name in ("stale_s", "ease_velocity", "watchdog_s"):

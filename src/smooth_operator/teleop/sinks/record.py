@@ -27,7 +27,7 @@ class RecordSink(Sink):
     One file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap`` where there
     are two. The file is whole up to the last flush, whatever becomes of the process. Its stamps are
     by the loop's clock, so that commands between two frames have their place; the tracker's own
-    stamp of each frame stands beside it.
+    stamp of each frame is recorded too.
 
     Opened again after a failure, it goes on in a new file and touches no earlier one.
 
@@ -53,7 +53,7 @@ class RecordSink(Sink):
     observes: ClassVar[bool] = True
     """It moves nothing, and gets its ticks after the sinks that do."""
 
-    # what changes, beside the frozen settings
+    # what changes, in addition to the frozen settings
     _recorder: Recorder | None = field(default=None, init=False, repr=False, compare=False)
     _history: tuple[Path, ...] = field(default=(), init=False, repr=False, compare=False)
     _lost: int = field(default=0, init=False, repr=False, compare=False)

@@ -178,7 +178,7 @@ class _HandLog:
         self, path: Path, hand: Hand, config: Mapping[str, Any], *, overwrite: bool
     ) -> None:
         self.path = path
-        # Flushed from outside, for both hands at once and also where nothing comes any more.
+        # Flushed from outside, for both hands together and also where nothing comes any more.
         self._log = LogWriter(
             path,
             overwrite=overwrite,

@@ -20,7 +20,7 @@ _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
 @dataclass(frozen=True)
 class Ros2Sink(CourierSink):
-    """Publishes ``sensor_msgs/JointState`` commands, and the mode beside them.
+    """Publishes ``sensor_msgs/JointState`` commands, and the mode.
 
     The message has names, positions [rad] and velocities [rad/s] of all joints; its header has the
     time of publishing, by the node's clock. ``std_msgs/String`` on ``<topic>_mode`` says what the

@@ -22,7 +22,7 @@ from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
 _WAKE_S: Final = 0.004
-"""How often the thread wakes for some steps at once; waking costs more than a step."""
+"""How often the thread wakes for several steps; waking costs more than a step."""
 
 _SLICE_S: Final = 0.01
 """Longest that the physics goes on without a look at commands, and at what happened [s]."""
@@ -38,7 +38,7 @@ class Simulation(Sink):
     """Each hand on a fixture in MuJoCo, its joints driven by position servos, in real time.
 
     The physics runs on a thread of its own. When commands stop, the hands stay where they are. The
-    page draws ``state`` beside the command.
+    page draws ``state`` with the command.
 
     Attributes:
         rate: steps of the physics per second [Hz].

@@ -19,7 +19,7 @@ _FORGET: Final = 0.9995
 class StampMap:
     """Stamps for the log of one hand: by the loop's clock, and strictly increasing.
 
-    A frame is stamped by its tracker, whose clock begins anew with every start; a command that
+    A frame is stamped by its tracker, whose clock restarts with every start; a command that
     answers no frame has the loop's own time. Each start of the tracker is shifted by one constant,
     reception minus stamp of its first frame, so that differences of stamps within it are the
     tracker's own. A jump of the stamps counts as a start

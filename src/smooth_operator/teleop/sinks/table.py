@@ -30,7 +30,7 @@ _COLOURS: Final = {Mode.TRACKING: "green", Mode.BLENDING: "cyan", Mode.STOPPED: 
 
 @dataclass(frozen=True)
 class TableSink(Sink):
-    """A table on standard error, drawn anew a few times a second; plain lines where no screen is.
+    """A table on standard error, updated a few times a second; plain lines without a screen.
 
     Attributes:
         rate: how often it is drawn [Hz].

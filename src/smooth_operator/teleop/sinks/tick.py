@@ -73,7 +73,7 @@ class Tick:
         tracking_loss: of the frame; NaN where none is answered.
         scale: robot size over human size in the frame; NaN where none is answered.
         events: what happened at this tick, a sentence each: a mode that changed, frames refused.
-        driver: what the hand is driven by, where the loop was told; the same object until it
+        driver: what the hand is driven by, if the loop knows; the same object until it
             changes.
     """
 

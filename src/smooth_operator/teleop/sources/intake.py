@@ -24,7 +24,7 @@ _MAX_REASON = 300
 class Intake:
     """Reads messages and posts what is in them.
 
-    A message that can't be read is counted, and the last reason told in the health; it never ends
+    A message that can't be read is counted, and the health has the last reason; it never ends
     the source. A hand's session goes up by one when its tracker was started again: it says a new
     ``session``, or it begins or ceases to stamp. The mailbox finds jumps of the stamps, and the
     loop refuses stamps that repeat or go back a little.

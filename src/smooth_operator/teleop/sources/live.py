@@ -33,7 +33,7 @@ back from the newest one, or ahead of the time that went by since that one was r
 
 
 _GAPS: Final = 5
-"""Times between frames of which the median is a tracker's period; few, since trackers change."""
+"""Number of times between frames for the median, a tracker's period; few, since trackers change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Arrival:
     Attributes:
         frame: the hand; its stamp is by the tracker's clock, or ``received`` where it had none.
         received: when its last byte was here, by the loop's clock [s].
-        session: which start of the tracker it belongs to; stamps of another session may begin anew.
+        session: which start of the tracker it belongs to; stamps of another session may restart.
             It goes up by one with each start that the source knows of, and with each jump of the
             stamps (``JUMP_S``).
         speed: seconds of its stamps in a second of the loop's clock; a recording may be played
@@ -227,7 +227,7 @@ class LiveSource(Protocol):
         """
 
     def start(self, mailbox: Mailbox) -> None:
-        """Begin to post frames, and return at once.
+        """Begin to post frames, and return immediately.
 
         Raises:
             SourceError: it can't be opened: no such camera, a port that is taken.

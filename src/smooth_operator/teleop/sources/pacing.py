@@ -24,7 +24,7 @@ class Stopping(Protocol):
 def on_time(
     due: Iterable[tuple[float, _Item]], clock: Clock, stopping: Stopping
 ) -> Iterator[tuple[float, _Item]]:
-    """Items when they are due; those that are late already come at once, in order.
+    """Items when they are due; those that are late already come immediately, in order.
 
     Args:
         due: (time since the start [s], item), times not decreasing.

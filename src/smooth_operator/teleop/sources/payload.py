@@ -4,7 +4,7 @@ A message is one of
 
 - 21 x 3 numbers, little-endian float32 (252 bytes) or float64 (504 bytes), row by row;
 - JSON: ``{"stamp": 12.5, "side": "right", "landmarks": [[x, y, z], ...], "valid": [true, ...]}``,
-  of which only ``landmarks`` is needed; or ``{"hands": [...]}`` with several of them; or the
+  where only ``landmarks`` is needed; or ``{"hands": [...]}`` with several of them; or the
   landmarks alone.
 
 In place of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR), which are mapped. Nothing

@@ -16,7 +16,7 @@ Hands: TypeAlias = Literal["right", "left", "both"]
 """Which hands a source takes."""
 
 KEPT: Final = 8
-"""Messages that are looked at when more have come at once, the newest. Two hands, their both
+"""Messages that are read when more have come together, the newest. Two hands, their both
 alternating, and a broken one between, leave each hand its newest frame."""
 
 _POLL_S = 0.1  # how long a source that hears nothing needs to notice that it is to stop

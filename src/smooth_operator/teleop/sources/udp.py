@@ -23,7 +23,7 @@ class UdpSource(StreamSource):
     """Each datagram a hand, as ``smooth_operator.teleop.sources.payload`` says.
 
     Whoever can send to the port moves the hand; UDP knows no passwords. So it listens on this
-    machine alone unless told otherwise.
+    machine alone by default.
 
     Attributes:
         port: to listen on; 0 for any free one, see ``endpoint``.

@@ -2,7 +2,7 @@
 
 A ZeroMQ socket can keep the newest message alone (``CONFLATE``), but then the two hands of one
 stream would overwrite each other, and messages in parts are not allowed. So what has come is read
-out at once and the newest few are looked at. Nothing is unpickled.
+out together and the newest few are used. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class ZmqInbox:
         return list(newest)
 
     def close(self) -> None:
-        """Give the socket back, at once."""
+        """Close the socket without waiting."""
         self._socket.close(linger=0)
         self._context.term()
 

@@ -1,4 +1,4 @@
-"""``report.html``, and the figures beside it as files."""
+"""``report.html``, and the figures as files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
         folder: exists.
 
     Returns:
-        The page. It needs nothing beside it, and nothing from the network.
+        The page. It needs no other file, and nothing from the network.
 
     Raises:
         OutputError: a file can't be written.

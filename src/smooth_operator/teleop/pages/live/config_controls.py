@@ -26,12 +26,12 @@ stands above them."""
 
 
 class ConfigControls:
-    """Controls for a list of fields, in folders by part; made anew when the list is another.
+    """Controls for a list of fields, in folders by part; rebuilt when the list changes.
 
     Args:
         gui: where to build, within whatever container is open.
         folder: heading of all of it.
-        change: told the path and the new value of a field that somebody has changed.
+        change: called with the path and the new value of a field that somebody has changed.
         expanded: whether the folder is open at first.
     """
 

@@ -32,7 +32,7 @@ class ConfigField:
         kind: see ``Kind``.
         value: as JSON has it; of an ``optional`` None or a number.
         low, high, step: of numbers; the range is around the default, and what the configuration
-            refuses at once is left out.
+            refuses by itself is left out.
         choices: of a ``choice``.
         doc: what it is, from the docstring of its class.
     """

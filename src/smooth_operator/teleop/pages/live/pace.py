@@ -12,7 +12,7 @@ import viser
 _FASTEST_S: Final = 1 / 30
 _SLOWEST_S: Final = 1.0
 _LATE_S: Final = 0.1
-_RECENT: Final = 12  # questions of which the slowest answer counts
+_RECENT: Final = 12  # questions; the slowest answer counts
 _SETTLE: Final = 3  # pictures of a slow browser in which it shows nothing else
 _EVERY_S: Final = 0.3  # between two questions
 _PATIENCE_S: Final = 2.0

@@ -58,7 +58,7 @@ class PageSetup:
 class LivePage:
     """The process of a page. Use as a context manager, or call ``stop``.
 
-    It starts at once, so that it is ready when the methods are compiled.
+    It starts immediately, so that it is ready when the methods are compiled.
 
     Args:
         setup: what to show, and where.

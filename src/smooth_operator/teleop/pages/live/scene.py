@@ -87,7 +87,7 @@ class LiveScene:
         low = np.min([view.low for view in self._sides.values()], axis=0)
         high = np.max([view.high for view in self._sides.values()], axis=0)
         size = high - low
-        # One hand: human beside robot. Two: each human above its robot.
+        # One hand: human next to robot. Two: each human above its robot.
         columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
         for column, view in enumerate(self._sides.values()):
             right = (size[0] + GAP) * column

@@ -147,7 +147,7 @@ class LiveSession:
 
     @property
     def fields_number(self) -> int:
-        """Changes when the page has to show the fields anew: another method, a value refused."""
+        """Changes when the page has to update the fields: another method, a value refused."""
         shown = self.workshop.wanted
         return hash((shown.method, shown.preset, self.workshop.refused, self._fields_changed))
 
@@ -161,7 +161,7 @@ class LiveSession:
         return to_json({**content, **self._configuration()}, indent=2) + "\n"
 
     def close(self) -> None:
-        """End what runs beside the loop."""
+        """End what runs in the background."""
         self.workshop.close()
 
     def _configuration(self) -> Mapping[str, Any]:

@@ -55,7 +55,7 @@ class Takes:
         return "" if take is None else ", ".join(path.name for path in take.paths)
 
     def toggle(self) -> None:
-        """Begin a take, or end the one that runs; returns at once."""
+        """Begin a take, or end the one that runs; does not wait."""
         threading.Thread(target=self._toggle, name="take", daemon=True).start()
 
     def _toggle(self) -> None:

@@ -1,4 +1,4 @@
-"""What the live page says, as HTML: modes, figures, health, a calibration; signs beside colours."""
+"""What the live page says, as HTML: modes, figures, health, a calibration; signs with colours."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def write_dataset(
 
 
 def is_own_dataset(path: Path) -> bool:
-    """Whether a folder is a dataset that this program wrote, with nothing else beside it."""
+    """Whether a folder is a dataset that this program wrote, with nothing else in it."""
     try:
         mark = read_json(path / MARK)
         others = {item.name for item in path.iterdir()} - {"meta", "data", "README.md"}

@@ -25,7 +25,7 @@ class GloveFaults:
         reorder: share of ticks whose messages are sent after those of the next tick.
         swap: share of ticks with the hands' sides exchanged.
         garbage: share of ticks whose messages are cut off in the middle.
-        restart_every: every so often the glove starts anew [s]: another session, stamps from 0;
+        restart_every: time between restarts of the glove [s]: another session, stamps from 0;
             0 is never.
 
     Raises:

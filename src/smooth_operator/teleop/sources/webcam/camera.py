@@ -163,7 +163,7 @@ def _advice(cv2: Any, name: int | str) -> str:
 
 
 def opencv() -> Any:
-    """OpenCV's module, told to keep quiet about what is said here better.
+    """OpenCV's module, without its own messages, which this package words better.
 
     Raises:
         MissingExtraError: it is not installed.

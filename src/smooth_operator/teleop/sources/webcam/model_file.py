@@ -56,7 +56,7 @@ def hand_model(
         given: a path that the user named.
         url: where it is fetched from.
         sha256: of the published file.
-        progress: told of a download; by default a line on standard error, if that is a terminal.
+        progress: called in a download; by default a line on standard error, if that is a terminal.
 
     Raises:
         SourceError: there is no such file, or it is no hand landmarker; it can't be fetched, or
@@ -87,7 +87,7 @@ def _checked(path: Path, asked: str) -> Path:
     if not found:
         raise SourceError(
             f"{asked}: {path} is no MediaPipe hand landmarker, an archive that holds {_NETWORK}; "
-            f"fetch it anew from {MODEL_URL}"
+            f"fetch it again from {MODEL_URL}"
         )
     return path
 

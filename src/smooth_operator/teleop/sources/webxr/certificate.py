@@ -60,7 +60,7 @@ def get_certificate(
     """The certificate for these names: the one that was kept, or a new one.
 
     Each set of names has a file of its own, so that a laptop that goes to and fro between two
-    networks doesn't have its headset ask anew each time.
+    networks doesn't have its headset ask each time.
 
     Args:
         names: host names and addresses.

@@ -8,7 +8,7 @@ const part = (id) => document.getElementById(id);
 const link = new Link();
 const tracking = new Tracking(link);
 let modes = [];
-let trouble = ''; // of the headset; that of the link is told by its state
+let trouble = ''; // of the headset; that of the link follows from its state
 
 const STATES = {
   idle: ['not paired', 'idle'],
