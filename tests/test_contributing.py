@@ -79,6 +79,17 @@ def test_entry_point_groups_are_those_of_the_registries() -> None:
     assert {f"smooth_operator.{kind}s" for kind in kinds} <= groups
 
 
+def test_the_example_plugin_has_a_part_of_every_kind_that_plugins_add() -> None:
+    groups = {row["entry point group"].strip("`") for row in to_add().values()} - {"none", ""}
+    plugin = tomllib.loads(read("examples/plugin/pyproject.toml"))["project"]
+    assert set(plugin["entry-points"]) == groups
+    for parts in plugin["entry-points"].values():
+        for target in parts.values():
+            module = target.partition(":")[0].replace(".", "/")
+            folder = PROJECT / "examples" / "plugin" / module
+            assert folder.with_suffix(".py").is_file() or (folder / "__init__.py").is_file()
+
+
 def targets() -> set[str]:
     return set(re.findall(r"^([a-z]+):", read("Makefile"), re.MULTILINE))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import importlib.metadata
 import json
@@ -10,6 +11,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,6 +33,9 @@ PUBLIC_PACKAGES = (
     "calibration", "hands", "human", "io", "lab", "methods", "metrics", "objective", "solvers",
     "study", "teleop",
 )  # fmt: skip
+
+PUBLIC_MODULES = ("errors", "landmarks")
+"""Modules of which every name without an underscore is public."""
 
 # Runs in a fresh interpreter, with the statements to judge, one by one, as its arguments. JAX is
 # imported first: what it does to the process is not ours to answer for.
@@ -159,7 +164,21 @@ def packages() -> dict[str, ModuleType]:
 
 
 def public_names() -> list[str]:
-    return sorted(f"{name}.{x}" for name, package in packages().items() for x in package.__all__)
+    names = {f"{name}.{x}" for name, package in packages().items() for x in package.__all__}
+    for name in (f"smooth_operator.{module}" for module in PUBLIC_MODULES):
+        module = importlib.import_module(name)
+        tree = ast.parse(Path(module.__file__ or "").read_text(encoding="utf-8"))
+        names |= {f"{name}.{x}" for x in defined(tree) if not x.startswith("_")}
+    return sorted(names)
+
+
+def defined(tree: ast.Module) -> Iterator[str]:
+    """Names of classes, functions and constants that a module defines."""
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            yield node.target.id
 
 
 def test_public_names_are_the_recorded_ones() -> None:

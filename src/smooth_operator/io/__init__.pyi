@@ -4,6 +4,7 @@ from smooth_operator.io.checks import reading_notes as reading_notes
 from smooth_operator.io.frames import frame_slice as frame_slice
 from smooth_operator.io.jsonable import to_json as to_json
 from smooth_operator.io.readers import read_recording as read_recording
+from smooth_operator.io.registry import Reader as Reader
 from smooth_operator.io.results import config_path as config_path
 from smooth_operator.io.results import read_commands as read_commands
 from smooth_operator.io.results import write_commands as write_commands
