@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError, 
 from smooth_operator.hands.catalogue import HANDS, MODELS, catalogue, hand_names, load_hand
 from smooth_operator.io import read_recording
 from smooth_operator.io.registry import Reader
+from smooth_operator.lab.benchmark import cells
+from smooth_operator.lab.benchmark.cells import Cell, fingerprint
 from smooth_operator.lab.benchmark.ranking import columns
-from smooth_operator.lab.benchmark.settings import method_label, select_methods
+from smooth_operator.lab.benchmark.settings import Settings, method_label, select_methods
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
@@ -256,3 +259,29 @@ def test_directions_of_metrics_are_said_in_one_place() -> None:
         "": ("", ""),
     }
     assert all(m.compute is not None for m in METRICS if m.name != "tracking_loss")
+
+
+def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "own_method.py"
+    file.write_text(
+        "from dataclasses import dataclass\n"
+        "from smooth_operator.methods.sbr import SbrConfig\n"
+        "@dataclass(frozen=True)\n"
+        "class OwnConfig(SbrConfig):\n    pass\n"
+        "CONFIG = OwnConfig()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    source: Any = SimpleNamespace(side="right", digest="frames")
+    settings = Settings(output=tmp_path, methods=("own_method:CONFIG",))
+    own, built_in = (
+        Cell(source, "mimic_p050", "x", "default", config)
+        for config in (method_config("own_method:CONFIG"), SbrConfig())
+    )
+    before = fingerprint(own, settings), fingerprint(built_in, settings)
+    file.write_text(file.read_text() + "# another\n")
+    cells._code_outside.cache_clear()
+    after = fingerprint(own, settings), fingerprint(built_in, settings)
+    assert after[0] != before[0]
+    assert after[1] == before[1]

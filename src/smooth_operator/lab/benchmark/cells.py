@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import to_json
@@ -18,6 +21,7 @@ from smooth_operator.lab.benchmark.settings import Choice, Settings, method_labe
 from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
+from smooth_operator.metrics.registry import plugin_metrics
 from smooth_operator.result_cache import code_digest, key_digest
 from smooth_operator.types import Side
 
@@ -93,6 +97,9 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
     Frames, hand, configuration, seed and definitions are in it. Of two cells with one fingerprint,
     one need not be done again.
     """
+    plugins = [cell.config, *(metric.compute for metric in plugin_metrics())]
+    modules = {sys.modules[getattr(part, "__module__", __name__)] for part in plugins}
+    outside = [code for module in modules if (code := _code_outside(module))]
     return key_digest(
         {
             "frames": cell.source.digest,
@@ -103,8 +110,20 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
             "seed": settings.seed,
             "definition": settings.definition,
             "files": [digest(path) for path in _files_of(cell.config)],
+            **({"plugins": sorted(outside)} if outside else {}),
         }
     )
+
+
+@cache
+def _code_outside(module: ModuleType) -> str:
+    """Digest of the distribution's package that a module is in; empty for a module of this one."""
+    package = sys.modules[module.__name__.partition(".")[0]]
+    if package is smooth_operator or package.__file__ is None:
+        return ""
+    path = Path(package.__file__)
+    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def benchmark_code() -> str:
