@@ -20,7 +20,7 @@ from rich.text import Text
 
 from smooth_operator.cli.hands_check_options import Check
 from smooth_operator.compilation.compile_cache import enable_cache, healing
-from smooth_operator.lab.validation import Checkup, check_hand
+from smooth_operator.lab.validation import HandValidation, check_hand
 from smooth_operator.lab.validation.checks import Verdict
 from smooth_operator.terminal import open_console
 
@@ -79,7 +79,7 @@ def check_hand_command(options: Check) -> None:
         raise SystemExit(FAILED)
 
 
-def _print(found: Checkup) -> None:
+def _print(found: HandValidation) -> None:
     console = open_console()
     if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
         console.width = _WIDTH_OF_A_FILE

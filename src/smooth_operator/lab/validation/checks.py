@@ -1,4 +1,4 @@
-"""What a check says, and a hand's whole checklist."""
+"""Result of one check, and the results of all checks on a hand."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Checkup:
-    """A hand's checklist.
+class HandValidation:
+    """Results of all checks on a hand.
 
     Attributes:
         hand: its name.

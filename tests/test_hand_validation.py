@@ -22,7 +22,7 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.hands.spec_writer import write_hand_spec
 from smooth_operator.lab.discovery import discover
-from smooth_operator.lab.validation import Checkup, check_hand, round_trip
+from smooth_operator.lab.validation import HandValidation, check_hand, round_trip
 from smooth_operator.lab.validation import methods as validation_methods
 from smooth_operator.lab.validation.methods import check_method
 from smooth_operator.lab.validation.pinches import closest_pinch
@@ -53,7 +53,7 @@ def no_hands_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "none"))
 
 
-def basics(hand: str | Hand | HandSpec, side: str | None = None) -> Checkup:
+def basics(hand: str | Hand | HandSpec, side: str | None = None) -> HandValidation:
     return check_hand(hand, side, methods=())
 
 

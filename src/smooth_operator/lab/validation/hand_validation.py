@@ -1,4 +1,4 @@
-"""All checks on one hand, in an order that reports a fault once."""
+"""Validation of a hand description: all checks, in an order that reports a fault once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.lab.validation.checks import Check, Checkup
+from smooth_operator.lab.validation.checks import Check, HandValidation
 from smooth_operator.lab.validation.flexion import check_flexion, check_side, find_flexion_axes
 from smooth_operator.lab.validation.joints import (
     check_motion,
@@ -40,7 +40,7 @@ def check_hand(
     methods: Sequence[str] | None = None,
     seed: int = 0,
     track: Track | None = None,
-) -> Checkup:
+) -> HandValidation:
     """Checks the description of a hand.
 
     What rests on something that failed is skipped, so that one fault is one failure: with limits in
@@ -69,7 +69,7 @@ def check_hand(
     few = (MEASURE, DEFAULT_METHOD)
     chosen = tuple(methods if methods is not None else few if quick else method_names())
     checks = list(_checks(loaded, chosen, poses, seed, track))
-    return Checkup(loaded.name, loaded.spec.side, tuple(checks))
+    return HandValidation(loaded.name, loaded.spec.side, tuple(checks))
 
 
 def _checks(
