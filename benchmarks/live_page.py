@@ -21,8 +21,8 @@ from pathlib import Path
 
 from smooth_operator.compilation.building import build_retargeter
 from smooth_operator.planning import make_request, resolve
-from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
-from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
+from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import low_jitter

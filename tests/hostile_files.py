@@ -121,7 +121,7 @@ def study(path: Path) -> None:
 
 
 def trial(path: Path) -> None:
-    from smooth_operator.simulation.tasks.record import read_trial
+    from smooth_operator.simulation.tasks.trial_record import read_trial
 
     read_trial(path)
 
@@ -193,8 +193,8 @@ def _geort() -> bytes:
 
 def _trial(folder: Path) -> bytes:
     from smooth_operator.simulation.scenes.state import SceneState
-    from smooth_operator.simulation.tasks.record import TrialRecord, write_trial
-    from smooth_operator.simulation.tasks.run import Outcome
+    from smooth_operator.simulation.tasks.trial import Outcome
+    from smooth_operator.simulation.tasks.trial_record import TrialRecord, write_trial
 
     record = TrialRecord("card", "h", "right", ("a", "b"), events=[(0.0, "go")])
     for i in range(5):

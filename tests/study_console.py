@@ -23,8 +23,8 @@ from smooth_operator.study.console.server import Console
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
+from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.workload import PAIRS, SCALE_NAMES
 from smooth_operator.web.listening import listen
 
 PATIENCE_S = 180.0  # a busy machine, and processes that are stopped for a while

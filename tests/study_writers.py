@@ -29,9 +29,9 @@ from smooth_operator.study.store.events import (
     TrialStarted,
     Weighed,
 )
+from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.workload import PAIRS, SCALE_NAMES
 
 STUDY = "twenty"
 

@@ -239,7 +239,7 @@ LACK = {
 }
 MODULES = {
     "smooth_operator.teleop.pages.player": "teleop",
-    "smooth_operator.teleop.pages.live.page": "teleop",
+    "smooth_operator.teleop.pages.live.live_page": "teleop",
     "smooth_operator.teleop.recording.log": "teleop",
     "smooth_operator.teleop.recording.log_reader": "teleop",
     "smooth_operator.teleop.sinks.record": "teleop",

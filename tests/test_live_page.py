@@ -29,15 +29,15 @@ from smooth_operator.human.operator_file import read_operator
 from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.pages.live import words
+from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.coach import Coach
 from smooth_operator.teleop.pages.live.config_controls import ConfigControls
 from smooth_operator.teleop.pages.live.fields import changed, config_fields, field_docs
+from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
+from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.pages.live.pace import period_for
-from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
 from smooth_operator.teleop.pages.live.process import _Page
 from smooth_operator.teleop.pages.live.rates import RateMeter
-from smooth_operator.teleop.pages.live.session import LiveSession
 from smooth_operator.teleop.pages.palette import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
 from smooth_operator.teleop.recording import read_log
@@ -273,25 +273,25 @@ def test_the_trackers_rate_is_not_the_command_rate(stage: Stage) -> None:
     eventually(lambda: stage.see()["status"]["frame_rates"]["right"])
     status = {**stage.see()["status"], "frame_rates": {"right": 25.0, "left": 1.4},
               "rates": {"right": 100.0, "left": None}}  # fmt: skip
-    text = plain(words.summary(status))
+    text = plain(live_texts.summary(status))
     assert text.startswith("tracker 25 / 1.4 frames/s · commands 100 / – Hz")
     assert text.count("player") == 1  # the source is named once
 
 
 def test_the_legend_names_each_hand_by_its_sign() -> None:
     fingers = ("thumb", "index")
-    shown = chips(words.legend(fingers, simulated=True, task=False))
+    shown = chips(live_texts.legend(fingers, simulated=True, task=False))
     assert shown[:3] == [
         (css(PALM), "● human hand, as tracked"),
         (css(PALM), "■ robot command"),
         (css(SIMULATED), "■ simulated robot, where it differs"),
     ]
     assert [text for _, text in shown[3:]] == ["⬤ thumb", "⬤ index"]
-    assert chips(words.legend(fingers, simulated=True, task=True))[1:3] == [
+    assert chips(live_texts.legend(fingers, simulated=True, task=True))[1:3] == [
         (css(PALM), "■ simulated robot"),
         (css(SIMULATED), "■ robot command, where it differs"),
     ]
-    assert len(chips(words.legend(fingers, simulated=False, task=False))) == 4
+    assert len(chips(live_texts.legend(fingers, simulated=False, task=False))) == 4
 
 
 def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
@@ -299,8 +299,8 @@ def test_a_slow_browser_is_left_alone_and_said_to_be_slow() -> None:
     assert period_for(0.08) == 0.08
     assert period_for(0.2) == pytest.approx(0.6)  # three of its pictures
     assert period_for(9.0) == 1.0
-    assert words.slow(0.1) == ""
-    assert "0.4 s late" in words.slow(0.41)
+    assert live_texts.slow(0.1) == ""
+    assert "0.4 s late" in live_texts.slow(0.41)
 
 
 @pytest.mark.parametrize("slow", [False, True])
@@ -323,9 +323,9 @@ def test_a_slow_browser_gets_bodies_after_it_has_handled_the_lines(slow: bool) -
 
 def test_latches_are_shown_for_methods_that_have_them() -> None:
     hand = {"mode": "tracking", "latched": None}
-    assert "latch" not in words.modes({"right": hand})
-    assert "pinch latches: none" in words.modes({"right": {**hand, "latched": ()}})
-    assert "pinch latches: index, ring" in words.modes(
+    assert "latch" not in live_texts.modes({"right": hand})
+    assert "pinch latches: none" in live_texts.modes({"right": {**hand, "latched": ()}})
+    assert "pinch latches: index, ring" in live_texts.modes(
         {"right": {**hand, "latched": ("index", "ring")}}
     )
 

@@ -19,8 +19,8 @@ from smooth_operator.hands.menagerie import drawn_on, menagerie_file
 from smooth_operator.io import write_commands
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView
-from smooth_operator.teleop.pages.live.page import PageSetup
-from smooth_operator.teleop.pages.live.scene import LiveScene
+from smooth_operator.teleop.pages.live.live_page import PageSetup
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.playback import Playback
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import CommandTrajectory, Side
@@ -202,7 +202,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(
         setups.append(setup)
         raise Shown
 
-    monkeypatch.setattr("smooth_operator.teleop.pages.live.page.LivePage", page)
+    monkeypatch.setattr("smooth_operator.teleop.pages.live.live_page.LivePage", page)
     given = ["teleop", "--hand", "shadow_hand", "--method", "joint_angle", "--no-browser"]
     with pytest.raises(Shown):
         main([*given, "--model", str(path)])

@@ -37,10 +37,10 @@ from smooth_operator.simulation.tasks.trial_runner import TrialRunner
 from smooth_operator.teleop.control import workshop as workshop_module
 from smooth_operator.teleop.control.orders import Orders
 from smooth_operator.teleop.control.workshop import Workshop
-from smooth_operator.teleop.pages.live.link import Link
-from smooth_operator.teleop.pages.live.panel import LivePanel
-from smooth_operator.teleop.pages.live.scene import LiveScene
-from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.teleop.pages.live.live_panel import LivePanel
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.pages.live.live_session import LiveSession
+from smooth_operator.teleop.pages.live.page_link import Link
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop

@@ -24,7 +24,7 @@ from smooth_operator.study.analysis.multivariate import outside
 from smooth_operator.study.analysis.separation import separating
 from smooth_operator.study.analysis.spearman import _correlate, _weighted, spearman
 from smooth_operator.study.analysis.success_outcome import analyze_success
-from smooth_operator.study.data.tables import make_trials
+from smooth_operator.study.data.checked_tables import make_trials
 
 # Mixed models.
 

@@ -35,11 +35,11 @@ from smooth_operator.study.store.events import (
     event_of,
 )
 from smooth_operator.study.store.export import export_study, study_json
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES, weighted_workload, weights
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.progress import replay
 from smooth_operator.study.store.schema import export_schema
 from smooth_operator.study.store.study_store import StudyStore
-from smooth_operator.study.store.workload import SCALE_NAMES, weighted_workload, weights
 
 WRITERS = Path(__file__).with_name("study_writers.py")
 forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="writers are forked")

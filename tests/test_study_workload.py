@@ -16,8 +16,8 @@ from test_study_store import walk
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
 from smooth_operator.study.data import ITEMS, read_study
-from smooth_operator.study.data.tables import WEIGHT_COLUMNS
-from smooth_operator.study.data.workload import with_workload
+from smooth_operator.study.data.checked_tables import WEIGHT_COLUMNS
+from smooth_operator.study.data.workload_scores import with_workload
 from smooth_operator.study.store.export import export_study
 from smooth_operator.study.store.opening import open_study
 

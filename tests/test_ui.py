@@ -26,9 +26,9 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.teleop.pages import Playback, PlaybackServer, serve
 from smooth_operator.teleop.pages.clock import PlaybackClock
 from smooth_operator.teleop.pages.human import _turn_z, lit_tips
-from smooth_operator.teleop.pages.layout import FOV, plan, view_axes
 from smooth_operator.teleop.pages.markup import plain
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, geom_mesh
+from smooth_operator.teleop.pages.page_layout import FOV, plan, view_axes
 from smooth_operator.teleop.pages.palette import FINGER_COLORS, HIGHLIGHT, linear
 from smooth_operator.teleop.pages.readout import metrics_table, status_line
 from smooth_operator.teleop.pages.timeline import GapCurves

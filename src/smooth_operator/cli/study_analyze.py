@@ -21,7 +21,7 @@ from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
-from smooth_operator.study.data.workload import with_workload
+from smooth_operator.study.data.workload_scores import with_workload
 from smooth_operator.terminal import open_console
 
 SOME_REFUSED: Final = 1

@@ -8,9 +8,9 @@ from pathlib import Path
 from smooth_operator.cli.study_data_options import Erase, Export
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.study.design.plan_file import NAME, read_plan, write_plan
+from smooth_operator.study.store.database_tables import FILE
 from smooth_operator.study.store.export import export_study
 from smooth_operator.study.store.opening import open_study
-from smooth_operator.study.store.tables import FILE
 from smooth_operator.terminal import printable
 
 

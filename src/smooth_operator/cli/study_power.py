@@ -20,8 +20,8 @@ from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.study.power.assumptions import Spread, assumptions_for
-from smooth_operator.study.power.report import TITLES, Tallies, found, power_json, write_power
-from smooth_operator.study.power.run import PowerSettings, run_power
+from smooth_operator.study.power.power_report import TITLES, Tallies, found, power_json, write_power
+from smooth_operator.study.power.power_run import PowerSettings, run_power
 from smooth_operator.study.power.tally import Rate
 from smooth_operator.terminal import open_console, printable
 

@@ -19,9 +19,9 @@ from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import NAME, read_plan
 from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.store.database_tables import FILE
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.study_store import StudyStore
-from smooth_operator.study.store.tables import FILE
 from smooth_operator.terminal import print_note
 from smooth_operator.web.addresses import is_local
 from smooth_operator.web.browser import open_page

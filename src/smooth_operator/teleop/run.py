@@ -43,7 +43,7 @@ from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
-    from smooth_operator.teleop.pages.live.page import LivePage
+    from smooth_operator.teleop.pages.live.live_page import LivePage
 
 Task: TypeAlias = Literal["card", "cube", "screwdriver"]
 """A task of the study."""
@@ -299,7 +299,7 @@ def _begun_page(
     if page is None:
         yield None
         return
-    from smooth_operator.teleop.pages.live.page import LivePage, PageSetup
+    from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 
     setup = PageSetup(
         asked.hand,
@@ -330,7 +330,7 @@ def _show_page(
     Raises:
         ConfigError: it can't be served there.
     """
-    from smooth_operator.teleop.pages.live.session import LiveSession
+    from smooth_operator.teleop.pages.live.live_session import LiveSession
 
     session = LiveSession(loop, asked, acting, workshop=workshop, blind=blind)
     loop.watch = session.watch

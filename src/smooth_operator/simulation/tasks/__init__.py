@@ -1,10 +1,10 @@
 """The study's three tasks in simulation: rubric, score, trial, record."""
 
-from smooth_operator.simulation.tasks.catalogue import TASKS, SimulatedTask, task_named
-from smooth_operator.simulation.tasks.record import TrialRecord, read_trial, write_trial
-from smooth_operator.simulation.tasks.run import Outcome, Phase, TaskRun, rescore
 from smooth_operator.simulation.tasks.scorer import Scorer, Standing
-from smooth_operator.simulation.tasks.session import TaskSession
+from smooth_operator.simulation.tasks.task_registry import TASKS, SimulatedTask, task_named
+from smooth_operator.simulation.tasks.task_session import TaskSession
+from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun, rescore
+from smooth_operator.simulation.tasks.trial_record import TrialRecord, read_trial, write_trial
 
 __all__ = [
     "TASKS",

@@ -17,11 +17,11 @@ from jaxtyping import Float
 
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.simulation.scenes.catalogue import scene_for
 from smooth_operator.simulation.scenes.physics import ScenePhysics
+from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.catalogue import TASKS, task_named
-from smooth_operator.simulation.tasks.run import Phase, TaskRun
+from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
+from smooth_operator.simulation.tasks.trial import Phase, TaskRun
 
 _PERIOD_S: Final = 0.01  # between commands
 

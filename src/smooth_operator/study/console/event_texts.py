@@ -23,8 +23,8 @@ from smooth_operator.study.store.events import (
     Undone,
     Weighed,
 )
+from smooth_operator.study.store.nasa_tlx import raw_workload
 from smooth_operator.study.store.progress import Step
-from smooth_operator.study.store.workload import raw_workload
 
 Named: TypeAlias = Callable[[str], str]
 

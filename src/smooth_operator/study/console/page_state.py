@@ -10,8 +10,8 @@ from typing import Any, Final
 from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import Undone
+from smooth_operator.study.store.nasa_tlx import HIGHEST, PAIRS, SCALES, STEP
 from smooth_operator.study.store.progress import Progress, Step
-from smooth_operator.study.store.workload import HIGHEST, PAIRS, SCALES, STEP
 
 _LONGEST_LOG: Final = 250
 

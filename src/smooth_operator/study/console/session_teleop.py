@@ -205,7 +205,7 @@ class SessionTeleop:
 
     def _limit_s(self, progress: Progress | None) -> float | None:
         """Time limit of the simulated task that is on; the study's own may say another."""
-        from smooth_operator.simulation.tasks.catalogue import task_named
+        from smooth_operator.simulation.tasks.task_registry import task_named
 
         block = None if progress is None else progress.step.block
         if block is None or not self._in_scene(block):
@@ -241,7 +241,7 @@ def _file(detail: str) -> str | None:
 
 def _scene(block: Block) -> str | None:
     """Name of the simulated task, where the block's is one."""
-    from smooth_operator.simulation.tasks.catalogue import task_named
+    from smooth_operator.simulation.tasks.task_registry import task_named
 
     try:
         return task_named(block.task.name).name

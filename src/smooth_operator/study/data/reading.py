@@ -15,8 +15,7 @@ import numpy as np
 from smooth_operator.errors import DocumentError, StudyError, brief, listed
 from smooth_operator.io.csv_table import plain_cell
 from smooth_operator.io.documents import parse_json, read_text
-from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
-from smooth_operator.study.data.tables import (
+from smooth_operator.study.data.checked_tables import (
     METRIC_COLUMNS,
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
@@ -25,6 +24,7 @@ from smooth_operator.study.data.tables import (
     make_questionnaires,
     make_trials,
 )
+from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
 """Names of the tables in a folder."""

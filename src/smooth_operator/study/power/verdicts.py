@@ -24,8 +24,8 @@ from smooth_operator.study.analysis.holm import holm
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.multivariate import outside
 from smooth_operator.study.analysis.results import POOLED, Mode, Outcome
-from smooth_operator.study.power.layout import Layout, Rows
-from smooth_operator.study.power.simulation import Simulated
+from smooth_operator.study.power.simulated_study import Simulated
+from smooth_operator.study.power.study_rows import Layout, Rows
 
 ALPHA: Final = 0.05
 _EXACT: Final = 1e-5

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Final, TypeAlias, get_type_hints
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.protocol import Point
-from smooth_operator.study.store.workload import check_ratings, check_winners
+from smooth_operator.study.store.nasa_tlx import check_ratings, check_winners
 
 _LONGEST_TEXT: Final = 20_000
 

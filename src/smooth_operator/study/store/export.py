@@ -15,21 +15,21 @@ from typing import Any, Final
 from smooth_operator.errors import OutputError
 from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.io.csv_table import csv_text
-from smooth_operator.study.data.tables import (
+from smooth_operator.study.data.checked_tables import (
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
     WEIGHT_COLUMNS,
 )
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.events import payload
-from smooth_operator.study.store.progress import Progress, Trial
-from smooth_operator.study.store.study_store import StudyStore
-from smooth_operator.study.store.workload import (
+from smooth_operator.study.store.nasa_tlx import (
     SCALE_NAMES,
     raw_workload,
     weighted_workload,
     weights,
 )
+from smooth_operator.study.store.progress import Progress, Trial
+from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""

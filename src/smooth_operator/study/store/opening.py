@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_table
+from smooth_operator.study.store.database_tables import open_engine, tables
 from smooth_operator.study.store.study_store import StudyStore, now
-from smooth_operator.study.store.tables import open_engine, tables
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from smooth_operator.study.data.tables import WEIGHT_COLUMNS
+from smooth_operator.study.data.checked_tables import WEIGHT_COLUMNS
 from smooth_operator.study.store.export import FORMAT
-from smooth_operator.study.store.workload import SCALE_NAMES
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 
 def export_schema() -> dict[str, Any]:

@@ -19,6 +19,7 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.store.clock import Clock
+from smooth_operator.study.store.database_tables import reason, stored, tables
 from smooth_operator.study.store.events import (
     Event,
     FamiliarisationStarted,
@@ -28,7 +29,6 @@ from smooth_operator.study.store.events import (
     payload,
 )
 from smooth_operator.study.store.progress import Progress
-from smooth_operator.study.store.tables import reason, stored, tables
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine

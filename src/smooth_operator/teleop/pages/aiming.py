@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from smooth_operator.teleop.pages.layout import FOV, camera_for
+from smooth_operator.teleop.pages.page_layout import FOV, camera_for
 
 _PHONE = 0.75  # below this width / height, the panel is a sheet over the canvas's lower part
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first

@@ -12,9 +12,9 @@ import viser
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.pages.clock import PlaybackClock
 from smooth_operator.teleop.pages.page_server import PageServer, serve_page
-from smooth_operator.teleop.pages.panel import SPEEDS, Panel
 from smooth_operator.teleop.pages.playback import Playback, check_runs
-from smooth_operator.teleop.pages.scene import Scene
+from smooth_operator.teleop.pages.player_panel import SPEEDS, Panel
+from smooth_operator.teleop.pages.player_scene import Scene
 from smooth_operator.teleop.pages.timeline import HEIGHT
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows

@@ -9,8 +9,8 @@ import viser
 from jaxtyping import Bool, Float, Int
 
 from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
-from smooth_operator.teleop.pages.layout import FOREARM, view_axes
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
+from smooth_operator.teleop.pages.page_layout import FOREARM, view_axes
 from smooth_operator.teleop.pages.playback import Playback
 
 _GHOST = 0.45  # opacity of the robot when the human hand stands inside it

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.report.tables import DIGITS, p_text
+from smooth_operator.study.analysis.report.report_tables import DIGITS, p_text
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
 
 _ALPHA: Final = 0.05

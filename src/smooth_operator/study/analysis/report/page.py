@@ -11,7 +11,7 @@ from smooth_operator.reporting.report_page import Plots, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.methods_text import methods_paragraph
-from smooth_operator.study.analysis.report import curves, figures, tables
+from smooth_operator.study.analysis.report import curves, figures, report_tables
 from smooth_operator.study.analysis.report.conclusion import conclusion
 from smooth_operator.study.analysis.results import MODES, Mode, Outcome, ScopeResult
 
@@ -126,19 +126,21 @@ class _Page:
         for mode, result in by_mode.items():
             if result.refused is None:
                 inside = [
-                    tables.means_table(outcome, result, self._colors, self._analysis.baseline)
+                    report_tables.means_table(
+                        outcome, result, self._colors, self._analysis.baseline
+                    )
                 ]
-                inside.append(details("All pairs", tables.pairs_table(outcome, result)))
-                inside.append(details("Coefficients", tables.coefficients_table(result)))
+                inside.append(details("All pairs", report_tables.pairs_table(outcome, result)))
+                inside.append(details("Coefficients", report_tables.coefficients_table(result)))
             else:
-                inside = [tables.observed_table(outcome, result, self._colors)]
+                inside = [report_tables.observed_table(outcome, result, self._colors)]
             if mode == MODES[0] or result.warnings != by_mode[MODES[0]].warnings:
-                inside.insert(0, tables.warning_list(result))
+                inside.insert(0, report_tables.warning_list(result))
             parts.append(element("h3", escape(_MODES[mode])))
             parts += inside
         result = by_mode[MODES[0]]
         if result.refused is None:
-            parts.append(tables.model_facts(result))
+            parts.append(report_tables.model_facts(result))
         return join(parts)
 
     def _learning(self) -> Html:
@@ -147,7 +149,7 @@ class _Page:
             "Means over trials by retargeter; dashed: the slope for all of them, adjusted for "
             "retargeter and task, with its p-value in mode small-sample.",
         )  # fmt: skip
-        return join([drawn, tables.learning_table(self._analysis.learning)])
+        return join([drawn, report_tables.learning_table(self._analysis.learning)])
 
     def _operators(self) -> Html:
         parts = [paragraph("Each dot is an operator's mean; the bar is the median of operators.")]

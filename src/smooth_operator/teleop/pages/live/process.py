@@ -15,10 +15,10 @@ from typing import Any, Final
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.menagerie import drawn_on
-from smooth_operator.teleop.pages.live.link import Link, LoopEnded
+from smooth_operator.teleop.pages.live.live_panel import LivePanel
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.pace import Pace
-from smooth_operator.teleop.pages.live.panel import LivePanel
-from smooth_operator.teleop.pages.live.scene import LiveScene
+from smooth_operator.teleop.pages.live.page_link import Link, LoopEnded
 from smooth_operator.teleop.pages.viser_server import open_server, page_url, run_script
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]

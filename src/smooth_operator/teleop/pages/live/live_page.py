@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, Any, Final
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.pages.live.session import LiveSession
+from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 

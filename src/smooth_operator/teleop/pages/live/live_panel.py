@@ -10,11 +10,11 @@ import viser
 from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.pages.callbacks import asked
-from smooth_operator.teleop.pages.live import words
+from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.camera import OLD_S, camera
 from smooth_operator.teleop.pages.live.config_controls import ConfigControls
-from smooth_operator.teleop.pages.live.link import Link
-from smooth_operator.teleop.pages.live.scene import LiveScene
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.pages.live.page_link import Link
 from smooth_operator.types import Side
 
 _UNKNOWN: Final = -1
@@ -102,16 +102,16 @@ class LivePanel:
             seen: what ``LiveSession.look`` gave.
             delay: how late the slowest browser shows it [s].
         """
-        self._modes.content = words.modes(seen["hands"])
+        self._modes.content = live_texts.modes(seen["hands"])
         self._show_calibration(seen["calibration"])
         self._show_camera(seen.get("camera"))
         if "status" in seen:
-            self._summary.content = words.summary(seen["status"])
-            self._timing.content = words.timing(seen["status"])
-            self._legend.content = words.legend(
+            self._summary.content = live_texts.summary(seen["status"])
+            self._timing.content = live_texts.timing(seen["status"])
+            self._legend.content = live_texts.legend(
                 self._fingers, self._scene.simulated, self._scene.has_task
             )
-            self._slow.content = words.slow(delay)
+            self._slow.content = live_texts.slow(delay)
             self._slow.visible = bool(self._slow.content)
             self._show_controls(seen["controls"])
 
@@ -129,7 +129,7 @@ class LivePanel:
             "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
         )
         gui.add_html(_STYLE)
-        self._modes = gui.add_html(words.modes({}))
+        self._modes = gui.add_html(live_texts.modes({}))
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
         self._summary = gui.add_html("")
@@ -219,7 +219,7 @@ class LivePanel:
             self._link.do("resume" if self._paused else "pause")
 
     def _show_controls(self, controls: Mapping[str, Any]) -> None:
-        self._notice.content = words.notice(controls)
+        self._notice.content = live_texts.notice(controls)
         self._stopped, self._paused = controls["stopped"], controls["paused"]
         self._stop.label = _STOPPED if self._stopped else _STOP
         self._stop.color = "dark" if self._stopped else "red"
@@ -258,7 +258,7 @@ class LivePanel:
     def _show_calibration(self, state: Mapping[str, Any]) -> None:
         phase = state["phase"]
         running = phase in ("settle", "hold", "wait")
-        self._prompt.content = words.calibration(state)
+        self._prompt.content = live_texts.calibration(state)
         self._progress.visible = running
         if running:
             self._progress.value = 100 * state["done"]  # type: ignore[misc]  # it has a setter

@@ -33,8 +33,8 @@ from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.study.power.assumptions import Assumptions, Spread
-from smooth_operator.study.power.layout import layout
-from smooth_operator.study.power.simulation import Simulator
+from smooth_operator.study.power.simulated_study import Simulator
+from smooth_operator.study.power.study_rows import layout
 from smooth_operator.study.power.tally import Tally
 from smooth_operator.study.power.verdicts import Analyst
 

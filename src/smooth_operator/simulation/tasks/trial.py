@@ -14,8 +14,8 @@ from typing import Final, Self
 from smooth_operator.errors import StudyError
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.catalogue import SimulatedTask
 from smooth_operator.simulation.tasks.scorer import NOT_DONE, Scorer, Standing
+from smooth_operator.simulation.tasks.task_registry import SimulatedTask
 
 RESET_CAP: Final = 0.5
 """Most that a trial with a reset is worth."""

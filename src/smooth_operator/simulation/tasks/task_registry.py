@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from smooth_operator.errors import UnknownNameError
-from smooth_operator.simulation.tasks.card import CardScorer
-from smooth_operator.simulation.tasks.cube import CubeScorer
+from smooth_operator.simulation.tasks.card_scorer import CardScorer
+from smooth_operator.simulation.tasks.cube_scorer import CubeScorer
 from smooth_operator.simulation.tasks.rubrics import CARD_PICKUP, CUBE_ROTATION, SCREWDRIVER_PIVOT
 from smooth_operator.simulation.tasks.scorer import Scorer
-from smooth_operator.simulation.tasks.screwdriver import ScrewdriverScorer
+from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
 from smooth_operator.simulation.tasks.task import RubricLine, Task
 
 _NO_EDGE: Final = RubricLine("no-edge", 0.5, "pinched and lifted without having gone over the edge")

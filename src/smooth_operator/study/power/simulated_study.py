@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import expit
 
 from smooth_operator.study.power.assumptions import Assumptions, Spread
-from smooth_operator.study.power.layout import Layout, Rows
+from smooth_operator.study.power.study_rows import Layout, Rows
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
 """Of an operator's success, time and workload: who succeeds more is quicker and less strained."""

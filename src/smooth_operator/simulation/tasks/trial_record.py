@@ -21,7 +21,7 @@ from smooth_operator.io.arrays import StoredArrays, open_arrays
 from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.io.documents import parse_json
 from smooth_operator.simulation.scenes.state import SceneState
-from smooth_operator.simulation.tasks.run import Outcome
+from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.types import as_side
 
 _STATE: Final[dict[str, tuple[tuple[int | None, ...], str, Callable[[Any], Any]]]] = {

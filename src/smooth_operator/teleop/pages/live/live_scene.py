@@ -25,8 +25,8 @@ from smooth_operator.teleop.pages.aiming import Aiming
 from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
-from smooth_operator.teleop.pages.layout import FOREARM, GAP, upright
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
+from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, upright
 from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
 

@@ -9,7 +9,7 @@ import viser
 
 from smooth_operator.teleop.pages.aiming import Aiming
 from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
-from smooth_operator.teleop.pages.layout import plan
+from smooth_operator.teleop.pages.page_layout import plan
 from smooth_operator.teleop.pages.playback import Playback
 from smooth_operator.teleop.pages.robot import RobotView
 
