@@ -53,7 +53,7 @@ from smooth_operator.lab.paper.store import Store
 from smooth_operator.lab.paper.study import TUNING_OPERATOR, Study
 from smooth_operator.lab.paper.suite import SIZES, Settings, load_recordings, run_experiments
 from smooth_operator.lab.paper.verdicts import Direction, Effect, Equality, Held, judge
-from smooth_operator.objective.loss import FrameGoal
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.solvers.normals import seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 

@@ -24,6 +24,7 @@ CORE = {
     "landmarks": 0,
     "geometry": 0,
     "terminal": 0,
+    "settings": 1,
     "plugins": 1,
     "types": 1,
     "io": 2,

@@ -123,8 +123,8 @@ def test_a_row_that_cannot_be(programs: Any, monkeypatch: Any):
     program, variants = programs
     config = method_config(program.METHOD)
     for values, reason in (
-        ({"clearance.wieght": 0.0}, r"'new part' of 'alone'.*clearance\.weight"),
-        ({"clearance.weight": -1.0}, r"'new part' of 'alone'.*negative"),
+        ({"self_collision.wieght": 0.0}, r"'new part' of 'alone'.*self_collision\.weight"),
+        ({"self_collision.weight": -1.0}, r"'new part' of 'alone'.*negative"),
     ):
         with pytest.raises(SystemExit, match=reason):
             variants.full_values(config, {("alone", "new part"): values})

@@ -16,9 +16,9 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, LANDMARKS
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.local import LocalObjective
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets, LatchState, PlainTargets, Targets
 
 FIVE = KeyvectorLayout(FINGERS)
@@ -269,21 +269,20 @@ def test_the_batch_objective_is_eq_1(name: str, loss: Loss, pose: float, velocit
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_the_local_objective_is_the_same_and_its_derivatives_are_exact(loss: Loss) -> None:
+def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss: Loss) -> None:
     hand = load_hand()
     config = ObjectiveConfig(loss=loss, transition=0.013)
     objective = Objective(hand, config)
-    local = LocalObjective(objective)
     goal, step = random_goal(hand, 4), 1e-6
     q = limited_poses(np.random.default_rng(5), hand.limits, 3)
     expected = [plain_cost(hand, config, row, goal) for row in q]
     with float64():
-        derivatives = jax.jit(local.derivatives)
+        derivatives = jax.jit(objective.value_grad_hess)
         slope = jax.jit(lambda row: derivatives(row, goal)[1])
         for row, cost in zip(q, expected, strict=True):
             value, gradient, hessian = derivatives(row, goal)
             np.testing.assert_allclose(value, cost, rtol=1e-12)
-            pull = local.regularisation(jnp.asarray(row), goal)
+            pull = objective.regularisation(jnp.asarray(row), goal)
             loose = goal._replace(velocity_weight=0.0)
             tracking = plain_cost(hand, replace(config, pose_weight=0.0), row, loose)
             np.testing.assert_allclose(value - pull, tracking, rtol=1e-12)
@@ -297,7 +296,7 @@ def test_the_local_objective_is_the_same_and_its_derivatives_are_exact(loss: Los
             # smooth-L1 bends at the transition: a step across it, of 1e-6, is improbable
             np.testing.assert_allclose(hessian, np.stack(around), atol=1e-6)
             np.testing.assert_allclose(hessian, hessian.T, atol=1e-14)
-        few = jax.jit(local.expand)(jnp.asarray(q), goal)
+        few = jax.jit(objective.few_value_grad_hess)(jnp.asarray(q), goal)
         for one, row in zip(zip(*few, strict=True), q, strict=True):
             for ours, theirs in zip(one, derivatives(row, goal), strict=True):
                 np.testing.assert_allclose(ours, theirs, atol=1e-13)

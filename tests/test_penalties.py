@@ -12,6 +12,7 @@ from trees import float64
 
 from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.penalties import Loss, vector_price, vector_slopes
 
@@ -75,14 +76,15 @@ def test_regularisation(centre: str, velocity: str) -> None:
         change = np.where(size < 0.2, 0.25 * size**2, 0.1 * size - 0.01)
         assert 0 < (size < 0.2).sum() < len(q)
     expected = 0.05 * pose + change.sum()
-    assert objective.regularisation(q, before, 0.1) == pytest.approx(expected, rel=1e-9)
+    goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), before, 0.1)
+    assert objective.regularisation(q, goal) == pytest.approx(expected, rel=1e-9)
     with float64():
-        at, previous = jnp.asarray(q), jnp.asarray(before)
+        at, goal = jnp.asarray(q), goal._replace(previous=jnp.asarray(before))
 
         def cost(x: jax.Array) -> jax.Array:
-            return objective.regularisation(x, previous, 0.1)
+            return objective.regularisation(x, goal)
 
-        slope, bend = objective.regularisation_slopes(at, previous, 0.1)
+        slope, bend = objective.regularisation_derivatives(at, goal)
         np.testing.assert_allclose(slope, jax.grad(cost)(at), rtol=1e-9)
         np.testing.assert_allclose(
             bend * np.eye(len(q)), jax.hessian(cost)(at), rtol=1e-9, atol=1e-12

@@ -17,9 +17,10 @@ from smooth_operator.human.alignment import align_recording
 from smooth_operator.io import read_recording
 from smooth_operator.methods import slsqp_method
 from smooth_operator.methods.slsqp_method import SlsqpMethod, SlsqpMethodConfig
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.key_objectives import AkoTargets, PinchLayout
 from smooth_operator.objective.keyvectors import TipLayout
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import TipTargets
 from smooth_operator.solvers import slsqp
 from smooth_operator.solvers.slsqp import SlsqpConfig

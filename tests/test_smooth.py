@@ -19,7 +19,7 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
-from smooth_operator.objective.clearance import ClearanceConfig
+from smooth_operator.objective.terms.self_collision import SelfCollisionConfig
 from smooth_operator.types import HandFrame, HandRecording, Status
 
 RATE = 115.0
@@ -226,11 +226,13 @@ def crossing(hand: Hand) -> HandRecording:
     return recording(landmarks)
 
 
-def test_clearance_keeps_fingers_out_of_each_other(smooth: Retargeter, hand: Hand) -> None:
+def test_the_self_collision_cost_keeps_fingers_out_of_each_other(
+    smooth: Retargeter, hand: Hand
+) -> None:
     frames = crossing(hand)
     config = method_config("smooth")
     assert isinstance(config, SmoothConfig)
-    without = Retargeter(config=replace(config, clearance=ClearanceConfig(weight=0.0)))
+    without = Retargeter(config=replace(config, self_collision=SelfCollisionConfig(weight=0.0)))
     deep, clear = (penetration_depths(hand, commands(r, frames)) for r in (without, smooth))
     assert deep is not None
     assert clear is not None
@@ -269,7 +271,7 @@ def test_every_term_can_be_left_out(motion: HandRecording) -> None:
     bare = SmoothConfig(
         motion_weight=0.0,
         motion_speed=0.0,
-        clearance=ClearanceConfig(weight=0.0),
+        self_collision=SelfCollisionConfig(weight=0.0),
         landmarks=PursuitConfig(),
     )
     result = commands(Retargeter(config=bare), motion[0:10])

@@ -19,15 +19,20 @@ from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
 from smooth_operator.methods.program import ticks_of
-from smooth_operator.objective.clearance import ClearanceConfig, crowding
 from smooth_operator.objective.close_targets import CloseTargets
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
-from smooth_operator.objective.polar import PolarConfig, polar
-from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.terms.direction_length import (
+    DirectionLength,
+    DirectionLengthConfig,
+    direction_length_cost,
+)
+from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
+from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
+NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
-NOT_HELD = PolarConfig(direction=0.0, length=0.0)
 
 
 # Capsules
@@ -91,56 +96,72 @@ def _compiled_without_inertia(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return spec.compile()
 
 
-# Clearance
+# Self-collision
 
 
 def test_the_price_is_that_of_the_depths() -> None:
     hand = load_hand()
-    pairs, config = capsule_pairs(hand), ClearanceConfig(weight=7.0, margin=0.001)
+    pairs, config = capsule_pairs(hand), SelfCollisionConfig(weight=7.0, margin=0.001)
     q = np.random.default_rng(2).uniform(*hand.limits.T, (20, len(hand.limits)))
     ends = ends_of(pairs, hand, q)
     inside = np.maximum(depths(pairs, ends) + config.margin, 0.0)
     expected = 7.0 * (inside**2).sum(axis=-1) / (2 * 0.02)
     assert (expected > 0).sum() > 5
     with float64():
-        found = [crowding(pairs, jnp.asarray(one), config).cost for one in ends]
+        term, no_joints = config.build(hand), jnp.zeros((len(pairs.names), 0, 3))
+        found = [term.expand(jnp.asarray(one), no_joints, NO_GOAL).cost for one in ends]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
 # The objective
 
 
-def problem(hand: Hand, seed: int) -> tuple[SmoothObjective, SmoothGoal]:
+def problem(
+    hand: Hand, seed: int, self_collision: float = 20.0, held: bool = True
+) -> tuple[Objective, FrameGoal]:
+    """The terms of ``smooth`` with other weights, and a random goal.
+
+    Args:
+        hand: the robot hand.
+        seed: of the goal.
+        self_collision: weight of that term.
+        held: whether the term of direction and length is there.
+    """
     rng = np.random.default_rng(seed)
     config = ObjectiveConfig(targets=CloseTargets(), pose_weight=0.03, transition=0.013)
-    objective = Objective(hand, config)
-    count = len(objective.layout.vectors)
-    goal = SmoothGoal(
-        FrameGoal(
-            jnp.asarray(rng.normal(0, 0.05, (count, 3))),
-            jnp.asarray(rng.uniform(0, 3, count)),
-            jnp.asarray(limited_poses(rng, hand.limits, 1)[0]),
-            0.2,
-        ),
+    eq_1 = Objective(hand, config)
+    count = len(eq_1.layout.vectors)
+    goal = FrameGoal(
+        jnp.asarray(rng.normal(0, 0.05, (count, 3))),
+        jnp.asarray(rng.uniform(0, 3, count)),
+        jnp.asarray(limited_poses(rng, hand.limits, 1)[0]),
+        0.2,
         jnp.asarray(
             hand.tips(hand.expand(hand.neutral)) + rng.normal(0, 0.01, (len(hand.fingers), 3))
         ),
         jnp.asarray(rng.uniform(0, 40, len(hand.fingers))),
     )
-    clearance, held = ClearanceConfig(weight=20.0, margin=0.002), PolarConfig(1.5, 3.0, 0.002, 0.04)
-    return SmoothObjective(objective, clearance, held), goal
+    direction_length = DirectionLengthConfig(*((1.5, 3.0) if held else (0.0, 0.0)), 0.002, 0.04)
+    more = (
+        FingertipMotion(hand, config.transition),
+        DirectionLength(eq_1.keyvectors.vectors, direction_length),
+        SelfCollision(hand, SelfCollisionConfig(self_collision, margin=0.002)),
+    )
+    return Objective(hand, config, more), goal
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "inspire_hand"])
 def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
     hand = load_hand(name)
     with float64():
-        smooth, goal = problem(hand, 3)
+        _, goal = problem(hand, 3)
         derivatives = jax.jit(
-            lambda q, weight: _weighted(smooth, weight).derivatives(q, goal), static_argnums=1
+            lambda q, weight: problem(hand, 3, weight, held=weight > 0)[0].value_grad_hess(q, goal),
+            static_argnums=1,
         )
         poses = limited_poses(np.random.default_rng(4), hand.limits, 30)
-        deep = depths(smooth.pairs, ends_of(smooth.pairs, hand, poses)).max(axis=-1)
+        pairs = capsule_pairs(hand)
+        deep = depths(pairs, ends_of(pairs, hand, poses)).max(axis=-1)
         poses = poses[deep > 0.001][:3]  # parts touch in each
         assert len(poses) > 1
         step = 1e-6
@@ -159,20 +180,14 @@ def test_gradient_and_hessian_against_finite_differences(name: str) -> None:
                     np.testing.assert_allclose(hessian, bends, atol=1e-4, rtol=1e-4)
 
 
-def _weighted(smooth: SmoothObjective, weight: float) -> SmoothObjective:
-    """With a weight of clearance; without one, without prices on angles, too."""
-    held = smooth.polar if weight else NOT_HELD
-    return replace(smooth, clearance=replace(smooth.clearance, weight=weight), polar=held)
-
-
 def test_it_is_eq_1_where_nothing_is_added() -> None:
     hand = load_hand()
     with float64():
-        smooth, goal = problem(hand, 5)
-        plain = _weighted(smooth, 0.0)
+        plain, goal = problem(hand, 5, 0.0, held=False)
         goal = goal._replace(motion_weights=jnp.zeros_like(goal.motion_weights))
         poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
-        expected = smooth.objective(list(jnp.asarray(poses).T), goal.frame, within_limits=False)
+        eq_1 = Objective(hand, plain.config)
+        expected = eq_1(list(jnp.asarray(poses).T), goal, within_limits=False)
         found = jax.jit(lambda q: plain.values(q, goal))(jnp.asarray(poses))
         np.testing.assert_allclose(found, expected, rtol=1e-10)
 
@@ -183,7 +198,7 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
         smooth, goal = problem(hand, 7)
         run = jax.jit(
             lambda q: damped_newton(
-                lambda one: smooth.derivatives(one, goal),
+                lambda one: smooth.value_grad_hess(one, goal),
                 lambda few: smooth.values(few, goal),
                 q,
                 hand.limits,
@@ -192,7 +207,7 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
             )
         )
         found = run(jnp.asarray(hand.neutral, float))
-        cost, gradient, _ = smooth.derivatives(found, goal)
+        cost, gradient, _ = smooth.value_grad_hess(found, goal)
         low, high = hand.limits.T
         free = np.clip(found - gradient, low, high) - found
         assert np.abs(free).max() < 1e-5
@@ -261,56 +276,61 @@ def test_targets_of_a_pinch_stay_apart_and_point_the_same_way() -> None:
 # Angle and length
 
 
-def polar_cost(config: PolarConfig, vector: np.ndarray, target: np.ndarray) -> float:
-    return float(polar(jnp.asarray(vector)[None], jnp.asarray(target)[None], config).cost)
+def cost_of(config: DirectionLengthConfig, vector: np.ndarray, target: np.ndarray) -> float:
+    given, wanted = jnp.asarray(vector)[None], jnp.asarray(target)[None]
+    return float(direction_length_cost(given, wanted, config).cost)
 
 
 def test_a_vector_is_priced_by_its_cosine_and_its_length() -> None:
     target = np.array([0.0, 0.008, 0.0])
     turned = np.array([0.008 * np.sin(1.2), 0.008 * np.cos(1.2), 0.0])
     with float64():
-        only_direction = PolarConfig(direction=2.0, length=0.0)
+        only_direction = DirectionLengthConfig(direction=2.0, length=0.0)
         for size in (1.0, 3.0):  # whatever its length; 2 mm round the shortest off
             cosine = np.cos(1.2) / np.sqrt(1 + 0.25**2 / size**2)
-            found = polar_cost(only_direction, size * turned, target)
+            found = cost_of(only_direction, size * turned, target)
             assert found == pytest.approx(2.0 * (1 - cosine))
-        only_length = PolarConfig(direction=0.0, length=100.0, knee=0.001, near=0.008)
+        only_length = DirectionLengthConfig(
+            direction=0.0, length=100.0, huber_width=0.001, near=0.008
+        )
 
-        def priced(off: float) -> float:  # by the metre, but for what is within the knee
+        def priced(off: float) -> float:  # by the metre, but for what is within the Huber width
             return 100 / 2 * (np.hypot(off, 0.001) - 0.001)
 
         for stretch in (1.5, 4.0):
             size = np.hypot(stretch * 0.008, 0.002)
-            found = polar_cost(only_length, stretch * turned, target)  # wherever it points
+            found = cost_of(only_length, stretch * turned, target)  # wherever it points
             assert found == pytest.approx(priced(size - 0.008), rel=1e-4)
         far = 10 * target  # of long vectors the length counts for nothing
-        assert polar_cost(only_length, 1.1 * far, far) < 1e-3 * polar_cost(
+        assert cost_of(only_length, 1.1 * far, far) < 1e-3 * cost_of(
             only_length, 1.1 * target + [0.0, 0.0072, 0.0], target
         )
 
 
 def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
-    rng, config = np.random.default_rng(0), PolarConfig(0.7, 5.0, 0.003, 0.02)
+    rng, config = np.random.default_rng(0), DirectionLengthConfig(0.7, 5.0, 0.003, 0.02)
     vectors, targets = rng.normal(0, 0.02, (2, 12, 3))
     with float64():
         given, wanted = jnp.asarray(vectors), jnp.asarray(targets)
-        slope = jax.grad(lambda v: polar(v, wanted, config).cost)(given)
-        found = polar(given, wanted, config)
-        np.testing.assert_allclose(found.pull, slope, rtol=1e-8, atol=1e-10)
-        assert np.linalg.eigvalsh(np.asarray(found.bend)).min() > -1e-9  # no step goes uphill
+        slope = jax.grad(lambda v: direction_length_cost(v, wanted, config).cost)(given)
+        found = direction_length_cost(given, wanted, config)
+        np.testing.assert_allclose(found.gradient, slope, rtol=1e-8, atol=1e-10)
+        assert np.linalg.eigvalsh(np.asarray(found.hessian)).min() > -1e-9  # no step goes uphill
         # where a vector points as it should, nothing is left out
         aligned = wanted * 1.0
-        exact = jax.hessian(lambda v: polar(v[None], wanted[:1], config).cost)(aligned[0])
-        near = polar(aligned[:1], wanted[:1], config).bend[0]
+        exact = jax.hessian(lambda v: direction_length_cost(v[None], wanted[:1], config).cost)(
+            aligned[0]
+        )
+        near = direction_length_cost(aligned[:1], wanted[:1], config).hessian[0]
         assert np.abs(near - exact).max() < 0.2 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize(
-    "bad", [{"direction": -1.0}, {"length": -2.0}, {"knee": 0.0}, {"near": 0.0}]
+    "bad", [{"direction": -1.0}, {"length": -2.0}, {"huber_width": 0.0}, {"near": 0.0}]
 )
 def test_prices_of_angle_and_length_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):
-        PolarConfig(**bad)
+        DirectionLengthConfig(**bad)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,12 @@ from smooth_operator.methods.preset_file import PresetFile, read_preset_file, wr
 from smooth_operator.methods.presets import PRESETS, SBR_REALTIME, method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.setting_paths import find_setting, numeric_settings, with_settings
+from smooth_operator.methods.setting_paths import (
+    RENAMED,
+    find_setting,
+    numeric_settings,
+    with_settings,
+)
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.types import HandRecording
@@ -60,6 +65,23 @@ def test_settings_are_replaced_and_checked():
     with pytest.raises(ConfigError, match="weights"):
         with_settings(SBR_REALTIME, {"objective.pose_weight": -1.0})
     assert "future.acceleration_weight" in numeric_settings(PRESETS["sbr"]["offline"])
+
+
+def test_settings_are_known_by_their_former_names():
+    smooth = PRESETS["smooth"]["teleop"]
+    assert find_setting(smooth, "polar.knee") == find_setting(smooth, "knee")
+    assert find_setting(smooth, "clearance.weight") == "self_collision.weight"
+    now = numeric_settings(smooth)
+    assert set(RENAMED.values()) <= set(now)
+    assert not set(RENAMED) & set(now)
+    changed = with_settings(smooth, dict.fromkeys(RENAMED, 0.25))
+    assert numeric_settings(changed) == now | dict.fromkeys(RENAMED.values(), 0.25)
+    offline = PRESETS["smooth"]["offline"]
+    inner = next(path for path in numeric_settings(offline) if path.endswith("collision.weight"))
+    old = inner.replace("self_collision", "clearance")
+    assert numeric_settings(with_settings(offline, {old: 3.0}))[inner] == 3.0
+    with pytest.raises(UnknownNameError, match=r"clearance\.weight"):
+        with_settings(SBR_REALTIME, {"clearance.weight": 1.0})
 
 
 def test_variables():

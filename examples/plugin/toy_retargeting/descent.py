@@ -8,7 +8,8 @@ import jax.numpy as jnp
 
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 
 
 @dataclass(frozen=True)

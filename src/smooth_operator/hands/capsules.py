@@ -7,6 +7,7 @@ two points and a radius, so its distance from another is cheap, and differentiab
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,9 +17,8 @@ from jaxtyping import Float, Int
 
 from smooth_operator.geometry import AnyKind, namespace
 from smooth_operator.hands.collision import PALM, colliding_shapes, owners, solid_shapes
-from smooth_operator.hands.hand import Hand, landmark_points
-from smooth_operator.hands.kinematics import KinematicTree, build_tree
-from smooth_operator.hands.membership import own_joints
+from smooth_operator.hands.hand import Hand, tree_with
+from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.hands.solids import Capsule, shape_capsules
 from smooth_operator.hands.stand_ins import stand_ins
 
@@ -42,6 +42,7 @@ class CapsulePairs:
     Attributes:
         tree: the hand's landmarks, and the ends of all capsules that a pair names.
         names: (2 C) keypoints of the ends in ``tree``: first and second end of each capsule.
+        ends: where each of them is: name -> (body, (3,) position in it [m]).
         pairs: (P, 2) indices of capsules.
         reach: (P,) sum of the two radii [m].
         shapes: (P, 2) the model's geoms; -1 for a stand-in.
@@ -49,6 +50,7 @@ class CapsulePairs:
 
     tree: KinematicTree
     names: tuple[str, ...]
+    ends: Mapping[str, tuple[int, np.ndarray]]
     pairs: Int[np.ndarray, "P 2"]
     reach: Float[np.ndarray, " P"]
     shapes: Int[np.ndarray, "P 2"]
@@ -102,6 +104,7 @@ def capsule_pairs(hand: Hand) -> CapsulePairs:
     return CapsulePairs(
         _tree(hand, kept),
         _names(kept),
+        _ends(kept),
         np.array([(at[i], at[j]) for i, j in pairs], int).reshape(-1, 2),
         np.array([capsules[i].radius + capsules[j].radius for i, j in pairs], float),
         np.array([(capsules[i].geom, capsules[j].geom) for i, j in pairs], int).reshape(-1, 2),
@@ -235,15 +238,12 @@ def _names(capsules: list[Capsule]) -> tuple[str, ...]:
     return tuple(f"capsule {i} {end}" for i in range(len(capsules)) for end in "ab")
 
 
-def _tree(hand: Hand, capsules: list[Capsule]) -> KinematicTree:
-    points = {
+def _ends(capsules: list[Capsule]) -> dict[str, tuple[int, np.ndarray]]:
+    return {
         name: (capsules[i // 2].body, capsules[i // 2].ends[i % 2])
         for i, name in enumerate(_names(capsules))
     }
-    palm = hand.model.body(hand.spec.palm).id
-    return build_tree(
-        hand.model,
-        palm,
-        points | landmark_points(hand.model, hand.spec),
-        own_joints(hand.model, palm),
-    )
+
+
+def _tree(hand: Hand, capsules: list[Capsule]) -> KinematicTree:
+    return tree_with(hand, _ends(capsules))

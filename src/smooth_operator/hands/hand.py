@@ -220,6 +220,18 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     )
 
 
+def tree_with(hand: Hand, points: Mapping[str, tuple[int, np.ndarray]]) -> KinematicTree:
+    """Kinematics of a hand's landmarks and of more points on its bodies.
+
+    Args:
+        hand: the robot hand.
+        points: name -> (body of the model, (3,) position in it [m]).
+    """
+    palm = _body(hand.model, hand.spec.palm)
+    every = {**points, **landmark_points(hand.model, hand.spec)}
+    return build_tree(hand.model, palm, every, own_joints(hand.model, palm))
+
+
 def landmark_points(model: mujoco.MjModel, spec: HandSpec) -> dict[str, tuple[int, np.ndarray]]:
     """The landmarks that a hand's description names: name -> (body, (3,) position in it [m]).
 

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.errors import ConfigError
+from smooth_operator.settings import check_numbers, is_off
 
 NOISE_AT_FIRST: Final = 5e-4
 """Noise of a tracker that hasn't been seen yet [m]: between a glove's and a video's."""
@@ -46,12 +46,12 @@ class PursuitConfig:
     noise_time: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("lag", "leap", "leap_speed", "noise"):
-            value = getattr(self, name)
-            if isinstance(value, int | float) and not value >= 0:
-                raise ConfigError(f"pursuit: {name} must not be negative, not {value}")
-        if isinstance(self.noise_time, int | float) and not self.noise_time > 0:
-            raise ConfigError(f"pursuit: noise_time must be positive [s], not {self.noise_time}")
+        check_numbers(
+            self,
+            "landmarks.",
+            positive=("noise_time",),
+            not_negative=("lag", "leap", "leap_speed", "noise"),
+        )
 
 
 class Followed(NamedTuple):
@@ -80,11 +80,6 @@ class Followed(NamedTuple):
     def noise(self) -> Float[Array, ""]:
         """What the tracker is taken to add to a point, as a second difference [m]."""
         return self.root**2
-
-
-def is_off(setting: object) -> bool:
-    """Whether a setting is a plain zero; one that is traced, as when settings are tuned, is not."""
-    return isinstance(setting, int | float) and setting == 0
 
 
 def pursue(

@@ -27,7 +27,8 @@ from smooth_operator.methods.geort_model import (
     training_command,
 )
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
 
 _MODELS: Final = Path(__file__).parent / "models"

@@ -23,7 +23,8 @@ from smooth_operator.human.joint_angles import PalmAxes, joint_angles
 from smooth_operator.human.joint_map import format_map, human_palm_axes, joint_map, map_matrix
 from smooth_operator.landmarks import BASES
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import PlainTargets
 
 

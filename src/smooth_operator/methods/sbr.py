@@ -15,8 +15,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.local import LocalObjective
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
@@ -105,7 +105,7 @@ class Sbr(Method):
 
     def frame_goals(self) -> FrameGoals:
         """Eq. (1) without its velocity term."""
-        return FrameGoals(LocalObjective(self.objective), self.objective)
+        return FrameGoals(self.objective)
 
     def step(
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
@@ -120,7 +120,6 @@ class Sbr(Method):
         velocity_weight = jnp.where(starting, 0.0, config.objective.velocity_weight)
         sigma = jnp.where(starting, config.settle_sigma, config.sampling.sigma)
         goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity_weight)
-        local = LocalObjective(self.objective)
 
         def solve(round: Array | int, q: Array) -> tuple[Array, Array]:
             q = sample_minimise(
@@ -131,9 +130,10 @@ class Sbr(Method):
                 config.sampling,
                 sigma,
             )
-            return newton_minimise(lambda few: local.expand(few, goal), q, limits, config.polish)[
-                :2
-            ]
+            found = newton_minimise(
+                lambda few: self.objective.few_value_grad_hess(few, goal), q, limits, config.polish
+            )
+            return found[:2]
 
         if config.settle_rounds > 1:
             q, cost = lax.fori_loop(
@@ -144,6 +144,6 @@ class Sbr(Method):
             )
         else:
             q, cost = solve(0, state.q)
-        tracking = cost - local.regularisation(q, goal)
+        tracking = cost - self.objective.regularisation(q, goal)
         after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1))
         return after, MethodOutput(q, tracking)

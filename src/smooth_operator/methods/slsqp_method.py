@@ -27,8 +27,8 @@ from smooth_operator.methods.joint_angle import JointAngleMap
 from smooth_operator.methods.method import HostMethod, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.methods.program import compiled
 from smooth_operator.methods.published_angles import PublishedAngles
-from smooth_operator.objective.local import LocalObjective
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
 from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
@@ -118,11 +118,6 @@ class SlsqpMethod(HostMethod):
         return Objective(self.hand, self.config.objective)
 
     @cached_property
-    def local(self) -> LocalObjective:
-        """The same near one pose, with second derivatives."""
-        return LocalObjective(self.objective)
-
-    @cached_property
     def joint_angles(self) -> JointAngleMap | PublishedAngles | None:
         """Where the search begins, if not at the previous command."""
         if self.config.start == "previous":
@@ -142,7 +137,7 @@ class SlsqpMethod(HostMethod):
         """(m,) joint positions and a goal to value and gradient, as one array: one transfer.
 
         Through the unrolled kinematics: it takes 2 s longer to compile than the small program of
-        ``LocalObjective``, and a third of its time to run.
+        ``Objective.value_grad_hess``, and a third of its time to run.
         """
 
         def both(q: Array, goal: FrameGoal) -> Array:
@@ -186,7 +181,7 @@ class SlsqpMethod(HostMethod):
         if self.config.approach.iterations:
             low, high = (jnp.asarray(side, jnp.float32) for side in self.hand.limits.T)
             start, cost, gradient = newton_minimise(
-                lambda q: self.local.expand(q, goal),
+                lambda q: self.objective.few_value_grad_hess(q, goal),
                 jnp.clip(start, low, high),
                 self.hand.limits,
                 self.config.approach,
@@ -215,11 +210,10 @@ class SlsqpMethod(HostMethod):
                 found = scipy_slsqp_minimise(objective, start, limits, solver)
             x, value = found.x, found.value
         q = x.astype(np.float32)
-        regular = float(
-            self.objective.regularisation(
-                x, np.asarray(state.q), self.config.objective.velocity_weight
-            )
+        before = goal._replace(
+            previous=np.asarray(state.q), velocity_weight=self.config.objective.velocity_weight
         )
+        regular = float(self.objective.regularisation(x, before))
         after = SlsqpMethodState(q, problem.targets)
         if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
             q = np.full_like(q, np.nan)

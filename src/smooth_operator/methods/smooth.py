@@ -22,15 +22,20 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.pursuit import Followed, PursuitConfig, is_off, pursue
+from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.clearance import ClearanceConfig
 from smooth_operator.objective.close_targets import CloseTargets
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
-from smooth_operator.objective.polar import PolarConfig
-from smooth_operator.objective.smooth import SmoothGoal, SmoothObjective
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.terms.direction_length import (
+    DirectionLength,
+    DirectionLengthConfig,
+)
+from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
+from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
@@ -57,8 +62,8 @@ class SmoothConfig(ObjectiveMethodConfig):
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
-        clearance: of the hand's parts from each other.
-        polar: of the thumb's vectors by angle and length.
+        self_collision: cost of parts of the hand inside each other.
+        direction_length: cost of direction and length of the thumb-to-tip vectors.
         landmarks: how human landmarks are followed.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
         sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
@@ -78,8 +83,8 @@ class SmoothConfig(ObjectiveMethodConfig):
     )
     motion_weight: float = 1300.0
     motion_speed: float = 0.1
-    clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
-    polar: PolarConfig = field(default_factory=PolarConfig)
+    self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
+    direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
     landmarks: PursuitConfig = field(
         default_factory=lambda: PursuitConfig(lag=0.00175, leap=0.065, noise=115.0)
     )
@@ -100,14 +105,11 @@ class SmoothConfig(ObjectiveMethodConfig):
     def __post_init__(self) -> None:
         if self.settle_rounds < 1:
             raise ConfigError(f"settle_rounds must be 1 or more, not {self.settle_rounds}")
-        for name in ("motion_weight", "motion_speed"):
-            value = getattr(self, name)
-            if isinstance(value, int | float) and not value >= 0:
-                raise ConfigError(f"{name} must not be negative, not {value}")
-        for name in ("joint_speed", "settle_sigma", "rate_hz", "gap"):
-            value = getattr(self, name)
-            if isinstance(value, int | float) and not value > 0:
-                raise ConfigError(f"{name} must be positive, not {value}")
+        check_numbers(
+            self,
+            positive=("joint_speed", "settle_sigma", "rate_hz", "gap"),
+            not_negative=("motion_weight", "motion_speed"),
+        )
 
     def build(self, hand: Hand) -> Smooth:
         """The method for one hand."""
@@ -115,7 +117,7 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Whether collision shapes are estimated."""
-        note = stand_in_note(hand) if self.clearance.weight else None
+        note = stand_in_note(hand) if self.self_collision.weight else None
         return (note,) if note else ()
 
 
@@ -169,15 +171,33 @@ class Smooth(Method):
     can_scan = False  # on every hand that was tried it rounded differently: 8 s of compiling saved
 
     @cached_property
-    def objective(self) -> SmoothObjective:
-        """What is minimised."""
-        eq_1 = Objective(self.hand, self.config.objective)
-        return SmoothObjective(eq_1, self.config.clearance, self.config.polar)
+    def eq_1(self) -> Objective:
+        """Eq. (1) alone, by which Algorithm 1 finds the basin."""
+        return Objective(self.hand, self.config.objective)
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The terms that are minimised: those of Eq. (1), and three more."""
+        config, vectors = self.config, self.eq_1.keyvectors.vectors
+        return Objective(
+            self.hand,
+            config.objective,
+            (
+                self.motion,
+                DirectionLength(vectors, config.direction_length),
+                SelfCollision(self.hand, config.self_collision),
+            ),
+        )
+
+    @cached_property
+    def motion(self) -> FingertipMotion:
+        """The term of fingertip motion."""
+        return FingertipMotion(self.hand, self.config.objective.transition)
 
     @property
     def needs(self) -> tuple[int, ...]:
         """Wrist and fingertips."""
-        return self.objective.objective.layout.landmarks
+        return self.objective.layout.landmarks
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose."""
@@ -186,7 +206,7 @@ class Smooth(Method):
             neutral,
             neutral,
             Followed.nothing(len(self.needs)),
-            self.config.objective.targets.init(self.objective.objective.layout),
+            self.config.objective.targets.init(self.objective.layout),
             jnp.uint32(0),
             jnp.float32(1 / self.config.rate_hz),
             jnp.asarray(seed_words(seed)),
@@ -199,12 +219,7 @@ class Smooth(Method):
 
     def frame_goals(self) -> FrameGoals:
         """The objective on landmarks without the filter, which a known future makes needless."""
-
-        def wrap(goal: FrameGoal) -> SmoothGoal:
-            tips = jnp.zeros((len(self.hand.fingers), 3), goal.vectors.dtype)
-            return SmoothGoal(goal, tips, tips[:, 0])
-
-        return FrameGoals(self.objective, self.objective.objective, wrap)
+        return FrameGoals(self.objective)
 
     def step(
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
@@ -223,7 +238,7 @@ class Smooth(Method):
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
         count = state.frames + jnp.uint32(1)
         after = SmoothState(q, solved, followed, policy_state, now, clock.period, state.seed, count)
-        return after, MethodOutput(q, self.objective.tracking(q, goal))
+        return after, MethodOutput(q, self.objective.tracking(list(q), goal))
 
     def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:
         elapsed = (now - state.ticks).astype(jnp.int32) * 1e-6
@@ -242,9 +257,9 @@ class Smooth(Method):
         points: Float[Array, "L 3"],
         steps: Float[Array, "L 3"],
         clock: _Clock,
-    ) -> tuple[SmoothGoal, Any]:
+    ) -> tuple[FrameGoal, Any]:
         """What the frame asks, and the target policy's state after it."""
-        config, layout = self.config, self.objective.objective.layout
+        config, layout = self.config, self.objective.layout
         every = jnp.zeros((NUM_LANDMARKS, 3), points.dtype).at[jnp.asarray(self.needs)].set(points)
         targets, policy_state = config.objective.targets(state.targets, layout, layout.human(every))
         # the further apart two frames are, the less they hold each other
@@ -256,19 +271,22 @@ class Smooth(Method):
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
             motion = motion / (1 + (speed / config.motion_speed) ** 2)
-        goal = SmoothGoal(
-            FrameGoal(targets.vectors, targets.weights, state.solved, velocity),
-            self.objective.tips(state.solved) + moves,
+        goal = FrameGoal(
+            targets.vectors,
+            targets.weights,
+            state.solved,
+            velocity,
+            self.motion.tips(state.solved) + moves,
             motion,
         )
         return goal, policy_state
 
-    def _solve(self, state: SmoothState, goal: SmoothGoal, clock: _Clock) -> Float[Array, " m"]:
+    def _solve(self, state: SmoothState, goal: FrameGoal, clock: _Clock) -> Float[Array, " m"]:
         config, limits = self.config, self.hand.limits
 
         def sampled(round: Array, q: Array) -> Array:
             return sample_minimise(
-                lambda candidates: self.objective.objective(candidates, goal.frame),
+                lambda candidates: self.eq_1(candidates, goal),
                 q,
                 limits,
                 frame_key(state.seed, state.frames + round.astype(jnp.uint32)),
@@ -286,7 +304,7 @@ class Smooth(Method):
         def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
             start = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
             found = damped_newton(
-                lambda one: self.objective.derivatives(one, goal),
+                lambda one: self.objective.value_grad_hess(one, goal),
                 lambda few: self.objective.values(few, goal),
                 start,
                 limits,

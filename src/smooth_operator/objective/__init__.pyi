@@ -3,3 +3,4 @@ from smooth_operator.objective.loss import ObjectiveConfig as ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets as DexPilotTargets
 from smooth_operator.objective.targets import PlainTargets as PlainTargets
 from smooth_operator.objective.targets import TipTargets as TipTargets
+from smooth_operator.objective.terms.term import LeastSquaresTerm as LeastSquaresTerm

@@ -1,33 +1,46 @@
-"""Eq. (1): tracking of keyvectors, pull to the neutral pose, penalty on velocity."""
+"""An objective as a sum of terms: Eq. (1), and what a method or a preset adds to it.
+
+Two forms of one sum: ``Objective.__call__`` gives costs of thousands of poses for the sampler,
+through unrolled kinematics; ``Objective.value_grad_hess`` gives cost, gradient and Hessian of one
+pose for Newton steps, through a small program. Terms are in ``smooth_operator.objective.terms``.
+"""
 
 from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.kinematics import Keypoint
+from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.hand import Hand, tree_with
+from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout
-from smooth_operator.objective.penalties import (
-    Loss,
-    PenaltySlopes,
-    smooth_l1,
-    smooth_l1_slopes,
-    vector_price,
-    vector_slopes,
-)
+from smooth_operator.objective.penalties import Loss
 from smooth_operator.objective.targets import DexPilotTargets, TargetPolicy
+from smooth_operator.objective.terms.keyvectors import Keyvectors
+from smooth_operator.objective.terms.neutral_pose import NeutralPose
+from smooth_operator.objective.terms.robot_vectors import RobotVectors
+from smooth_operator.objective.terms.term import (
+    JointTerm,
+    PointTerm,
+    Quadratic,
+    Square,
+    Term,
+    TermConfig,
+)
+from smooth_operator.objective.terms.velocity import SmoothL1Velocity, Velocity
 
 
 @dataclass(frozen=True)
@@ -46,6 +59,7 @@ class ObjectiveConfig:
         velocity_loss: ``squared``, the weight times the squared change, as in Eq. (1); or
             ``smooth_l1``, smooth-L1 of the weight times the change of each joint, as in AKO, with
             the same ``transition`` [rad].
+        terms: more terms: settings that build a term for a hand, or terms that need no hand.
     """
 
     targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
@@ -55,6 +69,7 @@ class ObjectiveConfig:
     pose_centre: Literal["neutral", "zero"] = "neutral"
     velocity_weight: float = 0.1
     velocity_loss: Literal["squared", "smooth_l1"] = "squared"
+    terms: tuple[TermConfig, ...] = ()
 
     def __post_init__(self) -> None:
         if self.loss not in get_args(Loss):
@@ -76,28 +91,19 @@ class ObjectiveConfig:
             )
 
 
-class FrameGoal(NamedTuple):
-    """What one frame asks of the robot.
-
-    Attributes:
-        vectors: (K, 3) keyvector targets [m].
-        weights: (K,) their weights.
-        previous: (m,) last command of the actuated joints [rad].
-        velocity_weight: lambda_vel of the frame; 0 where there is no last command to be near to.
-    """
-
-    vectors: Float[Array, "K 3"]
-    weights: Float[Array, " K"]
-    previous: Float[Array, " m"]
-    velocity_weight: Float[Array, ""] | float
-
-
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Eq. (1) for one hand, over arrays whose last axis is the batch of candidates."""
+    """Eq. (1) and more terms, for one hand.
+
+    Attributes:
+        hand: the robot hand.
+        config: weights of Eq. (1), and the preset's own terms.
+        more: terms that the method adds.
+    """
 
     hand: Hand
     config: ObjectiveConfig
+    more: tuple[PointTerm, ...] = ()
 
     @cached_property
     def layout(self) -> VectorLayout:
@@ -107,24 +113,48 @@ class Objective:
             ConfigError: if the hand lacks a point that one of them needs.
         """
         layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
-        lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in self.points]
+        known = self.hand.tree.keypoints
+        lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in known]
         if lacking:
             raise ConfigError(
                 f"{type(self.config.targets).__name__} needs counterparts of {lacking} on the "
-                f"robot, and hand {self.hand.name!r} has only {sorted(self.points)}: add the "
+                f"robot, and hand {self.hand.name!r} has only {sorted(known)}: add the "
                 "points to its description, or choose another method"
             )
         return layout
 
-    @property
-    def points(self) -> Mapping[str, Keypoint]:
-        """The robot's counterparts of human landmarks, by name."""
-        return self.hand.tree.keypoints
+    # The terms
 
     @cached_property
-    def moving(self) -> tuple[int, ...]:
-        """Those of the layout's landmarks whose counterparts a joint moves; others are fixed."""
-        return tuple(i for i in self.layout.landmarks if self.points[LANDMARKS[i]].joint >= 0)
+    def keyvectors(self) -> Keyvectors:
+        """First term of Eq. (1)."""
+        vectors = RobotVectors(self.hand, self.layout)
+        return Keyvectors(vectors, self.config.loss, self.config.transition)
+
+    @cached_property
+    def point_terms(self) -> tuple[PointTerm, ...]:
+        """Terms of where points are: keyvectors, the method's, the preset's own."""
+        terms = (self.keyvectors, *self.more, *(t for t in self._own if isinstance(t, PointTerm)))
+        return tuple(term for term in terms if not term.is_off)
+
+    @cached_property
+    def joint_terms(self) -> tuple[JointTerm, ...]:
+        """Terms of joint positions: neutral pose, velocity, the preset's own."""
+        neutral: np.ndarray = self.hand.neutral
+        centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
+        velocity = (
+            Velocity()
+            if self.config.velocity_loss == "squared"
+            else SmoothL1Velocity(self.config.transition)
+        )
+        own = (t for t in self._own if isinstance(t, JointTerm) and not t.is_off)
+        return (NeutralPose(self.config.pose_weight, centre), velocity, *own)
+
+    @cached_property
+    def _own(self) -> tuple[Term, ...]:
+        return tuple(settings.build(self.hand) for settings in self.config.terms)
+
+    # Many poses, batch last
 
     def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
         """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
@@ -134,23 +164,10 @@ class Objective:
             goal: targets of the frame.
             within_limits: promise that q respects the limits, for speed.
         """
-        walked = self.hand.tree.walk(
-            self.hand.expand_rows(q),
-            [LANDMARKS[i] for i in self.moving],
-            within_limits=within_limits,
-        )
-        at: dict[int | None, Sequence[Array | float]] = {None: (0.0, 0.0, 0.0)}
-        for i in self.layout.landmarks:
-            at[i] = tuple(map(float, self.points[LANDMARKS[i]].position))
-        at |= {m: cast(Sequence[Array], p) for m, p in zip(self.moving, walked, strict=True)}
-        total: Array = jnp.zeros((), q[0].dtype)
-        for k, (start, end) in enumerate(self.layout.vectors):
-            error = [jnp.asarray(at[end][c] - at[start][c]) - goal.vectors[k, c] for c in range(3)]
-            total = total + self.price(error, goal.weights[k])
-        return total
+        return self._point_costs([self.keyvectors], q, goal, within_limits)
 
     def __call__(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
-        """Eq. (1).
+        """The sum of the terms.
 
         Args:
             q: m arrays of a common shape, actuated joint positions [rad].
@@ -160,75 +177,155 @@ class Objective:
         Returns:
             cost, of that shape.
         """
-        total = self.tracking(q, goal, within_limits=within_limits)
-        reg, vel = self.config.pose_weight, goal.velocity_weight
-        neutral = jnp.asarray(self.pose_centre, q[0].dtype)
-        if self.config.velocity_loss == "smooth_l1":
-            for i, row in enumerate(q):
-                change = smooth_l1(vel * (row - goal.previous[i]), self.config.transition)
-                total = total + reg * (row - neutral[i]) ** 2 + change
+        total = self._point_costs(self.point_terms, q, goal, within_limits)
+        squares = [s for s in (term.square(goal) for term in self.joint_terms) if s is not None]
+        if len(squares) < len(self.joint_terms):
+            for joint, row in enumerate(q):
+                for term in self.joint_terms:
+                    total = total + term.joint_cost(row, joint, goal)
             return total
-        # Two quadratics about two centres are one about their mean, and a constant.
-        weight = reg + vel
-        share = vel / jnp.maximum(weight, 1e-12)
-        centre = neutral + share * (goal.previous - neutral)
-        constant = reg * share * ((neutral - goal.previous) ** 2).sum()
+        # Squares about several poses are one about their mean, and a constant.
+        squares = [s._replace(centre=jnp.asarray(s.centre, q[0].dtype)) for s in squares]
+        weight, centre, constant = functools.reduce(Square.plus, squares)
         pull = [(row - centre[i]) ** 2 for i, row in enumerate(q)]
         return total + (weight * functools.reduce(operator.add, pull) + constant)
 
-    @property
-    def pose_centre(self) -> Float[np.ndarray, " m"]:
-        """The pose that the second term of Eq. (1) pulls to [rad]."""
-        neutral: np.ndarray = self.hand.neutral
-        return neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
+    def _point_costs(
+        self, terms: Sequence[PointTerm], q: Sequence[Array], goal: FrameGoal, within_limits: bool
+    ) -> Array:
+        names = tuple(dict.fromkeys(name for term in terms for name in term.points()))
+        tree = self.hand.tree if all(n in self.hand.tree.keypoints for n in names) else self.tree
+        points = tree.walk(self.hand.expand_rows(q), names, within_limits=within_limits)
+        at = dict(zip(names, points, strict=True))
+        costs = [term.cost([at[name] for name in term.points()], goal) for term in terms]
+        return functools.reduce(operator.add, costs)
 
-    def regularisation(
-        self, q: AnyKind, previous: AnyKind, velocity_weight: AnyKind | float
-    ) -> AnyKind:
-        """Last two terms of Eq. (1); NumPy or JAX.
+    def regularisation(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """The terms of joint positions: the last two of Eq. (1), and a preset's own.
 
         Args:
-            q: (..., m) actuated joint positions [rad].
-            previous: (..., m) the commands before [rad].
-            velocity_weight: lambda_vel.
+            q: (..., m) actuated joint positions [rad]; NumPy or JAX.
+            goal: with what was commanded before.
 
         Returns:
             (...) cost.
         """
-        centre = self.pose_centre.astype(q.dtype)
-        pose = self.config.pose_weight * ((q - centre) ** 2).sum(axis=-1)
-        change = q - previous
-        if self.config.velocity_loss == "squared":
-            velocity = velocity_weight * (change**2).sum(axis=-1)
-        else:
-            velocity = smooth_l1(velocity_weight * change, self.config.transition).sum(axis=-1)
-        total: AnyKind = pose + velocity
+        costs = [term.cost(q, goal) for term in self.joint_terms]
+        total: AnyKind = functools.reduce(operator.add, costs)
         return total
 
-    def regularisation_slopes(
-        self,
-        q: Float[Array, " m"],
-        previous: Float[Array, " m"],
-        velocity_weight: Array | float,
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"] | float]:
-        """First derivative of ``regularisation``, and the diagonal of its second derivative,
-        whose other elements are zero."""
-        reg = self.config.pose_weight
-        pull = 2 * reg * (q - jnp.asarray(self.pose_centre, q.dtype))
-        if self.config.velocity_loss == "squared":
-            return pull + 2 * velocity_weight * (q - previous), 2 * (reg + velocity_weight)
-        slope, bend = smooth_l1_slopes(velocity_weight * (q - previous), self.config.transition)
-        return pull + velocity_weight * slope, 2 * reg + velocity_weight**2 * bend
+    def regularisation_derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"] | Float[Array, ""] | float]:
+        """First derivative of ``regularisation``, and the diagonal of its second derivative (or
+        the one number on it), whose other elements are zero."""
+        both = [term.derivatives(q, goal) for term in self.joint_terms]
+        first = functools.reduce(operator.add, [slope for slope, _ in both])
+        return first, functools.reduce(operator.add, [diagonal for _, diagonal in both])
 
-    def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """lambda_k l(v_R - v_H) of Eq. (1): the cost of one vector's error.
+    # One pose, with derivatives
 
-        Args:
-            error: its three components [m], arrays of a common shape.
-            weight: lambda_k, of a shape that fits.
+    @cached_property
+    def tree(self) -> KinematicTree:
+        """Kinematics of the hand's landmarks and of the points that terms have of their own."""
+        own: dict[str, tuple[int, np.ndarray]] = {}
+        for term in self.point_terms:
+            own.update(term.own_points())
+        return tree_with(self.hand, own) if own else self.hand.tree
+
+    @cached_property
+    def kinematics(self) -> PointKinematics:
+        """The points of all terms, with derivatives."""
+        every = (name for term in self.point_terms for name in term.points())
+        return PointKinematics(self.tree, tuple(dict.fromkeys(every)))
+
+    def value_grad_hess(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
+        """Value, gradient and Hessian at a pose: the sum over the terms.
+
+        The Hessian is as exact as the terms' own; those of Eq. (1) are exact, but on the
+        measure-zero kinks of smooth-L1.
         """
-        return vector_price(error, weight, self.config.loss, self.config.transition)
+        matrix, offset = (jnp.asarray(part, q.dtype) for part in self.hand.expansion)
+        motion = self.kinematics(matrix @ q + offset)
+        chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
+        near = [
+            term.expand(at.take(motion.points), at.take(motion.velocities), goal)
+            for term, at in zip(self.point_terms, chosen, strict=True)
+        ]
+        cost = functools.reduce(operator.add, [one.cost for one in near])
+        gradient = jnp.zeros((0, 3), q.dtype)  # with respect to the points of the terms so far
+        for one, at in zip(near, chosen, strict=True):
+            gradient = at.added(gradient, one.gradient)
+        hessian = _gauss_newton(near) + self.kinematics.curvature(motion, gradient)
+        joints = matrix[np.array(self.kinematics.order)]  # (J, m)
+        first, second = self.regularisation_derivatives(q, goal)
+        return (
+            cost + self.regularisation(q, goal),
+            jnp.einsum("fc,fjc->j", gradient, motion.velocities) @ joints + first,
+            joints.T @ hessian @ joints + second * jnp.eye(len(q), dtype=q.dtype),
+        )
 
-    def slopes(self, errors: Float[Array, "K 3"], weights: Float[Array, " K"]) -> PenaltySlopes:
-        """Derivatives of ``price`` for the errors of all K vectors [m]."""
-        return vector_slopes(errors, weights, self.config.loss, self.config.transition)
+    def few_value_grad_hess(
+        self, q: Float[Array, "c m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " c"], Float[Array, "c m"], Float[Array, "c m m"]]:
+        """Values, gradients and Hessians of a few poses."""
+        values, gradients, hessians = jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
+        return values, gradients, hessians
+
+    def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
+        """Costs of a few poses, through the small program."""
+        costs: Array = jax.vmap(lambda one: self.value_grad_hess(one, goal)[0])(q)
+        return costs
+
+
+class _Chosen(NamedTuple):
+    """Which of all points are a term's: all points are in the order in which terms name them.
+
+    Attributes:
+        at: a slice where they are neighbours, which is cheaper; else indices.
+        end: one more than the last index.
+    """
+
+    at: slice | np.ndarray
+    end: int
+
+    @classmethod
+    def of(cls, names: Sequence[str], every: Sequence[str]) -> _Chosen:
+        index = [every.index(name) for name in names]
+        first, last = min(index), max(index)
+        neighbours = index == list(range(first, last + 1))
+        return cls(slice(first, last + 1) if neighbours else np.array(index), last + 1)
+
+    def take(self, values: Array) -> Array:
+        """(P, ...) of all points to those of the term."""
+        return values[self.at]
+
+    def added(self, total: Float[Array, "T 3"], values: Float[Array, "P 3"]) -> Array:
+        """The sum of the terms so far, and the term's; longer where the term names new points."""
+        known = len(total)
+        if isinstance(self.at, slice) and self.at.start == known:
+            return jnp.concatenate([total, values]) if known else values
+        if self.end > known:
+            total = jnp.concatenate([total, jnp.zeros((self.end - known, 3), total.dtype)])
+        if isinstance(self.at, slice) and len(values) == len(total):
+            return total + values
+        return total.at[self.at].add(values)
+
+
+def _gauss_newton(near: Sequence[Quadratic]) -> Float[Array, "J J"]:
+    """Sum over the terms of rows^T weights rows; single rows in one product."""
+    single = [one for one in near if one.weights.ndim == 1]
+    parts = []
+    if single:
+        rows = jnp.concatenate([one.rows for one in single])
+        weights = jnp.concatenate([one.weights for one in single])
+        parts.append((rows * weights[:, None]).T @ rows)
+    parts += [
+        jnp.einsum("kcj,kcd,kdi->ji", one.rows, one.weights, one.rows)
+        for one in near
+        if one.weights.ndim == 3
+    ]
+    total: Array = functools.reduce(operator.add, parts)
+    return total

@@ -22,12 +22,12 @@ class PenaltySlopes(NamedTuple):
     """Derivatives of the cost of K errors with respect to each.
 
     Attributes:
-        force: (K, 3) first derivative.
-        bend: (K, 3) second derivative where components don't mix, (K, 3, 3) where they do.
+        first: (K, 3) first derivative.
+        second: (K, 3) second derivative where components don't mix, (K, 3, 3) where they do.
     """
 
-    force: Float[Array, "K 3"]
-    bend: Float[Array, "K 3"] | Float[Array, "K 3 3"]
+    first: Float[Array, "K 3"]
+    second: Float[Array, "K 3"] | Float[Array, "K 3 3"]
 
 
 def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
@@ -78,15 +78,15 @@ def vector_slopes(
         double = 2 * weights[:, None]
         return PenaltySlopes(double * errors, double * jnp.ones_like(errors))
     if loss == "smooth_l1":
-        slope, bend = smooth_l1_slopes(errors, transition)
-        return PenaltySlopes(weights[:, None] * slope, weights[:, None] * bend)
+        slope, second = smooth_l1_slopes(errors, transition)
+        return PenaltySlopes(weights[:, None] * slope, weights[:, None] * second)
     length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
     unit = errors / length[:, None]
-    slope, bend = smooth_l1_slopes(weights * length, transition)
+    slope, second = smooth_l1_slopes(weights * length, transition)
     along = unit[:, :, None] * unit[:, None, :]
-    stiff, turn = weights**2 * bend, weights * slope / length
+    radial, tangential = weights**2 * second, weights * slope / length
     across = jnp.eye(3, dtype=errors.dtype) - along
     return PenaltySlopes(
         (weights * slope)[:, None] * unit,
-        stiff[:, None, None] * along + turn[:, None, None] * across,
+        radial[:, None, None] * along + tangential[:, None, None] * across,
     )

@@ -19,12 +19,13 @@ from smooth_operator.lab.tuning.pareto import (
 )
 
 TARGETS = "objective.targets"
+VECTORS = "direction_length"
 SQUARED = 0.02
-"""``polar.knee`` [m] beyond any pinch that is off in length: the price is a parabola there."""
+"""``huber_width`` [m] beyond any length error of a pinch: the cost is a parabola there."""
 WITHOUT: dict[str, Values] = {
     "motion term": {"motion_weight": 0.0},
     "its fall with speed (s → ∞)": {"motion_speed": 1e6},
-    "clearance": {"clearance.weight": 0.0},
+    "clearance": {"self_collision.weight": 0.0},
     "weights by kind (all 1)": {
         f"{TARGETS}.w_wrist": 1.0, f"{TARGETS}.w_thumb": 1.0, f"{TARGETS}.w_between": 1.0,
     },
@@ -33,9 +34,9 @@ WITHOUT: dict[str, Values] = {
     "lag": {"landmarks.lag": 0.0},
     "leap": {"landmarks.leap": 1e9},
     "its growth with noise": {"landmarks.noise": 0.0},
-    "price of angles": {"polar.direction": 0.0},
-    "price of pinches' lengths": {"polar.length": 0.0},
-    "its kink (squared instead)": {"polar.length": 1000.0, "polar.knee": SQUARED},
+    "price of angles": {f"{VECTORS}.direction": 0.0},
+    "price of pinches' lengths": {f"{VECTORS}.length": 0.0},
+    "its kink (squared instead)": {f"{VECTORS}.length": 1000.0, f"{VECTORS}.huber_width": SQUARED},
     "targets apart": {f"{TARGETS}.apart": 0.0},
     "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
 }  # fmt: skip
@@ -106,7 +107,7 @@ FRONTS = (
     Front(
         "Accurate against clear of itself",
         "weight of clearance",
-        {f"w_c = {w:g}": {"clearance.weight": w} for w in (300.0, 1000.0, 3000.0, 20000.0)},
+        {f"w_c = {w:g}": {"self_collision.weight": w} for w in (300.0, 1000.0, 3000.0, 20000.0)},
         COLLISION,
         THUMB,
         without="clearance",
@@ -115,13 +116,14 @@ FRONTS = (
         "Pointing as the human against closing",
         "prices of angle and length",
         {
-            f"direction {d:g}, length {w:g}": {"polar.direction": d, "polar.length": w}
+            f"direction {d:g}, length {w:g}": {f"{VECTORS}.direction": d, f"{VECTORS}.length": w}
             for d, w in ((0.0, 0.0), (0.5, 115.0), (1.0, 115.0), (1.5, 200.0), (1.5, 50.0),
                          (2.0, 0.0))
         }
         | {
             f"direction 1.5, length {w:g}, squared": {
-                "polar.direction": 1.5, "polar.length": w, "polar.knee": SQUARED,
+                f"{VECTORS}.direction": 1.5, f"{VECTORS}.length": w,
+                f"{VECTORS}.huber_width": SQUARED,
             }
             for w in (3000.0, 6000.0)
         },
@@ -131,9 +133,9 @@ FRONTS = (
 )  # fmt: skip
 
 LIKE_ANY_VALUE = frozenset({
-    "motion_weight", "clearance.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
+    "motion_weight", "self_collision.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
     "objective.velocity_weight", "objective.pose_weight", "landmarks.lag",
-    "landmarks.leap_speed", "landmarks.noise", "polar.direction", "polar.length",
+    "landmarks.leap_speed", "landmarks.noise", f"{VECTORS}.direction", f"{VECTORS}.length",
     f"{TARGETS}.apart",
 })  # fmt: skip
 """Settings whose 0 needs no program of its own, see ``setting_rows``."""

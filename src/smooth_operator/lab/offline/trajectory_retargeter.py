@@ -32,11 +32,12 @@ from smooth_operator.lab.offline.segments import (
     without_leaps,
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.methods.frame_goals import FrameGoals, Goal
+from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.program import align_frame, compiled
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.solvers.trajectory import ORDERS, Led, smooth_trajectory
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
@@ -77,8 +78,10 @@ class TrajectoryRetargeter:
                 landmarks, valid
             )
 
-        def follow(memory: Any, points: Array, usable: Array) -> tuple[Any, Goal]:
-            def one(memory: Any, frame: tuple[Array, Array]) -> tuple[Any, Goal]:
+        def follow(
+            memory: Any, points: Array, usable: Array
+        ) -> tuple[Any, tuple[FrameGoal, Array]]:
+            def one(memory: Any, frame: tuple[Array, Array]) -> tuple[Any, tuple[FrameGoal, Array]]:
                 points, usable = frame
                 after, goal = goals.follow(memory, points)
                 after = jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, memory)
@@ -86,8 +89,8 @@ class TrajectoryRetargeter:
 
             return jax.lax.scan(one, memory, (points, usable))
 
-        def costs(q: Array, goal: Goal, seen: Array) -> tuple[Array, Array, Array, Array]:
-            cost, gradient, hessian = jax.vmap(objective.derivatives)(q, goal)
+        def costs(q: Array, goal: FrameGoal, seen: Array) -> tuple[Array, Array, Array, Array]:
+            cost, gradient, hessian = jax.vmap(objective.value_grad_hess)(q, goal)
             tracking = cost - jax.vmap(objective.regularisation)(q, goal)
             return (
                 jnp.where(seen, cost, 0.0),
@@ -166,7 +169,7 @@ class TrajectoryRetargeter:
 
     def _goals(
         self, recording: HandRecording, seen: Bool[np.ndarray, " T"], stretches: list[slice]
-    ) -> tuple[Goal, Float[np.ndarray, "T F 3"]]:
+    ) -> tuple[FrameGoal, Float[np.ndarray, "T F 3"]]:
         """What each frame asks, and the human's wrist to fingertip vectors [m]."""
         landmarks, valid = self.causal.program_landmarks(recording.landmarks), recording.valid
         assert valid is not None  # filled in on construction
@@ -194,7 +197,7 @@ class TrajectoryRetargeter:
         recording: HandRecording,
         stretch: slice,
         start: Float[np.ndarray, "T m"],
-        asked: tuple[Goal, Float[np.ndarray, "T F 3"]],
+        asked: tuple[FrameGoal, Float[np.ndarray, "T F 3"]],
         seen: Bool[np.ndarray, " T"],
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Frames that are settled, with their poses and tracking losses."""
@@ -212,7 +215,7 @@ class TrajectoryRetargeter:
             tracking = np.empty(0)
 
             def costs(
-                q: np.ndarray, wanted: Goal = wanted, part: slice = part
+                q: np.ndarray, wanted: FrameGoal = wanted, part: slice = part
             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                 nonlocal tracking
                 cost, gradient, hessian, tracking = self._all_costs(q, wanted, seen[part])
@@ -266,7 +269,7 @@ class TrajectoryRetargeter:
         return Led(points, steps.reshape(len(steps), -1), np.repeat(weights, 3, axis=1))
 
     def _all_costs(
-        self, q: np.ndarray, goals: Goal, seen: np.ndarray
+        self, q: np.ndarray, goals: FrameGoal, seen: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         parts = []
         for start in range(0, len(q), CHUNK):
@@ -316,9 +319,12 @@ def fingertips(
     return motion.points, jnp.einsum("fjc,jm->fcm", motion.velocities, spread)
 
 
-def _stacked(goals: list[Goal]) -> Goal:
+def _stacked(goals: list[FrameGoal]) -> FrameGoal:
     """Goals of several calls as one, frame by frame; NumPy."""
-    return jax.tree.map(lambda *parts: np.concatenate([np.asarray(p) for p in parts]), *goals)
+    joined: FrameGoal = jax.tree.map(
+        lambda *parts: np.concatenate([np.asarray(p) for p in parts]), *goals
+    )
+    return joined
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.lab.paper.rmsprop import RmspropConfig, rmsprop_minimise
 from smooth_operator.lab.paper.starts import scattered_starts, soft_mean
-from smooth_operator.objective.local import LocalObjective
-from smooth_operator.objective.loss import FrameGoal, Objective
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
@@ -255,11 +255,14 @@ class Newton(_FromStarts):
         knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
         """See ``CompiledContestant``."""
-        limits, starts, local = objective.hand.limits, self.starts, LocalObjective(objective)
+        limits, starts = objective.hand.limits, self.starts
         many = scattered_starts(last, limits, key, starts.count, starts.spread)
 
         def descend(q: Array) -> tuple[Array, Array]:
-            return newton_minimise(lambda few: local.expand(few, goal), q, limits, self.config)[:2]
+            found = newton_minimise(
+                lambda few: objective.few_value_grad_hess(few, goal), q, limits, self.config
+            )
+            return found[:2]
 
         found, costs = jax.vmap(descend, in_axes=1, out_axes=(1, 0))(many)
         return soft_mean(found, costs, starts.temperature), jnp.int32(self.config.iterations)
@@ -315,10 +318,8 @@ def _many_gradients(
 def _few_gradients(
     objective: Objective, goal: FrameGoal, q: Float[Array, "m N"]
 ) -> tuple[Float[Array, " N"], Float[Array, "m N"]]:
-    local = LocalObjective(objective)
-
     def one(point: Array) -> tuple[Array, Array]:
-        cost, gradient, _ = local.derivatives(point, goal)
+        cost, gradient, _ = objective.value_grad_hess(point, goal)
         return cost, gradient
 
     costs, gradients = jax.vmap(one, in_axes=1, out_axes=(0, 1))(q)
@@ -329,7 +330,7 @@ def slsqp_objective(objective: Objective) -> Callable[[Array, FrameGoal], Array]
     """(m,) joint positions and a goal to the value and the gradient, as one array; traceable."""
 
     def both(q: Array, goal: FrameGoal) -> Array:
-        cost, gradient, _ = LocalObjective(objective).derivatives(q, goal)
+        cost, gradient, _ = objective.value_grad_hess(q, goal)
         return jnp.concatenate([cost[None], gradient])
 
     return both

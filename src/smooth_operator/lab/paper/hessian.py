@@ -20,8 +20,7 @@ from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.study import Compute, Study, cell_job
 from smooth_operator.lab.paper.velocity import VELOCITY_WEIGHT
 from smooth_operator.lab.paper.verdicts import Direction, Equality, Verdict, judge
-from smooth_operator.objective.local import LocalObjective
-from smooth_operator.objective.loss import FrameGoal
+from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.result_cache import Job
 
 FLOAT64_STEP: Final = 1e-6
@@ -124,10 +123,10 @@ def hessians(
         (T, m, m), in float64; and the largest difference to central differences of the gradient,
         over the largest entry of the Hessian, among some frames.
     """
-    local = LocalObjective(problem.objective)
 
     def derivatives(q: Any, vectors: Any, weights: Any) -> Any:
-        return local.derivatives(q, FrameGoal(vectors, weights, q, 0.0))[1:]
+        goal = FrameGoal(vectors, weights, q, 0.0)
+        return problem.objective.value_grad_hess(q, goal)[1:]
 
     with _float64():
         run: Callable[..., Any] = jax.jit(jax.vmap(derivatives))

@@ -24,8 +24,8 @@ from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.paper.contestants import NEWTON_CONFIG
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.program import compiled
-from smooth_operator.objective.local import LocalObjective
-from smooth_operator.objective.loss import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import Targets
 from smooth_operator.solvers.newton import newton_minimise
 from smooth_operator.solvers.normals import frame_key, seed_words
@@ -98,20 +98,22 @@ class Problem:
         moving = dict(
             zip(hand.tree.names, np.moveaxis(hand.landmark_positions(q), -2, 0), strict=True)
         )
-        known = self.objective.points
+        known = self.hand.tree.keypoints
         points = [
             moving[name] if name in moving else np.broadcast_to(known[name].position, (len(q), 3))
             for name in (LANDMARKS[i] for i in layout.landmarks)
         ]
         errors = layout.among(points) - self.vectors
         components = [jnp.asarray(errors[..., c]) for c in range(3)]
-        prices = np.asarray(self.objective.price(components, jnp.asarray(self.weights)), np.float64)
+        price = self.objective.keyvectors.price
+        prices = np.asarray(price(components, jnp.asarray(self.weights)), np.float64)
         return np.asarray(prices.sum(axis=-1))
 
     def cost(self, q: Float[np.ndarray, "T m"], velocity_weight: float) -> Float[np.ndarray, " T"]:
         """All of Eq. (1) at an answer to each frame, each with the answer before it."""
         before = np.concatenate([self.start[None], q[:-1]])
-        rest = self.objective.regularisation(np.asarray(q), before, velocity_weight)
+        goal = FrameGoal(self.vectors, self.weights, before, velocity_weight)
+        rest = self.objective.regularisation(np.asarray(q), goal)
         return np.asarray(self.tracking_loss(q) + rest)
 
 
@@ -214,10 +216,12 @@ def _target_program(objective: Objective) -> Callable[..., tuple[Targets, Any]]:
 
 @lru_cache(maxsize=16)
 def _settling_program(objective: Objective) -> Callable[..., Array]:
-    limits, local = objective.hand.limits, LocalObjective(objective)
+    limits = objective.hand.limits
 
     def settle(q: Array, key: Array, goal: FrameGoal) -> Array:
         q = sample_minimise(lambda c: objective(c, goal), q, limits, key, _SETTLE)
-        return newton_minimise(lambda few: local.expand(few, goal), q, limits, NEWTON_CONFIG)[0]
+        return newton_minimise(
+            lambda few: objective.few_value_grad_hess(few, goal), q, limits, NEWTON_CONFIG
+        )[0]
 
     return compiled(settle)

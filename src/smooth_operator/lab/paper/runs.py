@@ -24,7 +24,8 @@ from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.starts import soft_mean
 from smooth_operator.methods.program import compiled
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
-from smooth_operator.objective.loss import FrameGoal, Objective
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective
 from smooth_operator.solvers.normals import frame_key, seed_words
 
 CHUNK: Final = 20

@@ -1,0 +1,62 @@
+"""The robot's keyvectors as a linear function of the points that joints move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.objective.keyvectors import VectorLayout
+
+
+@dataclass(frozen=True, eq=False)
+class RobotVectors:
+    """The vectors of a layout on one hand: incidence @ moving points + a constant.
+
+    Attributes:
+        hand: the robot hand.
+        layout: which landmarks each vector joins; the hand has counterparts of them all.
+    """
+
+    hand: Hand
+    layout: VectorLayout
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """The P landmarks whose counterparts a joint moves; those of the others are fixed."""
+        known = self.hand.tree.keypoints
+        return tuple(i for i in self.layout.landmarks if known[LANDMARKS[i]].joint >= 0)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the moving points."""
+        return tuple(LANDMARKS[i] for i in self.moving)
+
+    @cached_property
+    def incidence(self) -> Float[np.ndarray, "K P"]:
+        """1 where a vector ends at a moving point, -1 where it begins at one."""
+        matrix = np.zeros((len(self.layout.vectors), len(self.moving)))
+        for k, (start, end) in enumerate(self.layout.vectors):
+            for landmark, sign in ((end, 1.0), (start, -1.0)):
+                if landmark in self.moving:
+                    matrix[k, self.moving.index(landmark)] = sign
+        return matrix
+
+    def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
+        """The vectors [m], from the moving points [m]."""
+        known = self.hand.tree.keypoints
+        moving = {i: points[p] for p, i in enumerate(self.moving)}
+        every = [
+            moving[i] if i in moving else jnp.asarray(known[LANDMARKS[i]].position, points.dtype)
+            for i in self.layout.landmarks
+        ]
+        return self.layout.among(every)
+
+    def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
+        """Derivatives of the vectors, from those of the moving points [m/rad]."""
+        return jnp.einsum("kf,fjc->kcj", jnp.asarray(self.incidence, jacobian.dtype), jacobian)

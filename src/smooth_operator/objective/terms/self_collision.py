@@ -1,0 +1,106 @@
+"""Parts of the hand stay out of each other, by the capsules of its links."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.hand import Hand
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.terms.term import PointTerm, Quadratic
+from smooth_operator.settings import check_numbers, is_off
+
+TRANSITION: Final = 0.02
+"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
+
+
+@dataclass(frozen=True)
+class SelfCollisionConfig:
+    """Settings of the self-collision cost.
+
+    Attributes:
+        weight: of a pair that is too near, in the units of a keyvector's weight: the cost is
+            weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
+        margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
+    """
+
+    weight: float = 7000.0
+    margin: float = -0.00125
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "self_collision.", not_negative=("weight",))
+
+    def build(self, hand: Hand) -> SelfCollision:
+        """The term for one hand."""
+        return SelfCollision(hand, self)
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCollision(PointTerm):
+    """Squared depth of each pair of capsules that are nearer than the margin."""
+
+    hand: Hand
+    config: SelfCollisionConfig
+
+    @cached_property
+    def pairs(self) -> CapsulePairs:
+        """The P pairs of parts that could touch."""
+        return capsule_pairs(self.hand)
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, and where no parts could touch."""
+        return is_off(self.config.weight) or len(self.pairs.pairs) == 0
+
+    def points(self) -> tuple[str, ...]:
+        """First and second end of each capsule."""
+        return self.pairs.names
+
+    def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
+        """The ends of the capsules."""
+        return self.pairs.ends
+
+    def expand(
+        self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``.
+
+        The depth is differentiated with the nearest points held fixed on their segments, which is
+        exact, since they are nearest; of its second derivative, only what the kinematics adds is
+        kept.
+        """
+        del goal
+        pairs, config = self.pairs, self.config
+        first, second = pairs.pairs.T
+        one, other = ((points[2 * c], points[2 * c + 1]) for c in (first, second))
+        s, t = segment_parameters(one, other)
+        apart = (
+            (1 - s)[:, None] * one[0]
+            + s[:, None] * one[1]
+            - (1 - t)[:, None] * other[0]
+            - t[:, None] * other[1]
+        )
+        distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
+        depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
+        inside = jnp.maximum(depth, 0.0)
+        scale = config.weight / TRANSITION
+        direction = -apart / distance[:, None]
+        shares = jnp.stack([1 - s, s, t - 1, -t], axis=-1)  # of the four ends
+        at = np.stack([2 * first, 2 * first + 1, 2 * second, 2 * second + 1], axis=-1)
+        chosen = np.zeros((len(first), 4, len(points)))
+        chosen[np.arange(len(first))[:, None], np.arange(4), at] = 1
+        mix = jnp.einsum("pk,pke->pe", shares, jnp.asarray(chosen, points.dtype))
+        depth_slopes = mix[:, :, None] * direction[:, None, :]  # (P, E, 3)
+        return Quadratic(
+            0.5 * scale * (inside * inside).sum(),
+            (mix * (scale * inside)[:, None]).T @ direction,
+            jnp.einsum("pec,ejc->pj", depth_slopes, jacobian),
+            jnp.where(depth > 0, scale, 0.0),
+        )

@@ -1,0 +1,103 @@
+"""A term of one's own: derivatives, both forms of the objective, and every kind of method."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from trees import float64, limited_poses
+
+from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
+from smooth_operator.geometry import AnyKind
+from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.terms.term import JointTerm
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "custom_term.py"
+
+
+@dataclass(frozen=True)
+class Apart(LeastSquaresTerm):
+    """Tips that are not neighbours in the order of points, with a residual for each direction."""
+
+    weight: float = 300.0
+
+    def points(self) -> tuple[str, ...]:
+        return ("pinky_tip", "index_tip")
+
+    def residuals(self, points: Array, goal: FrameGoal) -> Array:
+        return jnp.sqrt(self.weight) * (points[0] - points[1] - 0.05)
+
+
+@dataclass(frozen=True)
+class EvenBend(JointTerm):
+    """A fourth power, which is no square about a pose."""
+
+    weight: float = 2.0
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        return self.weight * (q**4).sum(axis=-1)
+
+    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
+        return self.weight * q**4
+
+    def derivatives(self, q: Array, goal: FrameGoal) -> tuple[Array, Array]:
+        return 4 * self.weight * q**3, 12 * self.weight * q**2
+
+
+def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms() -> None:
+    hand = load_hand()
+    rng = np.random.default_rng(0)
+    poses = limited_poses(rng, hand.limits, 3)
+    plain = Objective(hand, ObjectiveConfig())
+    more = Objective(hand, ObjectiveConfig(terms=(Apart(), EvenBend())))
+    count = len(plain.layout.vectors)
+    goal = FrameGoal(rng.normal(0, 0.05, (count, 3)), rng.uniform(0, 2, count), poses[0], 0.1)
+    tips = hand.tips(hand.expand(poses))
+    apart = tips[:, hand.fingers.index("pinky")] - tips[:, hand.fingers.index("index")] - 0.05
+    added = 150.0 * (apart**2).sum(axis=-1) + 2.0 * (poses**4).sum(axis=-1)
+    with float64():
+        batch = jax.jit(
+            lambda rows: [one(rows, goal, within_limits=False) for one in (plain, more)]
+        )(list(poses.T))
+        np.testing.assert_allclose(batch[1] - batch[0], added, rtol=1e-8)
+        near = jax.jit(lambda q: more.value_grad_hess(q, goal))
+        value, gradient, hessian = near(poses[1])
+        assert abs(value - batch[1][1]) < 1e-10
+        ends = [[near(poses[1] + s * e) for s in (1e-6, -1e-6)] for e in np.eye(len(gradient))]
+        np.testing.assert_allclose(gradient, [(a[0] - b[0]) / 2e-6 for a, b in ends], atol=1e-6)
+        np.testing.assert_allclose(hessian, [(a[1] - b[1]) / 2e-6 for a, b in ends], atol=1e-5)
+
+
+def test_a_term_of_weight_zero_changes_nothing_and_a_heavy_one_wins() -> None:
+    """By a method that solves on the host, which compiles in the shortest time."""
+    hand, recording = load_hand(), SyntheticOperator(seed=2).record(0.1)
+    config = method_config("keyvector")
+    commands, gaps = {}, {}
+    for weight in (None, 0.0, 1e5):
+        terms = () if weight is None else (Apart(weight),)
+        mine = replace(config, objective=replace(config.objective, terms=terms))
+        found, _ = Retargeter(hand, config=mine).run(recording)
+        commands[weight] = found.joint_positions
+        tips = hand.tips(commands[weight])
+        gap = tips[:, hand.fingers.index("pinky")] - tips[:, hand.fingers.index("index")] - 0.05
+        gaps[weight] = float(np.abs(gap).max())
+    np.testing.assert_allclose(commands[0.0], commands[None], atol=1e-5)
+    assert gaps[1e5] < gaps[None] - 0.005
+
+
+def test_the_example_is_short_and_its_term_keeps_the_tips_apart() -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 60
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE)], capture_output=True, text=True, check=True
+    )
+    gaps = [float(line.split()[-3]) for line in done.stdout.splitlines()]
+    assert gaps[1] > 35.0 > gaps[0] + 5.0
