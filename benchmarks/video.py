@@ -20,7 +20,6 @@ import tyro
 from timing import percentiles
 
 from smooth_operator import HandFrame, HandRecording, Retargeter, SmoothOperatorError, Status
-from smooth_operator.human.one_euro import OneEuroConfig, OneEuroState, one_euro
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -28,6 +27,7 @@ from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.webcam.camera import opencv
+from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
 from smooth_operator.teleop.sources.webcam.picture_tracker import (
     PictureConfig,
     PictureTracker,

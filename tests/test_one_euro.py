@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.one_euro import OneEuroConfig, OneEuroState, one_euro
+from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
 
 RATE = 30.0
 

@@ -22,6 +22,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "human.calibration": ("calibration",),
     "live": ("teleop.control",),
     "metrics.plots": ("reporting.metric_plots",),
+    "human.one_euro": ("teleop.sources.webcam.one_euro",),
     "objective.clearance": ("objective.terms.self_collision",),
     "objective.local": ("objective.loss",),
     "objective.polar": ("objective.terms.direction_length",),

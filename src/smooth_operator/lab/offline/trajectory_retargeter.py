@@ -1,7 +1,7 @@
 """A recording retargeted as a whole: smooth in both directions of time, and without lag.
 
 The method's own answers, frame by frame, choose the basin. From there all frames are solved at once
-(``smooth_operator.solvers.trajectory``): what each asks, and the price of motion between them.
+(``smooth_operator.lab.offline.trajectory_solver``): what each asks, and the price of motion between them.
 Frames without a usable hand ask nothing, and go where motion is cheapest, as long as the gap is
 short; over a longer one the last pose is held. Either way their status says what they were.
 
@@ -31,6 +31,7 @@ from smooth_operator.lab.offline.segments import (
     windows,
     without_leaps,
 )
+from smooth_operator.lab.offline.trajectory_solver import ORDERS, Led, smooth_trajectory
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
@@ -38,7 +39,6 @@ from smooth_operator.methods.program import align_frame, compiled
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.scan import Scan
 from smooth_operator.objective.goal import FrameGoal
-from smooth_operator.solvers.trajectory import ORDERS, Led, smooth_trajectory
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048

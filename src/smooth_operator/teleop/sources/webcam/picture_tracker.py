@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.one_euro import OneEuroConfig, OneEuroState, one_euro
 from smooth_operator.teleop.sources.webcam.camera import opencv
 from smooth_operator.teleop.sources.webcam.hand_labels import SeenHand, Tracks, assign_sides
 from smooth_operator.teleop.sources.webcam.mediapipe_hands import HandLandmarker
 from smooth_operator.teleop.sources.webcam.model_file import hand_model
+from smooth_operator.teleop.sources.webcam.one_euro import OneEuroConfig, OneEuroState, one_euro
 from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
 from smooth_operator.types import HandFrame, Side
 
@@ -32,7 +32,7 @@ class PictureConfig:
         points: ``world``, the tracker's own positions in metres; ``picture``, what it sees in the
             picture, brought to the size of those.
         smoothing: cutoff of a filter for a hand at rest [Hz]; 0 filters nothing. It follows a hand
-            that moves, see ``smooth_operator.human.one_euro``.
+            that moves, see ``smooth_operator.teleop.sources.webcam.one_euro``.
         model: the hand-landmarker file; None for the published one, fetched once.
     """
 

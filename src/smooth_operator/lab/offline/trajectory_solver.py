@@ -1,0 +1,240 @@
+"""Trajectory optimisation: a cost for each frame of a recording, and of the motion between frames.
+
+What is minimised over q(1) .. q(T) is::
+
+    sum_t f_t(q(t)) + w_v sum |q'|^2 + w_a sum |q''|^2 + w_j sum |q'''|^2
+        + sum_t s(t)/2 |p(q(t)) - p(q(t-1)) - d(t)|^2
+
+with derivatives by finite differences, points p of a pose that are to move by d from frame to
+frame, and a steep price on joints faster than a limit. The Hessian (of the points' motion Gauss and
+Newton's) is banded, since a difference joins four frames at most, so a Newton step takes time and
+memory in proportion to T (a banded Cholesky factor). It is the fixed-interval smoother of control
+theory with any cost in place of a measurement's: the past and the future count alike, and so
+nothing lags.
+
+Source: Bell, "The Iterated Kalman Smoother as a Gauss-Newton Method" (SIAM J. Optim. 4, 1994), for
+the equivalence; Bertsekas, "Projected Newton Methods for Optimization Problems with Simple
+Constraints" (SIAM J. Control Optim. 20, 1982), for the bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.solvers.trajectory import SPEEDING, TrajectoryConfig
+
+ORDERS: Final = 3
+"""Highest derivative that has a price; a frame is joined to so many before and after it."""
+
+FrameCosts: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""(T, m) poses to each frame's cost (T,), gradient (T, m) and Hessian (T, m, m)."""
+
+_DAMPING_FIRST, _DAMPING_MOST = 1e-3, 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """Points of a pose that are to move as something else does.
+
+    Attributes:
+        points: (T, m) poses to (T, P) coordinates and their derivative (T, P, m).
+        steps: (T - 1, P) how each coordinate is to change from frame to frame.
+        weights: (T - 1, P) of the squared difference, halved; 0 where it does not matter.
+    """
+
+    points: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    steps: Float[np.ndarray, "S P"]
+    weights: Float[np.ndarray, "S P"]
+
+
+class TrajectoryResult(NamedTuple):
+    """Where the descent ended.
+
+    Attributes:
+        q: (T, m) the poses, within the limits [rad].
+        cost: there.
+        iterations: Newton steps that were tried.
+        converged: whether it ended by itself.
+    """
+
+    q: Float[np.ndarray, "T m"]
+    cost: float
+    iterations: int
+    converged: bool
+
+
+def smooth_trajectory(
+    frames: FrameCosts,
+    start: Float[np.ndarray, "T m"],
+    stamps: Float[np.ndarray, " T"],
+    limits: Float[np.ndarray, "m 2"],
+    config: TrajectoryConfig,
+    fixed: int = 0,
+    led: Led | None = None,
+) -> TrajectoryResult:
+    """Descend from a trajectory, within bounds; the cost never rises.
+
+    Args:
+        frames: costs of the frames. A frame without one (nothing was seen) has zeros, and goes
+            where motion is cheapest.
+        start: (T, m) poses [rad].
+        stamps: (T,) strictly increasing times [s].
+        limits: (m, 2) bounds [rad].
+        config: prices.
+        fixed: so many frames at the beginning stay as they are: the end of what was solved before.
+        led: points that are to move as others do; None for none.
+    """
+    low, high = limits[:, 0], limits[:, 1]
+    q = np.clip(np.asarray(start, np.float64), low, high)
+    price = motion_price(stamps, config)
+    most = config.speed_limit * float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.inf
+    held = np.zeros(q.shape, bool)
+    held[:fixed] = True
+
+    def look(q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Value, gradient and both kinds of blocks of the Hessian, of all but smooth motion."""
+        costs, gradient, hessian = frames(q)
+        hessian = _convex(hessian)
+        motion = 0.5 * (q * _times(price, q)).sum() + 0.5 * SPEEDING * (_excess(q, most) ** 2).sum()
+        value = float(costs.sum(dtype=np.float64) + motion)
+        if led is None:
+            return value, gradient, hessian, None
+        points, levers = led.points(q)
+        astray = np.diff(points, axis=0) - led.steps
+        force = led.weights * astray
+        gradient = gradient.copy()
+        pulls = [np.einsum("tp,tpj->tj", force, levers[i : len(q) - 1 + i]) for i in (0, 1)]
+        gradient[:-1] -= pulls[0]
+        gradient[1:] += pulls[1]
+        weighted = led.weights[:, :, None]
+        hessian[:-1] += np.swapaxes(levers[:-1], 1, 2) @ (weighted * levers[:-1])
+        hessian[1:] += np.swapaxes(levers[1:], 1, 2) @ (weighted * levers[1:])
+        coupling = -np.swapaxes(levers[1:], 1, 2) @ (weighted * levers[:-1])
+        return value + 0.5 * float((force * astray).sum()), gradient, hessian, coupling
+
+    value, gradient, hessian, coupling = look(q)
+    damping = 0.0
+    for done in range(1, config.iterations + 1):
+        too_much = SPEEDING * _excess(q, most)
+        slope = gradient + _times(price, q)
+        slope[1:] += too_much
+        slope[:-1] -= too_much
+        outwards = ((q <= low) & (slope > 0)) | ((q >= high) & (slope < 0))
+        free = ~(held | outwards)
+        speeding = SPEEDING * (too_much != 0)
+        band = _band(hessian, coupling, price, speeding, free, damping)
+        found = np.clip(q - _newton_step(band, slope, free), low, high)
+        new = look(found)
+        moved = float(np.abs(found - q).max(initial=0.0))
+        if not new[0] <= value:  # too far: closer to where the step was worked out for
+            if damping >= _DAMPING_MOST or moved <= config.tolerance:
+                return TrajectoryResult(q, value, done, True)
+            damping = max(10.0 * damping, _DAMPING_FIRST)
+            continue
+        q, (value, gradient, hessian, coupling) = found, new
+        damping = 0.0 if damping <= _DAMPING_FIRST else 0.1 * damping
+        if moved <= config.tolerance:
+            return TrajectoryResult(q, value, done, True)
+    return TrajectoryResult(q, value, config.iterations, False)
+
+
+def motion_price(
+    stamps: Float[np.ndarray, " T"], config: TrajectoryConfig
+) -> Float[np.ndarray, "4 T"]:
+    """The price of motion as a quadratic form over the frames, alike for every joint.
+
+    Returns:
+        (4, T) its lower diagonals: [k, t] couples the frames t and t + k; twice the weighted sum of
+        products of the differences' coefficients.
+    """
+    price = np.zeros((ORDERS + 1, len(stamps)))
+    weights = (config.velocity_weight, config.acceleration_weight, config.jerk_weight)
+    for order, weight in enumerate(weights, start=1):
+        rows = len(stamps) - order
+        if not weight or rows < 1:
+            continue
+        # order! times the divided difference: exact for polynomials of that degree.
+        at = np.stack([stamps[i : i + rows] for i in range(order + 1)])
+        apart = at[:, None] - at[None]
+        apart[np.arange(order + 1), np.arange(order + 1)] = 1.0
+        coefficients = math.factorial(order) / apart.prod(axis=1)
+        for i in range(order + 1):
+            for j in range(i, order + 1):
+                price[j - i, i : i + rows] += 2.0 * weight * coefficients[i] * coefficients[j]
+    return price
+
+
+def _excess(q: Float[np.ndarray, "T m"], most: float) -> np.ndarray:
+    """(T - 1, m) how far each joint's change is beyond what it may be, with its sign."""
+    change = np.diff(q, axis=0)
+    return np.asarray(change - np.clip(change, -most, most))
+
+
+def _times(price: Float[np.ndarray, "4 T"], q: Float[np.ndarray, "T m"]) -> np.ndarray:
+    """The quadratic form's matrix times q."""
+    out: np.ndarray = price[0][:, None] * q
+    for k in range(1, min(len(price), len(q))):
+        coupling = price[k, : len(q) - k, None]
+        out[k:] += coupling * q[:-k]
+        out[:-k] += coupling * q[k:]
+    return out
+
+
+def _convex(hessian: Float[np.ndarray, "T m m"]) -> Float[np.ndarray, "T m m"]:
+    """Hessians whose every direction bends upwards, as much as it bends at all.
+
+    Where a cost bends downwards, its minimum lies further down the slope, about as far as if it
+    bent upwards (Dauphin et al., "Identifying and attacking the saddle point problem", 2014).
+    """
+    values, vectors = np.linalg.eigh(hessian.astype(np.float64))
+    return np.asarray((vectors * np.abs(values)[:, None]) @ np.swapaxes(vectors, 1, 2))
+
+
+def _band(
+    hessian: Float[np.ndarray, "T m m"],
+    coupling: Float[np.ndarray, "S m m"] | None,
+    price: Float[np.ndarray, "4 T"],
+    speeding: Float[np.ndarray, "S m"],
+    free: Bool[np.ndarray, "T m"],
+    damping: float,
+) -> Float[np.ndarray, "B N"]:
+    """The whole Hessian's lower diagonals; what is not free stands alone.
+
+    Variables are ordered frame by frame, so that the band is as wide as the frames joined.
+    """
+    count, size = free.shape
+    band = np.zeros(((ORDERS + 1) * size, count * size))
+    blocks = band.reshape(len(band), count, size)
+    for i in range(size):
+        for j in range(i + 1):
+            blocks[i - j, :, j] = hessian[:, i, j] * free[:, i] * free[:, j]
+    for k in range(1, min(ORDERS + 1, count)):
+        both = free[k:] & free[:-k]
+        blocks[k * size, :-k] += price[k, : count - k, None] * both
+    if coupling is not None:
+        for i in range(size):
+            for j in range(size):
+                both = free[1:, i] & free[:-1, j]
+                blocks[size + i - j, :-1, j] += coupling[:, i, j] * both
+    blocks[0] += np.where(free, price[0][:, None] + damping + 1e-9, 1.0)
+    blocks[0, 1:] += speeding * free[1:]
+    blocks[0, :-1] += speeding * free[:-1]
+    blocks[size, :-1] -= speeding * free[1:] * free[:-1]
+    return band
+
+
+def _newton_step(
+    band: Float[np.ndarray, "B N"], slope: Float[np.ndarray, "T m"], free: Bool[np.ndarray, "T m"]
+) -> Float[np.ndarray, "T m"]:
+    """Solves for the step; what is not free does not move."""
+    from scipy.linalg import solveh_banded  # a quarter of a second that live use need not spend
+
+    right = np.where(free, slope, 0.0).ravel()
+    solved = solveh_banded(band, right, lower=True, overwrite_ab=True, check_finite=False)
+    return np.asarray(solved.reshape(slope.shape))
