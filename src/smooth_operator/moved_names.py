@@ -20,6 +20,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "hands.discovery": ("lab.discovery",),
     "hands.renderer": ("simulation.renderer",),
     "human.calibration": ("calibration",),
+    "io.staging": ("teleop.recording.staging",),
     "live": ("teleop.control",),
     "metrics.plots": ("reporting.metric_plots",),
     "human.one_euro": ("teleop.sources.webcam.one_euro",),

@@ -1,7 +1,7 @@
 """A recording retargeted as a whole: smooth in both directions of time, and without lag.
 
 The method's own answers, frame by frame, choose the basin. From there all frames are solved at once
-(``smooth_operator.lab.offline.trajectory_solver``): what each asks, and the price of motion between them.
+(``trajectory_solver``): what each asks, and the price of motion between them.
 Frames without a usable hand ask nothing, and go where motion is cheapest, as long as the gap is
 short; over a longer one the last pose is held. Either way their status says what they were.
 

@@ -42,9 +42,9 @@ from smooth_operator.io.documents import parse_json
 from smooth_operator.io.episode import Episode
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.io.results import translate_status
-from smooth_operator.io.staging import staged_file
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.teleop.recording.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
+from smooth_operator.teleop.recording.staging import staged_file
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FORMAT: Final = "smooth-operator"

@@ -12,12 +12,12 @@ from smooth_operator.io.checks import check_rate, check_side
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.episode import Episode
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.io.staging import staged_file
 from smooth_operator.teleop.recording import foxglove
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, read_log
 from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
+from smooth_operator.teleop.recording.staging import staged_file
 from smooth_operator.types import JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
