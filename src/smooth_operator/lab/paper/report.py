@@ -100,7 +100,7 @@ def write_report(store: Store) -> Path:
         "The paper's experiments, re-run",
         element("h1", "The paper's experiments, re-run"),
         sections,
-        "Made by smooth-operator. Numbers: NAME/results.json; figures as files beside it.",
+        "Made by smooth-operator. Numbers: NAME/results.json; figures as files.",
         styles=(_STYLE,),
     )
 
