@@ -6,12 +6,8 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
-from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
-
 from smooth_operator.cli.ablate_options import Ablate, Experimenting, Paper
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
@@ -25,9 +21,6 @@ from smooth_operator.lab.paper.sizes import trial_note
 from smooth_operator.lab.paper.store import check_folder
 from smooth_operator.lab.paper.study import Advance, Track
 from smooth_operator.lab.paper.suite import Settings, load_recordings, run_experiments
-from smooth_operator.terminal import open_console
-
-_WIDTH_OF_A_FILE = 160
 
 
 def ablate(options: Ablate) -> None:
@@ -47,7 +40,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
         SmoothOperatorError: what was asked for can't be; nothing was computed then.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
-    console = open_console(stderr=True)
+    progress = Progressing(options.quiet)
     dispatch_here()  # before anything starts JAX
     if options.quick and options.published:
         raise ConfigError("--quick and --published ask for different sizes: give one of them")
@@ -72,61 +65,47 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
             outcomes = run_experiments(
                 settings,
                 sources,
-                _track(console, options.quiet),
-                _told(console, options.quiet, len(names)),
-                lambda text: _note(console, text),
+                _track(progress),
+                _told(progress, len(names)),
+                lambda text: progress.note(text, matters=True),
             )
         except KeyboardInterrupt:
-            _note(console, f"stopped; the same command goes on with what is in {options.output}")
+            progress.note(
+                f"stopped; the same command goes on with what is in {options.output}", matters=True
+            )
             raise
     if not options.quiet:
         _print_verdicts(outcomes, trial_note(settings.how_much))
-        _note(console, f"wrote {options.output}: {', '.join(names)}, {REPORT}")
+        progress.note(f"wrote {options.output}: {', '.join(names)}, {REPORT}")
 
 
-def _note(console: Console, text: str) -> None:
-    console.print(text, markup=False, soft_wrap=True)
-
-
-def _told(console: Console, quiet: bool, count: int) -> Callable[[str, Outcome], None]:
+def _told(progress: Progressing, count: int) -> Callable[[str, Outcome], None]:
     """Says what came of an experiment, and how many of them are done."""
     places = itertools.count(1)
 
     def done(name: str, outcome: Outcome) -> None:
-        if not quiet:
-            held = sum(verdict.held == "held" for verdict in outcome.verdicts)
-            _note(
-                console,
-                f"{next(places)} of {count} experiments done; {name}: {held} of "
-                f"{len(outcome.verdicts)} claims held",
-            )
+        held = sum(verdict.held == "held" for verdict in outcome.verdicts)
+        progress.note(
+            f"{next(places)} of {count} experiments done; {name}: {held} of "
+            f"{len(outcome.verdicts)} claims held"
+        )
 
     return done
 
 
-def _track(console: Console, quiet: bool) -> Track:
+def _track(progress: Progressing) -> Track:
     """A phase as a bar with the time left, elsewhere as a line for each cell."""
 
     @contextlib.contextmanager
     def phase(name: str, work: float) -> Iterator[Advance]:
-        bar = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[cell]}", style="dim", markup=False),
-            console=console,
-            disable=quiet or not console.is_terminal,
-            refresh_per_second=2,  # drawing takes a core now and then, and frames are timed
-        )
+        bar = progress.counter(extra="{task.fields[cell]}")
         told = ""
 
         def advance(label: str, done: float) -> None:
             nonlocal told
             bar.update(task, advance=done, cell=label)
-            if label != told and not (quiet or console.is_terminal):
-                _note(console, f"{name}: {label}")
+            if label != told and progress.lines:
+                progress.note(f"{name}: {label}")
             told = label
 
         with bar:
@@ -137,10 +116,8 @@ def _track(console: Console, quiet: bool) -> Track:
 
 
 def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]], warning: str) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width
-        console.width = _WIDTH_OF_A_FILE
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    console = output_console()
+    table = plain_table()
     for header in ("experiment", "claim", "paper", "here", "verdict"):
         table.add_column(header, no_wrap=header in ("experiment", "verdict"))
     for line in verdict_lines(outcomes):

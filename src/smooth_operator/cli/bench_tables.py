@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.lab.benchmark.comparison import Comparison
 from smooth_operator.lab.benchmark.ranking import (
     Line,
@@ -25,11 +25,9 @@ from smooth_operator.lab.benchmark.ranking import (
 from smooth_operator.lab.benchmark.results import Row
 from smooth_operator.lab.benchmark.uses import verdict as verdict_of
 from smooth_operator.metrics import Metric
-from smooth_operator.terminal import open_console
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
-_WIDTH_OF_A_FILE: Final = 140
 _WIDTH_OF_ALL: Final = 104
 """Of a table with every column [characters]."""
 _LEFT_OUT: Final = ("scale_ratio", "workspace_utilisation")
@@ -40,7 +38,7 @@ _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
 
 def print_results(rows: Sequence[Row]) -> None:
     """The main metrics of each method, per recording and overall, and which method for what."""
-    console = _console()
+    console = output_console()
     shown = _columns(console)
     panels = by_panel(rows)
     if len(panels) <= _MOST_PANELS:
@@ -66,7 +64,7 @@ def print_results(rows: Sequence[Row]) -> None:
 
 def print_comparison(comparison: Comparison) -> None:
     """Differences of the main metrics, cell by cell."""
-    console = _console()
+    console = output_console()
     shown = _columns(console)
     table = _empty(f"this minus {comparison.name}", "cell", shown)
     for cell in comparison.cells:
@@ -124,7 +122,7 @@ def _table(title: str, lines: Sequence[Line], shown: Sequence[Metric]) -> Table:
 
 
 def _empty(title: str, first: str, shown: Sequence[Metric]) -> Table:
-    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = plain_table(Text(title))
     table.add_column(first, no_wrap=first == "method", overflow="fold")
     for metric in shown:
         table.add_column(_header(metric), justify="right", no_wrap=True)
@@ -137,10 +135,3 @@ def _header(metric: Metric) -> str:
 
 def _columns(console: Console) -> list[Metric]:
     return [m for m in columns() if console.width >= _WIDTH_OF_ALL or m.name not in _LEFT_OUT]
-
-
-def _console() -> Console:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
-    return console

@@ -5,14 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
-from rich import box
-from rich.table import Table
-
 from smooth_operator.calibration.estimate import calibrate
 from smooth_operator.calibration.report import report
 from smooth_operator.calibration.segments import Segment
 from smooth_operator.cli.calibrate_options import Calibrate
-from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.prompting import ask
 from smooth_operator.errors import ConfigError, OutputError
@@ -26,10 +23,7 @@ from smooth_operator.lab.offline.calibration_picture import draw_calibration
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.planning import PROGRAM
 from smooth_operator.teleop.sources.registry import build_source
-from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
-
-_WIDTH_OF_A_FILE = 120
 
 
 def calibrate_recording(options: Calibrate) -> None:
@@ -119,15 +113,13 @@ def _components(text: str | None) -> tuple[Component, ...]:
 
 
 def _print(content: dict[str, Any]) -> None:
-    console = open_console()
-    if not console.is_terminal:
-        console.width = _WIDTH_OF_A_FILE
+    console = output_console()
     console.print(
         f"{content['recording']} on {content['hand']} {content['side']}: "
         f"{content['frames_used']} of {content['frames']} frames used",
         markup=False,
     )
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = plain_table()
     for header in ("pose", "found", "sure", "note"):
         table.add_column(header)
     for pose, found in content["poses"].items():
@@ -135,7 +127,7 @@ def _print(content: dict[str, Any]) -> None:
         sure = f"{found['confidence']:.2f}" if times else "–"
         table.add_row(pose, f"{times} ×" if times else "no", sure, found["note"])
     console.print(table)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = plain_table()
     table.add_column("finger")
     for header in (
         "reach [mm]", "robot's [mm]", "scale", "tip along, to pad [mm]", "gap in pinch [mm]",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Final
+from typing import Any, Final
 
 from rich import box
+from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -23,7 +25,7 @@ from smooth_operator.terminal import open_console
 
 _REDRAW_S: Final = 0.1
 _EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling, once per start")}
-_WIDTH_OF_A_FILE: Final = 140
+_WIDTH_OF_A_FILE: Final = 160
 _WIDTH_TO_EXPLAIN: Final = 115
 
 
@@ -37,6 +39,11 @@ class Progressing:
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
         self._console = open_console(stderr=True)
+
+    @property
+    def lines(self) -> bool:
+        """Whether progress is told in lines: not quiet, and no terminal for a bar."""
+        return not (self._quiet or self._console.is_terminal)
 
     def note(self, text: str, *, matters: bool = False) -> None:
         """A line; shown in spite of ``quiet`` if it ``matters``."""
@@ -54,6 +61,15 @@ class Progressing:
         else:
             self.note(text)
             yield
+
+    @contextlib.contextmanager
+    def status(self) -> Iterator[Callable[[str], None]]:
+        """What is being done, on a terminal; yields what sets the text."""
+        if self._quiet or not self._console.is_terminal:
+            yield lambda text: None
+            return
+        with self._console.status("") as shown:
+            yield shown.update
 
     @contextlib.contextmanager
     def bar(self, text: str) -> Iterator[Callable[[str, float], None]]:
@@ -77,6 +93,34 @@ class Progressing:
             task = bar.add_task(text, total=1.0)
             yield lambda now, done: bar.update(task, description=now, completed=done)
 
+    def counter(
+        self, unit: str = "", *, extra: str = "", in_files: bool = False, **options: Any
+    ) -> Progress:
+        """A bar with the time that is left, for tasks of the caller's own.
+
+        Args:
+            unit: what is counted, as "3/8 cells"; empty for no count.
+            extra: text after it, a format of the task's ``fields``.
+            in_files: print the end of the bar where there is no terminal.
+            options: of rich's ``Progress``.
+        """
+        columns: list[ProgressColumn] = [
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            *([MofNCompleteColumn(), TextColumn(unit)] if unit else ()),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            *([TextColumn(extra, style="dim", markup=False)] if extra else ()),
+        ]
+        settings: dict[str, Any] = {
+            "console": self._console,
+            "disable": self._quiet or not (in_files or self._console.is_terminal),
+            "refresh_per_second": 2,  # drawing takes a core now and then, and frames are timed
+            "redirect_stdout": False,
+            "redirect_stderr": False,
+        }
+        return Progress(*columns, **settings | options)
+
     def frames(self, text: str) -> Callable[[Iterable[int]], Iterator[int]]:
         """Wraps an iteration over frames in a bar.
 
@@ -88,18 +132,7 @@ class Progressing:
                 yield from steps
                 return
             steps = list(steps)
-            bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("frames"),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-                console=self._console,
-                auto_refresh=False,
-                redirect_stdout=False,
-                redirect_stderr=False,
-            )
+            bar = self.counter("frames", in_files=True, auto_refresh=False)
             with bar:
                 task = bar.add_task(text, total=len(steps))
                 drawn = time.monotonic()
@@ -113,6 +146,23 @@ class Progressing:
         return track
 
 
+def output_console(width: int = _WIDTH_OF_A_FILE) -> Console:
+    """The console of standard output.
+
+    Args:
+        width: where there is no terminal: a pipe or file has none, and 80 columns break lines.
+    """
+    console = open_console()
+    if not console.is_terminal:
+        console.width = width
+    return console
+
+
+def plain_table(title: str | Text | None = None) -> Table:
+    """A table with a line below its head and no frame."""
+    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+
+
 def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
     """A table of what was measured, on standard output.
 
@@ -123,11 +173,9 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
     from smooth_operator.metrics.metric import GROUPS
     from smooth_operator.metrics.registry import known_metrics
 
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
+    console = output_console()
     explained = console.width >= _WIDTH_TO_EXPLAIN
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = plain_table(title)
     for header in ("metric", "value", "unit", "best", "what it is")[: 5 if explained else 4]:
         table.add_column(
             header,

@@ -9,11 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rich import box
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
-
-from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import requested
@@ -24,7 +20,7 @@ from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, 
 from smooth_operator.lab.offline.finished import claimed, read_configuration
 from smooth_operator.lab.offline.jobs import Entry, checked
 from smooth_operator.planning import PROGRAM
-from smooth_operator.terminal import open_console, printable
+from smooth_operator.terminal import printable
 
 _SHOWN_FAILURES = 40
 
@@ -75,7 +71,7 @@ def retarget_folder(options: Retarget) -> None:
             with contextlib.closing(
                 retarget_all(todo.jobs, workers=options.workers, cluster=options.cluster)
             ) as results:  # whatever happens here, the workers end
-                entries += _watched(results, todo, options.quiet)
+                entries += _watched(results, todo, progress)
         except KeyboardInterrupt:
             progress.note("stopped; run the same command again to go on", matters=True)
             raise
@@ -141,21 +137,13 @@ def _tell(todo: Survey, progress: Progressing) -> None:
         )
 
 
-def _watched(results: Iterable[Entry], todo: Survey, quiet: bool) -> list[Entry]:
+def _watched(results: Iterable[Entry], todo: Survey, progress: Progressing) -> list[Entry]:
     """All results, with a bar that counts recordings and frames."""
     expected = {job.found.name: job.found.frames for job in todo.jobs}
-    bar = Progress(
-        BarColumn(bar_width=16),
-        TextColumn("{task.fields[done]}/{task.fields[count]} recordings", markup=False),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} frames", markup=False),
-        TextColumn("{task.fields[failed]} failed", markup=False),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=open_console(stderr=True),
-        disable=quiet or not todo.jobs,
-        redirect_stdout=False,
-        redirect_stderr=False,
-    )
+    if not todo.jobs:
+        return list(results)
+    counts = "{task.fields[done]}/{task.fields[count]} recordings, {task.fields[failed]} failed"
+    bar = progress.counter("frames", extra=counts, in_files=True)
     entries: list[Entry] = []
     frames = failed = 0
     total = sum(expected.values())
@@ -174,9 +162,7 @@ def _watched(results: Iterable[Entry], todo: Survey, quiet: bool) -> list[Entry]
 
 
 def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and reasons are long
-        console.width = 250
+    console = output_console(250)
     speed = summary["frames_per_s"]
     line = f"{_count(summary['done'], 'recording')} done"
     if speed is not None:
@@ -185,7 +171,7 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
     recordings = summary["recordings"]
     failures = [entry for entry in recordings if entry["state"] == "failed"]
     if failures:
-        table = Table(title="failed", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        table = plain_table("failed")
         table.add_column("recording", overflow="fold")
         table.add_column("reason", overflow="fold")
         for entry in failures[:_SHOWN_FAILURES]:

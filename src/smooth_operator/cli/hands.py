@@ -6,19 +6,16 @@ import json
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from rich import box
-from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_options import List
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import HANDS, find_hand, hand_names, load_hand
 from smooth_operator.hands.user_folder import user_hands_folder
-from smooth_operator.terminal import open_console
 from smooth_operator.types import Side
 
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")
-_WIDTH_OF_A_FILE: Final = 160
 
 
 @dataclass(frozen=True)
@@ -59,10 +56,8 @@ def list_hands(options: List) -> None:
     if options.json:
         print(json.dumps({"folder": str(folder), "hands": [row.as_json() for row in rows]}))
         return
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    console = output_console()
+    table = plain_table()
     for header in ("hand", "sides", "fingers", "actuated/all", "coupled", "source"):
         table.add_column(header, no_wrap=header in ("hand", "actuated/all"))
     for row in rows:

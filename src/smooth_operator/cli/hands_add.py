@@ -8,12 +8,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Final
 
-from rich import box
-from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_add_options import Add
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.catalogue import catalogue, save_hand
@@ -24,9 +22,6 @@ from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.hands.user_folder import spec_name, user_hands_folder
 from smooth_operator.lab.discovery import Discovery, Overrules, discover
 from smooth_operator.lab.discovery.findings import SURE, UNSURE
-from smooth_operator.terminal import open_console
-
-_WIDTH_OF_A_FILE: Final = 160
 
 
 def add_hand(options: Add) -> None:
@@ -157,15 +152,8 @@ def _comment(found: Discovery) -> str:
 
 
 def _print(found: Discovery, file: Path, used: Path) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
-    table = Table(
-        title=f"{found.spec.name}, from {found.spec.model}",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    console = output_console()
+    table = plain_table(f"{found.spec.name}, from {found.spec.model}")
     for header in ("", "what", "found", "sure", "because"):
         table.add_column(header, no_wrap=header in ("", "what", "sure"))
     for finding in found.findings:

@@ -7,27 +7,17 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from rich import box
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.hands_check_options import Check
 from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.lab.validation import HandValidation, check_hand
 from smooth_operator.lab.validation.checks import Verdict
-from smooth_operator.terminal import open_console
 
 FAILED: Final = 1
 """Exit status when a check failed."""
 
-_WIDTH_OF_A_FILE: Final = 160
 _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
     "ok": ("✓", "green"),
     "warning": ("?", "yellow"),
@@ -45,16 +35,7 @@ def check_hand_command(options: Check) -> None:
         HandModelError: it can't be loaded.
         SystemExit: with ``FAILED``, if a check failed.
     """
-    bar = Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("poses"),
-        TimeElapsedColumn(),
-        console=open_console(stderr=True),
-        disable=options.quiet,
-        transient=True,
-    )
+    bar = Progressing(options.quiet).counter("poses", transient=True)
 
     def track(what: str, steps: Sequence[int]) -> Iterator[int]:
         task = bar.add_task(what, total=len(steps))
@@ -80,15 +61,8 @@ def check_hand_command(options: Check) -> None:
 
 
 def _print(found: HandValidation) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
-    table = Table(
-        title=f"{found.hand}, {found.side} hand",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    console = output_console()
+    table = plain_table(f"{found.hand}, {found.side} hand")
     for header in ("", "check", "measured", "what to do"):
         table.add_column(header, no_wrap=header in ("", "check"))
     for check in found.checks:

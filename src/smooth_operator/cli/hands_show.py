@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
-from rich import box
-from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_options import Render, Show
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
@@ -18,9 +17,7 @@ from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import POINTS
 from smooth_operator.teleop.joint_rows import joint_rows
-from smooth_operator.terminal import open_console, printable
-
-_WIDTH_OF_A_FILE: Final = 120
+from smooth_operator.terminal import printable
 
 
 def show_hand(options: Show) -> None:
@@ -112,9 +109,7 @@ def _point(point: Point) -> dict[str, Any]:
 
 def _print_tables(hand: Hand) -> None:
     spec = hand.spec
-    console = open_console()
-    if not console.is_terminal:
-        console.width = _WIDTH_OF_A_FILE
+    console = output_console()
 
     def say(text: str) -> None:
         console.print(text, markup=False, soft_wrap=True)
@@ -129,7 +124,7 @@ def _print_tables(hand: Hand) -> None:
     )
 
     say("\njoints, in the model's own order")
-    joints = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    joints = plain_table()
     for header in ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "follows"):
         justify: Literal["left", "right"] = "right" if "[" in header else "left"
         joints.add_column(Text(header), justify=justify, no_wrap=True)
@@ -144,7 +139,7 @@ def _print_tables(hand: Hand) -> None:
     console.print(joints)
 
     say("landmarks in the palm frame, neutral pose [mm]")
-    points = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    points = plain_table()
     for header in ("landmark", "x", "y", "z"):
         points.add_column(header, justify="left" if header == "landmark" else "right")
     for name, at in zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True):

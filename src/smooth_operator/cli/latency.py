@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
+from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.io import to_json
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.log_reader import Log
 from smooth_operator.teleop.runtime.log_timing import added_latency, log_timing
-from smooth_operator.terminal import open_console
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,8 +48,8 @@ def latency(options: Latency) -> None:
 
 
 def _print(path: Path, timing: Mapping[str, Any]) -> None:
-    console = open_console()
-    table = Table(title=str(path), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    console = output_console()
+    table = plain_table(str(path))
     table.add_column("[ms]")
     for name in _SHOWN:
         table.add_column(name, justify="right")

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_analyze_options import Analyze
 from smooth_operator.errors import ConfigError, StudyError
@@ -22,14 +21,12 @@ from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
 from smooth_operator.study.data.workload_scores import with_workload
-from smooth_operator.terminal import open_console
 
 SOME_REFUSED: Final = 1
 """Exit status where everything was done, but some parts have a reason in place of figures."""
 
 _STORE: Final = "study.db"
 _SQLITE: Final = b"SQLite format 3\0"
-_WIDTH_OF_A_FILE: Final = 160
 _UNITS: Final[dict[Outcome, tuple[float, str]]] = {
     "success": (100.0, "success rate [%]"),
     "time": (1.0, "completion time [s]"),
@@ -45,7 +42,7 @@ def analyze_command(options: Analyze) -> None:
         OutputError: the folder can't be written to.
         SystemExit: with ``SOME_REFUSED``.
     """
-    console = open_console(stderr=True)
+    progress = Progressing(options.quiet)
     if not options.study:
         raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")
     stored, files = _split(options.study)
@@ -53,10 +50,9 @@ def analyze_command(options: Analyze) -> None:
         _with_metrics(files), texts=[(word, _exported(word, options.name)) for word in stored]
     )
     data = with_workload(data, options.workload)
-    if not options.quiet:
-        for note in data.notes:
-            _note(console, f"note: {note}")
-    with folder_for(options.output), _told(console, options.quiet) as tell:
+    for note in data.notes:
+        progress.note(f"note: {note}")
+    with folder_for(options.output), progress.status() as tell:
         analysis = analyze_study(data, options.baseline, seed=options.seed, report=tell)
         tell("writing")
         written = write_analysis(analysis, options.output, report=not options.no_report)
@@ -64,8 +60,7 @@ def analyze_command(options: Analyze) -> None:
         print(json.dumps(analysis.to_json(), indent=1, allow_nan=False))
     elif not options.quiet:
         _print(analysis)
-    if not options.quiet:
-        _note(console, f"wrote {options.output}: {', '.join(written)}")
+    progress.note(f"wrote {options.output}: {', '.join(written)}")
     if any(
         result.refused
         for outcomes in analysis.results.values()
@@ -123,9 +118,7 @@ def _with_metrics(paths: Sequence[Path]) -> list[Path]:
 
 
 def _print(analysis: Analysis) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
+    console = output_console()
     for outcome in OUTCOMES:
         for scope in analysis.scopes:
             _print_scope(console, analysis, outcome, scope)
@@ -192,7 +185,7 @@ def _both() -> tuple[Mode, Mode]:
 
 def _table(title: str, headers: Sequence[str]) -> Table:
     # as Text: "[s]" is a unit, and rich would take it for markup
-    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = plain_table(Text(title))
     for i, header in enumerate(headers):
         table.add_column(header, no_wrap=True, justify="left" if i == 0 else "right")
     return table
@@ -200,16 +193,3 @@ def _table(title: str, headers: Sequence[str]) -> Table:
 
 def _p(p: float) -> str:
     return "<0.001" if p < 0.001 else f"{p:.3f}"
-
-
-def _note(console: Console, text: str) -> None:
-    console.print(text, markup=False, soft_wrap=True)
-
-
-@contextlib.contextmanager
-def _told(console: Console, quiet: bool) -> Iterator[Callable[[str], None]]:
-    if quiet or not console.is_terminal:
-        yield lambda text: None
-        return
-    with console.status("") as status:
-        yield lambda text: status.update(text)

@@ -6,10 +6,9 @@ import sys
 from dataclasses import replace
 from typing import Final
 
-from rich import box
-from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_questions import ask_protocol
@@ -158,12 +157,9 @@ def _task(text: str, known: dict[str, Task]) -> Task:
 
 
 def _print(plan: Plan) -> None:
-    console = open_console()
-    if not console.is_terminal:
-        console.width = 140
+    console = output_console(140)
     protocol = plan.protocol
-    table = Table(title=f"{protocol.name}: schedule", box=box.SIMPLE_HEAD, pad_edge=False,
-                  title_justify="left")  # fmt: skip
+    table = plain_table(f"{protocol.name}: schedule")
     heading, *rows = schedule_table(plan, blind=False)
     for name in heading[:-1]:
         table.add_column(name)

@@ -7,10 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from rich import box
-from rich.table import Table
-
-from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
 from smooth_operator.cli.study_power_options import Power
@@ -23,10 +20,9 @@ from smooth_operator.study.power.assumptions import Spread, assumptions_for
 from smooth_operator.study.power.power_report import TITLES, Tallies, found, power_json, write_power
 from smooth_operator.study.power.power_run import PowerSettings, run_power
 from smooth_operator.study.power.tally import Rate
-from smooth_operator.terminal import open_console, printable
+from smooth_operator.terminal import printable
 
 _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
-_WIDTH_OF_A_FILE: Final = 140
 
 
 def simulate_power(options: Power) -> None:
@@ -102,17 +98,12 @@ def _values(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width, and 80 columns would break lines
-        console.width = _WIDTH_OF_A_FILE
+    console = output_console()
     baseline = settings.protocol.baseline
     others = [name for name in settings.protocol.condition_names if name != baseline]
-    table = Table(
-        title=f"{settings.protocol.name}, {scope}: power against {baseline} (Dunnett) and "
-        f"family-wise error, {settings.studies} studies each, ± Monte-Carlo standard error [%]",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
+    table = plain_table(
+        f"{settings.protocol.name}, {scope}: power against {baseline} (Dunnett) and "
+        f"family-wise error, {settings.studies} studies each, ± Monte-Carlo standard error [%]"
     )
     for header in ("operators", "outcome", "mode", *others, "all", "error if none differs"):
         table.add_column(header, justify="left" if header in ("outcome", "mode") else "right")

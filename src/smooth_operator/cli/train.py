@@ -9,14 +9,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
@@ -34,7 +26,6 @@ from smooth_operator.lab.training import (
     synthetic_recordings,
     training_data,
 )
-from smooth_operator.terminal import open_console
 from smooth_operator.types import HandRecording
 
 SYNTHETIC: Final = "synthetic"
@@ -75,7 +66,7 @@ def train(options: Train) -> None:
                 matters=True,
             )
         try:
-            with _bar(options, settings.epochs) as watch:
+            with _bar(progress, settings.epochs) as watch:
                 model = session.run(resume=options.resume, watch=watch)
         except KeyboardInterrupt:
             if (options.output / "checkpoint.npz").exists():
@@ -120,23 +111,9 @@ def _recordings(
 
 
 @contextlib.contextmanager
-def _bar(options: Train, epochs: int) -> Iterator[Callable[[TrainingState], None]]:
-    if options.quiet:
-        yield lambda state: None
-        return
-    bar = Progress(
-        TextColumn("training"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("epochs  {task.fields[losses]}", markup=False),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=open_console(stderr=True),
-        redirect_stdout=False,
-        redirect_stderr=False,
-    )
-    with bar:
-        task = bar.add_task("", total=epochs, losses="")
+def _bar(progress: Progressing, epochs: int) -> Iterator[Callable[[TrainingState], None]]:
+    with progress.counter("epochs", extra="{task.fields[losses]}", in_files=True) as bar:
+        task = bar.add_task("training", total=epochs, losses="")
 
         def watch(state: TrainingState) -> None:
             done = int(state.epoch)

@@ -6,18 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from rich import box
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.table import Table
-
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.compilation.dispatch import dispatch_here
@@ -26,9 +15,6 @@ from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.tuning.score import Bound, figure
 from smooth_operator.lab.tuning.tune import KEPT
-from smooth_operator.terminal import open_console
-
-_WIDTH_OF_A_FILE = 140
 
 
 def tune(options: Tune) -> None:
@@ -38,7 +24,7 @@ def tune(options: Tune) -> None:
         SmoothOperatorError: what was asked for can't be; nothing was tried then.
         KeyboardInterrupt: stopped; what was tried is kept, and the best of it written.
     """
-    console = open_console(stderr=True)
+    progress = Progressing(options.quiet)
     dispatch_here()  # before planning, which may start JAX
     settings = tuning.TuningSettings(
         output=options.output,
@@ -62,14 +48,16 @@ def tune(options: Tune) -> None:
     todo = tuning.plan_tuning(settings)
     with folder_for(options.output), claimed(options.output):
         try:
-            with _bar(console, options.quiet, settings.trials) as progress:
-                tuned = tuning.tune(todo, progress, lambda text: _note(console, text))
+            with _bar(progress, settings.trials) as advance:
+                tuned = tuning.tune(todo, advance, lambda text: progress.note(text, matters=True))
         except KeyboardInterrupt:
-            _note(console, f"stopped; the same command goes on with what is in {options.output}")
+            progress.note(
+                f"stopped; the same command goes on with what is in {options.output}", matters=True
+            )
             raise
     if not options.quiet:
         _print(todo, tuned)
-        _note(console, f"{tuned.trials} trials, {tuned.fresh} of them new; wrote {tuned.preset}")
+        progress.note(f"{tuned.trials} trials, {tuned.fresh} of them new; wrote {tuned.preset}")
 
 
 def _numbers(texts: Sequence[str], option: str) -> Iterator[tuple[str, float]]:
@@ -84,53 +72,36 @@ def _numbers(texts: Sequence[str], option: str) -> Iterator[tuple[str, float]]:
         yield name, number
 
 
-def _note(console: Console, text: str) -> None:
-    console.print(text, markup=False, soft_wrap=True)
-
-
 @contextlib.contextmanager
-def _bar(console: Console, quiet: bool, trials: int) -> Iterator[Callable[..., None]]:
-    bar = Progress(
-        TextColumn("tuning"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("trials  score {task.fields[score]}", markup=False),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=quiet or not console.is_terminal,
-        refresh_per_second=2,
-    )
+def _bar(progress: Progressing, trials: int) -> Iterator[Callable[..., None]]:
+    bar = progress.counter("trials", extra="score {task.fields[score]}")
     told = math.inf
 
-    def progress(count: int, best: float, reason: str | None) -> None:
+    def advance(count: int, best: float, reason: str | None) -> None:
         nonlocal told
         score = f"{best:.4f}" if math.isfinite(best) else "–"
         bar.update(task, completed=count, score=score)
-        if reason is not None and not quiet:
-            _note(bar.console, f"a trial failed: {reason}")
-        if best < told and not (quiet or console.is_terminal):
-            _note(console, f"trial {count} of {trials}: score {score}")
+        if reason is not None:
+            progress.note(f"a trial failed: {reason}")
+        if best < told and progress.lines:
+            progress.note(f"trial {count} of {trials}: score {score}")
         told = min(told, best)
 
     with bar:
-        task = bar.add_task("", total=trials, score="–")
-        yield progress
+        task = bar.add_task("tuning", total=trials, score="–")
+        yield advance
 
 
 def _print(todo: tuning.Tuning, tuned: tuning.Tuned) -> None:
-    console = open_console()
-    if not console.is_terminal:  # a pipe or file has no width
-        console.width = _WIDTH_OF_A_FILE
-    values = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"score {tuned.score:.4f}",
-                   title_justify="left")  # fmt: skip
+    console = output_console()
+    values = plain_table(f"score {tuned.score:.4f}")
     for header in ("setting", "start", "best", "between"):
         values.add_column(header, justify="left" if header == "setting" else "right")
     for v in todo.variables:
         best = tuned.values[v.path]
         values.add_row(v.path, f"{v.start:.4g}", f"{best:.4g}", f"{v.low:.4g} … {v.high:.4g}")
     console.print(values)
-    figures = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    figures = plain_table()
     figures.add_column("figure, start → best", no_wrap=True)
     for source in todo.sources:
         figures.add_column(source.name, justify="right", overflow="fold")
