@@ -37,7 +37,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "solvers.damped": ("solvers.newton",),
     "sources": ("teleop.sources", "teleop", "synthetic"),
     "study.console.desk": ("study.console.session_service",),
-    "study.console.gate": ("web.auth",),
+    "study.console.gate": ("study.console.access", "web.auth"),
     "study.console.hand": ("study.console.session_teleop",),
     "study.console.view": ("study.console.page_state",),
     "study.console.words": ("study.console.event_texts",),
