@@ -30,7 +30,7 @@ class Experimenting(Common):
     """Only these frames of each recording, as a Python slice: :500, 2600:3100, -500:"""
 
     quick: bool = False
-    """As little as possible, to see that it runs; the verdicts mean little."""
+    """A minimal size, to test that it runs; the verdicts mean little."""
 
     published: bool = False
     """For an accelerator: the published 32,768 samples and starts of RMSProp, 64 starts of SLSQP
@@ -56,8 +56,8 @@ class Ablate(Experimenting):
   rate      methods at frame rates from 15 to 100 Hz
 
 FOLDER gets NAME/results.json, NAME/*.png, report.html (all experiments in the folder), and cells/
-(what was computed, shared by the experiments). Run the same command again to go on where it was
-stopped. Without recordings twenty people of the built-in operator are used (four with --quick); a
+(what was computed, shared by the experiments). The same command continues a stopped
+run. Without recordings twenty people of the built-in operator are used (four with --quick); a
 recording may bring a range of frames, a rate or a side after an @, as for bench. Of each at most
 300 frames are used (for the solvers 150, with --published 500). Files count as independent,
 parts of one file as one.
@@ -76,11 +76,11 @@ Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Paper(Experimenting):
-    """Re-run all of the paper's experiments, and say claim by claim what held."""
+    """Re-run all of the paper's experiments, and judge each claim."""
 
     work: ClassVar[str] = "smooth_operator.cli.ablate:paper"
     details: ClassVar[str] = """FOLDER gets a folder for each experiment (results.json and figures),
-and report.html with all of them. Run the same command again to go on where it was stopped.
+and report.html with all of them. The same command continues a stopped run.
 
 Examples:
   smooth-operator paper --output out

@@ -18,8 +18,8 @@ class Bench(Ordered, Common):
     work: ClassVar[str] = "smooth_operator.cli.bench:bench"
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and
 method), report.html (everything in one file: tables, plots, clips), plots/, and cells/
-(the commands of each). Run the same command again to go on where it was stopped; what is
-unchanged is not measured again. Latency is measured at the end, with no other work.
+(the commands of each). The same command continues a stopped run; unchanged
+results are not measured again. Latency is measured at the end, with no other work.
 
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in
 operator, which is used if there is none. It may bring settings of its own after an @:
@@ -28,8 +28,8 @@ glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,100:900.
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
 each method with its default preset.
 
-Exit status: 0 all measured, 1 some cells failed (the report says which and why), 2 what was
-asked for can't be, 130 stopped.
+Exit status: 0 all measured, 1 some cells failed (the report says which and why), 2 the
+request is invalid, 130 stopped.
 
 Examples:
   smooth-operator bench --output out
@@ -58,13 +58,13 @@ Examples:
     """Only these frames of each recording, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of recordings that hold no time stamps [Hz]."""
+    """Frames per second of recordings without time stamps [Hz]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Which hand; as each recording says if left out."""
 
     seed: int = 0
-    """Of the methods' random numbers."""
+    """Seed of the methods' random numbers."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
     """Robot fingers to drive, two to five with the thumb among them, each by its own human finger

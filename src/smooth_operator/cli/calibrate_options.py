@@ -20,14 +20,14 @@ class Calibrate(Ordered, Common):
         str
     ] = """With --source the operator is asked for the poses, one after the other.
 A recording should show, for some seconds each and in any order, a flat hand, the fingers
-spread, a fist, and a pinch of the thumb with each finger. What is not in it is said, and the
-rest is calibrated all the same. With OPERATOR.json come OPERATOR.png (the poses on a time
+spread, a fist, and a pinch of the thumb with each finger. Missing poses are reported, and
+the rest is calibrated. With OPERATOR.json come OPERATOR.png (the poses on a time
 line; reach and pinches before and after) and OPERATOR.report.json (the same as figures).
 
 Parts of a calibration (--apply names those that the file uses):
   scale    one scale of the palm instead of one a frame
   tips     from the tracker's tip landmark to the pad
-  pinch    what distance is left in a pinch is closed; latches at the operator's distances
+  pinch    the distance left in a pinch is closed; latches at the operator's distances
   fingers  each finger's reach to the robot's
   palm     the flat hand's direction to that of the robot's straight fingers
 All are found and written in any case.
@@ -63,7 +63,7 @@ Examples:
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of a recording that holds no time stamps [Hz]."""
+    """Frames per second of a recording without time stamps [Hz]."""
 
     apply: Annotated[str | None, arg(metavar="A,B|all")] = None
     """Parts that the file shall use; see above. The ones that lower pinch error and scale error

@@ -69,7 +69,7 @@ class Retargeting:
     preset: Annotated[str | None, arg(metavar="NAME", help=PRESET_HELP)] = None
 
     seed: int = 0
-    """Of all random numbers: the same seed and frames give the same commands."""
+    """Seed of all random numbers: the same seed and frames give the same commands."""
 
     scale: Annotated[Scale | None, arg(metavar="frame|calibrate|FLOAT")] = None
     """Robot size over human size: found in every frame, once for the recording, or given; as the

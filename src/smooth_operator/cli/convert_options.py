@@ -24,7 +24,7 @@ class Convert(Ordered, Common):
 A video (.mp4, .mov, .avi, .mkv, .webm), as input only, is tracked (extra webcam).
 
 All hold everything: hand, flags, commands, status, timing, configuration. What a
-format can't hold is said on standard error.
+format can't hold is reported on standard error.
 
 Several inputs, or a folder of them, become the episodes of one LeRobot dataset; or,
 with --to mcap|npz|hdf5, a file each in the folder --output.
@@ -42,7 +42,7 @@ Examples:
     """Recordings, results, logs, HDF5 files, LeRobot datasets, or folders of these."""
 
     output: Annotated[Path, arg(metavar="OUT")]
-    """What to write; its folder is made if need be."""
+    """What to write; its folder is created if missing."""
 
     commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
     """Commands to add to the recording: the result of retargeting it. For several recordings
@@ -54,7 +54,7 @@ Examples:
     """Format of the output; by its name if left out. Of a dataset into a folder it must be said."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of a recording that holds no time stamps [Hz]; of several recordings or a
+    """Frames per second of a recording without time stamps [Hz]; of several recordings or a
     folder, of those."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
@@ -79,4 +79,4 @@ Examples:
     """Replace an output that this program wrote."""
 
     quiet: bool = False
-    """Only say what matters."""
+    """Print important messages only."""

@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import Common, Meshes, Page, Retargeting
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common, Page, Meshes, Retargeting, Synthetic):
-    """Retarget a built-in operator, print what was measured, and play it in the browser."""
+    """Retarget a synthetic operator, print the metrics, and play the result in the browser."""
 
     work: ClassVar[str] = "smooth_operator.cli.demo:demo"
     details: ClassVar[str] = """The folder holds commands.npz and commands.json (the resolved

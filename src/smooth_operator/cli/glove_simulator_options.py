@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import Common
 
 @dataclass(frozen=True, kw_only=True)
 class GloveSimulate(Common):
-    """Publish a moving hand as a MANUS glove bridge does, for trying out without a glove."""
+    """Publish a moving hand as a MANUS glove bridge does, for tests without a glove."""
 
     work: ClassVar[str] = "smooth_operator.cli.glove_simulator:simulate"
     details: ClassVar[str] = """Needs the extra zmq. A second terminal receives it:
@@ -30,13 +30,13 @@ Examples:
     """Where to publish; tcp://127.0.0.1:* takes any free port, and the first line says which."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Messages a second of each hand [Hz]; the recording's own, or 100, if left out."""
+    """Messages per second of each hand [Hz]; the recording's own, or 100, if left out."""
 
     side: Literal["right", "left", "both"] = "right"
     """Which hands; of a recording, the one that it lacks is mirrored."""
 
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Play this in place of the built-in operator, there and back without an end."""
+    """Play this instead of the built-in operator, forwards and backwards without end."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None
     """How long [s]; until Ctrl-C if left out."""
@@ -45,19 +45,19 @@ Examples:
     """Noise of the built-in operator: standard deviation of each coordinate [mm]."""
 
     seed: int = 0
-    """Of the operator and the faults."""
+    """Seed of the operator and the faults."""
 
     drop: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of frames that are never sent."""
 
     silence_every: Annotated[float, arg(metavar="SECONDS")] = 0.0
-    """Fall silent every so often [s]; 0 is never."""
+    """Time between silences [s]; 0 is never."""
 
     silence: Annotated[float, arg(metavar="SECONDS")] = 2.0
-    """For so long [s]."""
+    """Length of a silence [s]."""
 
     missing: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of frames without a finger, or without any node, by turns."""
+    """Share of frames without a finger, or without any node, alternately."""
 
     duplicate: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of frames that repeat the stamp of the one before."""
@@ -66,7 +66,7 @@ Examples:
     """Share of frames that are sent after the next one."""
 
     swap: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of frames whose hands have each other's side."""
+    """Share of frames whose hands have exchanged sides."""
 
     garbage: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of messages that are cut off in the middle."""

@@ -13,14 +13,14 @@ from smooth_operator.cli.common_options import Common, HandSide, Page
 
 @dataclass(frozen=True, kw_only=True)
 class Add(Common, Page):
-    """Your own hand: reads any URDF or MJCF, finds out how it is a hand, writes a spec file."""
+    """Your own hand: reads any URDF or MJCF, finds palm, fingers and tips, writes a spec file."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_add:add_hand"
-    details: ClassVar[str] = """Found are palm, fingers, thumb, order, fingertips, side, coupled
-joints, wrist and a neutral pose, from how the joints move and not from names. What is printed says
-how sure each is, why, and how to overrule it; run it again with those options. The model and its
-meshes are copied to the folder of the spec file, so the original may be moved or deleted; after a
-change to it, run the command again.
+    details: ClassVar[str] = """Finds palm, fingers, thumb, order, fingertips, side, coupled
+joints, wrist and a neutral pose, from how the joints move and not from names. The output gives
+confidence, reason and the option that overrides each; run it again with those options. The model
+and its meshes are copied to the folder of the spec file, so the original may be moved or deleted;
+after a change to it, run the command again.
 
 Examples:
   smooth-operator hands add vendor/hand_right.urdf

@@ -37,7 +37,7 @@ Examples:
     """Poses of each round trip."""
 
     seed: int = 0
-    """Of these poses."""
+    """Seed of these poses."""
 
     json: bool = False
     """One JSON object on standard output instead of the checklist."""

@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import Common
 
 @dataclass(frozen=True, kw_only=True)
 class Latency(Common):
-    """Read back how long every stage took, from a log that teleop recorded."""
+    """Print how long every stage took, from a log that teleop recorded."""
 
     work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:
@@ -35,7 +35,7 @@ Examples:
     """Logs, as the sink record writes them."""
 
     plot: Annotated[Path | None, arg(metavar="FILE.png")] = None
-    """Draw the latencies over time and how they are spread."""
+    """Plot the latencies over time and their distribution."""
 
     json: bool = False
     """Print one JSON object on standard output, by log, and nothing else there."""

@@ -25,8 +25,8 @@ named by --output, several in parallel; latency_ms is then NaN, and summary.json
 of each. Run the same command again to go on where it was stopped, or to add new recordings:
 what is whole and unchanged is kept, and the bytes are the same as if nothing had happened.
 
-Exit status: 0 done, 1 some recordings of the folder failed (the others are done), 2 what was
-asked for can't be, 130 stopped.
+Exit status: 0 done, 1 some recordings of the folder failed (the others are done), 2 the
+request is invalid, 130 stopped.
 
 Examples:
   smooth-operator retarget glove.npz --output out.npz
@@ -41,7 +41,7 @@ Examples:
     folder of such files."""
 
     output: Annotated[Path, arg(metavar="OUT.npz|FOLDER")]
-    """File to write, or folder of a folder's results; made if need be."""
+    """File to write, or folder of a folder's results; created if missing."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Which hand; as the recording says if left out."""
@@ -50,7 +50,7 @@ Examples:
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of a recording that holds no time stamps [Hz]; in a folder, of those."""
+    """Frames per second of a recording without time stamps [Hz]; in a folder, of those."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Of a folder: how many recordings in parallel; one per core if left out, 0 for one

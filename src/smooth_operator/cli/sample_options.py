@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import Common, Synthetic
 
 @dataclass(frozen=True, kw_only=True)
 class Sample(Common, Synthetic):
-    """Write a recording of the built-in operator, to try the other commands on."""
+    """Write a recording of the built-in operator, as input for the other commands."""
 
     work: ClassVar[str] = "smooth_operator.cli.sample:sample"
     details: ClassVar[str] = """The hand opens, closes, pinches, spreads and gaits its fingers. Its
@@ -26,13 +26,13 @@ Examples:
 """
 
     output: Annotated[Positional[Path], arg(metavar="OUT.npz|OUT.mcap|OUT.h5")]
-    """File to write; its folder is made if need be."""
+    """File to write; its folder is created if missing."""
 
     seed: int = 0
-    """The person: bone lengths, timing and motion."""
+    """Seed of the person: bone lengths, timing and motion."""
 
     overwrite: bool = False
-    """Replace a file that stands there."""
+    """Replace an existing file."""
 
     quiet: bool = False
-    """No word on standard error."""
+    """Print nothing on standard error."""

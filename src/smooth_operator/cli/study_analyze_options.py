@@ -21,7 +21,7 @@ class Analyze(Common):
     ] = """STUDY is the folder of a study that was run, its study.db, or the URL
 of a database; or a folder with trials.csv, tlx.csv and, if there is one, sim_metrics.csv; or such
 tables by any name and in any order; or one JSON file of study export. Every value is checked, and
-what is wrong is named by row and column. Columns:
+errors are listed by row and column. Columns:
   trials      operator, task, retargeter, block, trial_in_block, trial_global, score, time_s
   tlx         operator, task, retargeter, block, point, and the six scales; for --workload
               weighted also weight_mental, weight_physical, ... (times chosen, 15 together)
@@ -32,7 +32,7 @@ sim_metrics.csv in the folder of a given trials.csv is read, too.
 Both modes are computed: small-sample (what to report) and paper (as published; right for many
 operators only). FOLDER gets results.json, CSV tables, methods.txt, figures/ and report.html.
 
-Exit status: 0 done, 1 done but for parts that were refused with a reason, 2 the data can't be used.
+Exit status: 0 done, 1 some parts were refused with a reason, 2 the data can't be used.
 
 Examples:
   smooth-operator study analyze trials.csv tlx.csv --baseline dexpilot --output out
@@ -48,14 +48,14 @@ Examples:
     """The retargeter that the others are compared with."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
-    """Folder to write, made if need be."""
+    """Folder to write, created if missing."""
 
     workload: Literal["raw", "weighted"] = "raw"
     """Mean of the six scales, or weighted by the operators' choices between pairs of them, which
-    must be there for every block then."""
+    every block must then have."""
 
     seed: int = 11
-    """Of the bootstrap over operators."""
+    """Seed of the bootstrap over operators."""
 
     no_report: bool = False
     """Write the results, but no report and no figures."""

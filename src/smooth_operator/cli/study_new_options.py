@@ -13,10 +13,10 @@ from smooth_operator.cli.common_options import Common
 
 @dataclass(frozen=True, kw_only=True)
 class New(Common):
-    """A plan: conditions, tasks, balanced orders, who does what when. Asks, in a terminal."""
+    """Write a plan: conditions, tasks, balanced orders, schedule. Asks in a terminal."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_new:new_study"
-    details: ClassVar[str] = """Written are study.toml (the plan, to read and mend), schedule.csv
+    details: ClassVar[str] = """It writes study.toml (the plan, which you may edit), schedule.csv
 (with the conditions, for the experimenter) and schedule.txt (with labels only, for the wall).
 Without options a terminal asks; elsewhere, and with --no-wizard, what is left out is as in the
 paper: four retargeters as their authors run them, 30 commands a second, three tasks, 18 operators.
@@ -28,7 +28,7 @@ Examples:
   smooth-operator study new my-study --from draft.toml"""
 
     folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
-    """Of the new study."""
+    """Folder of the new study."""
 
     name: Annotated[str | None, arg(metavar="TEXT")] = None
     """Name of the study; the folder's if left out."""
@@ -59,14 +59,14 @@ Examples:
     """Ask for the 15 pairwise comparisons of NASA-TLX at the end of a block."""
 
     seed: Annotated[int | None, arg(metavar="INT")] = None
-    """Of all that is drawn: orders, rows, labels; 0 if left out."""
+    """Seed of orders, rows and labels; 0 if left out."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Commands a second that the hand is sent in every condition [Hz]. If left out, 30 with the
+    """Commands per second to the hand in every condition [Hz]. If left out, 30 with the
     paper's conditions, else those that the teleoperation was started with."""
 
     from_: Annotated[Path | None, arg(name="from", metavar="TOML")] = None
-    """A file to take the plan from, as study.toml; its orders are drawn if they are missing."""
+    """A file to take the plan from, as study.toml; missing orders are generated."""
 
     no_wizard: bool = False
     """Ask nothing, even in a terminal."""
@@ -77,7 +77,7 @@ Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Enrol(Common):
-    """One operator more, or further tasks for one: gets the row that is used least."""
+    """Enrol an operator, or add tasks for one; assigns the least-used row."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_new:enrol_operator"
     details: ClassVar[str] = """Examples:

@@ -17,9 +17,9 @@ class Power(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.study_power:simulate_power"
     details: ClassVar[str] = """For each number of operators, studies with the assumed differences
-(power) and with none (family-wise error), analysed in both modes. Assumed is what the paper
-reports, for its four methods; others need --success, --time and --workload. The same command again
-goes on where it stopped, and only adds what is new. Written are power.json, power.png and
+(power) and with none (family-wise error), analysed in both modes. The default assumptions
+are the paper's figures of its four methods; others need --success, --time and --workload. The same
+command continues a stopped run and adds what is new. It writes power.json, power.png and
 studies.jsonl.
 
 Examples:
@@ -56,7 +56,7 @@ Examples:
     preferences_differ: Annotated[
         tuple[float, float, float], arg(metavar="LOGIT SECONDS POINTS")
     ] = (0.0, 0.0, 0.0)
-    """The same, of how an operator takes to one condition in particular. The mixed models of the
+    """The same, of an operator's preference for single conditions. The mixed models of the
     analysis have no term for it."""
 
     trials_differ: Annotated[tuple[float, float], arg(metavar="SECONDS POINTS")] = (7.0, 6.0)
@@ -66,7 +66,7 @@ Examples:
     """Analyse each task by itself as well."""
 
     seed: Annotated[int, arg(metavar="INT")] = 0
-    """Of all simulated studies: the same seed gives the same figures, with any --workers."""
+    """Seed of all simulated studies: the same seed gives the same figures, with any --workers."""
 
     workers: Annotated[int | None, arg(metavar="INT")] = None
     """Processes; one for each core if left out."""

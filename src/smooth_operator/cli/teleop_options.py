@@ -30,15 +30,15 @@ Sources:
 Sinks, one or several:
 {SINKS.describe()}
 
-When the tracker falls silent the hand is held, then goes to its neutral pose; when the operator
-is back it goes over to them smoothly. Joint ranges, velocities and accelerations are limited
+Without tracker frames the hand holds, then moves to its neutral pose; when the operator
+is back it returns smoothly. Joint ranges, velocities and accelerations are limited
 whatever the method asks for.
 
 Keys in the terminal: space, Esc and x always stop the robot, and no other key does; u
 releases an emergency stop, p pauses and resumes, q ends. They are the same on the page. Ctrl-C
-ends too; what was recorded is whole.
+ends too; the recording is complete.
 
-Exit status: 0 done, 1 a sink failed on the way (it is said which), 2 something can't be opened,
+Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't be opened,
 130 stopped by Ctrl-C.
 
 Examples:
@@ -58,7 +58,7 @@ Examples:
     task: Literal["card", "cube", "screwdriver"] | None = None
     """A task of the study, in a simulation around the hand: card pickup, vertical cube rotation,
     screwdriver pivot. Keys: g starts a trial, r puts the object back, d ends it. --control has
-    words for the same."""
+    messages for the same."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Keep a record of every trial of the task here."""
@@ -75,7 +75,7 @@ Examples:
     """Preset of the method; its default if left out."""
 
     seed: int = 0
-    """Of all random numbers."""
+    """Seed of all random numbers."""
 
     scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
     """Robot size over human size: found in every frame, or given; as the preset says if left
@@ -89,36 +89,36 @@ Examples:
     """The operator's calibration for this hand, as calibrate writes it."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
-    """Commands a second and hand [Hz]: never more, however fast the tracker is; that many
-    where frames come too slowly, or not at all."""
+    """Commands per second and hand [Hz]: an upper bound with a fast tracker, and the rate
+    of held commands without frames."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None
-    """End after so long [s]; when the source ends if left out."""
+    """Duration of the run [s]; until the source ends if left out."""
 
     safety: SafetyConfig = field(default_factory=SafetyConfig)
-    """When the tracker fails, and when the operator comes back."""
+    """Behaviour when the tracker fails and when the operator comes back."""
 
     limits: LimitsConfig = field(default_factory=LimitsConfig)
-    """Of what leaves the loop."""
+    """Limits of the commands that leave the loop."""
 
     priority: Literal["high", "normal"] = "high"
-    """Whether the loop goes before other programs, where the system lets it: what it got is in
+    """Whether the loop takes real-time priority, if the system allows it; what it got is in
     the summary (docs/how-to/teleoperate.md)."""
 
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """Take words from other programs on this ZeroMQ address, such as tcp://127.0.0.1:5558 (extra
+    """Accept messages of other programs on this ZeroMQ address, such as tcp://127.0.0.1:5558 (extra
     zmq): a pedal, a red button, a study's console. They are stop, release, pause, resume, quit,
     status, method, calibration, task, trial and reset."""
 
     blind: bool = False
-    """The operator is not to know the method: neither the page nor what is printed names it, and
+    """Hide the method from the operator: neither the page nor the terminal names it, and
     the page can't change it. The record has it."""
 
     no_view: bool = False
     """Don't serve the page: for machines without a browser."""
 
     json: bool = False
-    """Print what the run came to as one JSON object on standard output, and nothing else there."""
+    """Print the summary as one JSON object on standard output, and nothing else there."""
 
     quiet: bool = False
-    """Nothing on standard error but what matters."""
+    """Print only important messages on standard error."""

@@ -19,8 +19,8 @@ class Train(Ordered, Common):
     details: ClassVar[str] = """Needs the extra lab.
 
 DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv, losses.png and
-checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume goes on from there, and
-ends in the same bytes as a training that was never stopped.
+checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume continues, and
+gives the same bytes as a training without a stop.
 
 A good recording opens, closes, spreads and pinches for a minute or more.
 
@@ -39,7 +39,7 @@ Examples:
     name is ./synthetic)."""
 
     output: Annotated[Path, arg(metavar="DIR")]
-    """Folder to write; made if need be."""
+    """Folder to write; created if missing."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Robot hand, by its catalogue name."""
@@ -51,23 +51,23 @@ Examples:
     """Passes over the recorded points."""
 
     seed: int = 0
-    """Of all random numbers: the same seed and frames give the same model."""
+    """Seed of all random numbers: the same seed and frames give the same model."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of each recording, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of recordings that hold no time stamps [Hz]."""
+    """Frames per second of recordings without time stamps [Hz]."""
 
     coverage: Literal["operator", "reach"] = "operator"
-    """What the robot's motion is to cover: what the operator does, or, as published, all that the
-    robot can reach; for that the recording must go to the ends of the operator's own reach."""
+    """What the robot's motion covers: the operator's motion, or, as published, the robot's whole
+    reach; the recording must then contain the ends of the operator's own reach."""
 
     checkpoint_every: Annotated[int, arg(metavar="EPOCHS")] = 10
-    """How often all is saved."""
+    """Epochs between checkpoints."""
 
     resume: bool = False
-    """Go on with the training in DIR, started with the same recording and options."""
+    """Continue the training in DIR, started with the same recording and options."""
 
     quiet: bool = False
     """No progress on standard error."""

@@ -17,17 +17,17 @@ class Tune(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.tune:tune"
     details: ClassVar[str] = """FOLDER gets preset.toml (for --preset, wherever there is one),
-result.json (figures of the start and of the best, recording by recording), pareto.png (what was
-traded for what) and trials.jsonl, the log. Ctrl-C keeps all of it; the same command goes on from
-there, and ends where a search that was never stopped ends. More --trials go on further.
+result.json (figures of the start and of the best, recording by recording), pareto.png (the
+trade-offs) and trials.jsonl, the log. Ctrl-C keeps all of it; the same command continues
+and gives the result of a search without a stop. More --trials continue further.
 
-The score is 0 at the start and less where it is better: on each recording the sum of
+The score is 0 at the start and lower if better: on each recording the sum of
 weight x log(error / error at the start), for the errors cosine, cosine_all, scale, motion,
-velocity, flatness, collision and pinch, and ten times what bounds are broken by. Lag stays within
-a frame, a joint's largest step within 0.25 rad at 115 Hz, and no frame is frozen, unless bounds
+velocity, flatness, collision and pinch, and ten times the relative excess over bounds. Lag stays
+within a frame, a joint's largest step within 0.25 rad at 115 Hz, and no frame is frozen, unless bounds
 say otherwise.
 
-What is named with --held-out is refused under any name, and in parts.
+A --held-out recording is refused under any name, and in parts.
 
 Examples:
   smooth-operator tune sbr train.npz@:500 --vary pose_weight=0.01:0.1:log
@@ -65,7 +65,7 @@ Examples:
     """Robot hand, by its catalogue name."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of recordings that hold no time stamps [Hz]."""
+    """Frames per second of recordings without time stamps [Hz]."""
 
     trials: int = 120
     """How many sets of values may be tried: half of them spread, half stepping from the best."""
@@ -83,7 +83,7 @@ Examples:
     """How many trials in parallel; one per core if left out, 0 for this process alone."""
 
     seed: int = 0
-    """Of the search: the same seed and recordings give the same preset."""
+    """Seed of the search: the same seed and recordings give the same preset."""
 
     quiet: bool = False
     """No progress on standard error, no table on standard output."""

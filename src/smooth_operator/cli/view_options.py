@@ -44,10 +44,10 @@ Examples:
     """Which hand; as OUT.json or the recording says if left out."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second of a recording that holds no time stamps; as OUT.json says if left out."""
+    """Frames per second of a recording without time stamps; as OUT.json says if left out."""
 
     save: Annotated[Path | None, arg(metavar="CLIP.gif|CLIP.webp")] = None
-    """Write a moving picture in place of serving the page; --model draws the vendor's meshes."""
+    """Write a clip instead of serving the page; --model draws the vendor's meshes."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of the commands, as a Python slice: :500, 2600:3100"""
