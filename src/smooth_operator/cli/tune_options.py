@@ -24,8 +24,8 @@ and gives the result of a search without a stop. More --trials continue further.
 The score is 0 at the start and lower if better: on each recording the sum of
 weight x log(error / error at the start), for the errors cosine, cosine_all, scale, motion,
 velocity, flatness, collision and pinch, and ten times the relative excess over bounds. Lag stays
-within a frame, a joint's largest step within 0.25 rad at 115 Hz, and no frame is frozen, unless bounds
-say otherwise.
+within a frame, a joint's largest step within 0.25 rad at 115 Hz, and no frame is frozen, unless
+bounds say otherwise.
 
 A --held-out recording is refused under any name, and in parts.
 
