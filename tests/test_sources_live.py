@@ -23,8 +23,8 @@ from smooth_operator.errors import (
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_component
-from smooth_operator.teleop.sources.intake import Intake
 from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource
+from smooth_operator.teleop.sources.message_receiver import MessageReceiver
 from smooth_operator.teleop.sources.pacing import on_time
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.registry import SOURCES, build_source
@@ -401,9 +401,11 @@ def test_stamps_that_jump_back_are_another_session(
     stamps: list[float], sessions: list[int]
 ) -> None:
     running, mailbox = started(Waits())
-    intake = Intake(running, "here", ("right",), lambda _, at: [Reading(frame(at), True)])
+    receiver = MessageReceiver(
+        running, "here", ("right",), lambda _, at: [Reading(frame(at), True)]
+    )
     for stamp in stamps:
-        intake.take((b"",), stamp)
+        receiver.take((b"",), stamp)
     assert [a.session for a in mailbox.all] == sessions
 
 
@@ -416,9 +418,9 @@ def test_each_hand_has_its_sessions_and_a_tracker_may_name_them() -> None:
         Reading(frame(1.2), False, "b"),
     ]
     running, mailbox = started(Waits())
-    intake = Intake(running, "here", ("right", "left"), lambda m, _: [script[int(m[0])]])
+    receiver = MessageReceiver(running, "here", ("right", "left"), lambda m, _: [script[int(m[0])]])
     for k in range(len(script)):
-        intake.take((str(k).encode(),), 0.0)
+        receiver.take((str(k).encode(),), 0.0)
     assert [(a.frame.side, a.session) for a in mailbox.all] == [
         ("right", 0), ("left", 0), ("right", 1), ("left", 0), ("right", 2)]  # fmt: skip
 
@@ -431,21 +433,21 @@ def test_health_counts_what_could_not_be_read_and_tells_of_silence() -> None:
 
     waits = Waits()
     running, mailbox = started(waits)
-    intake = Intake(running, "udp://x:1", ("right",), read)
+    receiver = MessageReceiver(running, "udp://x:1", ("right",), read)
     assert (running.health.state, running.health.detail) == ("waiting", "listening on udp://x:1")
-    intake.silent()
+    receiver.silent()
     assert running.health.state == "waiting"
-    intake.take((b"bad",), 0.0)
+    receiver.take((b"bad",), 0.0)
     assert running.health.state == "waiting"
     for k in range(4):
-        intake.take((b"good",), 0.1 * k)
+        receiver.take((b"good",), 0.1 * k)
     assert running.health.state == "running"
     assert running.health.detail == "1 of 5 messages could not be read: it makes no sense"
     waits.now = 0.9
-    intake.silent()
+    receiver.silent()
     assert running.health.state == "running"
     waits.now = 5.4
-    intake.silent()
+    receiver.silent()
     assert running.health.state == "waiting"
     assert "for 5 s" in running.health.detail
     assert len(mailbox.all) == 4
@@ -453,8 +455,8 @@ def test_health_counts_what_could_not_be_read_and_tells_of_silence() -> None:
 
 def test_frames_of_the_other_hand_are_not_taken_and_that_is_said() -> None:
     running, mailbox = started(Waits())
-    intake = Intake(running, "x", ("right",), lambda _, at: [Reading(frame(at, "left"))])
-    intake.take((b"",), 0.0)
+    receiver = MessageReceiver(running, "x", ("right",), lambda _, at: [Reading(frame(at, "left"))])
+    receiver.take((b"",), 0.0)
     assert mailbox.all == []
     assert running.health.state == "waiting"
     assert "other hand" in running.health.detail

@@ -11,9 +11,9 @@ from typing import Any
 from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.rate_limiter import RateLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
-from smooth_operator.teleop.runtime.turns import Turns
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
@@ -25,7 +25,7 @@ class TeleopLoop:
 
     A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
     commands go out at the loop's pace all the same, held or easing as the policies say. Commands of
-    a hand never exceed the rate (``Turns``), but for the first
+    a hand never exceed the rate (``RateLimiter``), but for the first
     one of an emergency stop, which waits for nothing.
 
     Args:
@@ -61,7 +61,7 @@ class TeleopLoop:
         self.statistics = LoopStatistics(config.period)
         self.watch = watch
         self._beat = self.mailbox.clock()
-        self._turns = {side: Turns(config.period) for side in self.pipelines}
+        self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
@@ -120,8 +120,8 @@ class TeleopLoop:
         config = self.config
         self.controls.change(lambda hand: hand.configure(replace(hand.config, rate=rate)))
         self.statistics.period = config.period
-        for turns in self._turns.values():
-            turns.period = config.period
+        for pace in self._rate_limiters.values():
+            pace.period = config.period
 
     @property
     def silent_s(self) -> float:
@@ -131,8 +131,8 @@ class TeleopLoop:
     def _loop(self, duration: float | None) -> None:
         clock, sides = self.mailbox.clock, tuple(self.pipelines)
         start = clock()
-        for turns in self._turns.values():
-            turns.begin(start)
+        for pace in self._rate_limiters.values():
+            pace.begin(start)
         ended: float | None = None
         while not self.controls.quitting:
             now = clock()
@@ -154,7 +154,7 @@ class TeleopLoop:
         if self.controls.waiting:
             return
         seen, now = self.mailbox.received, self.mailbox.clock()
-        opens = [self._turns[side].opens for side in sides]
+        opens = [self._rate_limiters[side].opens for side in sides]
         until = min(
             at if at > now else self._due(side, now) for side, at in zip(sides, opens, strict=True)
         )
@@ -172,20 +172,20 @@ class TeleopLoop:
 
     def _due(self, side: Side, now: float) -> float:
         """When the next command of a hand is due, as things are now [s]."""
-        turns, following = self._turns[side], self.mailbox.following(side)
+        pace, following = self._rate_limiters[side], self.mailbox.following(side)
         if side in self._stopped:
             return now
         if side in self._asked:
-            return min(turns.opens, now)
+            return min(pace.opens, now)
         arrival = self.mailbox.newest(side)
         if arrival is None:
-            return turns.keeps(following)
-        return turns.answers(arrival.received, following)
+            return pace.keeps(following)
+        return pace.answers(arrival.received, following)
 
     def _serve(self, side: Side) -> None:
         """Answer the newest frame of a hand, or keep its pace."""
-        now, turns = self.mailbox.clock(), self._turns[side]
-        if now < turns.opens and side not in self._stopped:
+        now, pace = self.mailbox.clock(), self._rate_limiters[side]
+        if now < pace.opens and side not in self._stopped:
             return
         due = self._due(side, now)
         if now < due:
@@ -193,7 +193,7 @@ class TeleopLoop:
         arrival = self.mailbox.take(side)
         self._asked.discard(side)
         self._stopped.discard(side)
-        turns.take(now)
+        pace.take(now)
         tick = self.pipelines[side].step(now, arrival)
         before = self.mailbox.clock()
         self.sinks.send(tick)

@@ -11,7 +11,7 @@ from typing import Any
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.sinks.courier import CourierSink, Link
+from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
@@ -19,7 +19,7 @@ _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
 
 @dataclass(frozen=True)
-class Ros2Sink(CourierSink):
+class Ros2Sink(ThreadedSink):
     """Publishes ``sensor_msgs/JointState`` commands, and the mode.
 
     The message has names, positions [rad] and velocities [rad/s] of all joints; its header has the

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.sinks.courier import CourierSink, Link
+from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
@@ -23,7 +23,7 @@ _WAITING_MESSAGES: Final = 4
 
 
 @dataclass(frozen=True)
-class ZmqSink(CourierSink):
+class ZmqSink(ThreadedSink):
     """Publishes commands on a ZeroMQ socket (PUB); see ``docs/how-to/robot-driver.md``.
 
     Nobody need listen, and a subscriber may come and go. Each message says how long it is valid:

@@ -7,8 +7,8 @@ from collections.abc import Collection, Sequence
 from typing import Final, Literal, Protocol, TypeAlias
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.intake import Intake, Message
 from smooth_operator.teleop.sources.live import Running, ThreadedSource
+from smooth_operator.teleop.sources.message_receiver import Message, MessageReceiver
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.types import Side
 
@@ -101,13 +101,13 @@ class StreamSource(ThreadedSource):
         """Take messages until it is to stop."""
         inbox: Inbox = getattr(self, "_inbox")  # noqa: B009  (set in open(), past the frozen fields)
         try:
-            intake = Intake(running, inbox.address, self.sides, self.read)
+            receiver = MessageReceiver(running, inbox.address, self.sides, self.read)
             while not running.stopping.is_set():
                 messages = inbox.receive(_POLL_S)
                 received = running.mailbox.clock()
                 for message in messages:
-                    intake.take(message, received)
+                    receiver.take(message, received)
                 if not messages:
-                    intake.silent()
+                    receiver.silent()
         finally:
             inbox.close()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.teleop.sources.intake import Message
+from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import MAX_BYTES, Reading, read_payload
 from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
 from smooth_operator.types import Side

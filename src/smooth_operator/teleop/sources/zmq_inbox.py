@@ -11,7 +11,7 @@ from collections import deque
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import MissingExtraError, SourceError
-from smooth_operator.teleop.sources.intake import Message
+from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.stream import KEPT
 
 Pattern: TypeAlias = Literal["sub", "pull"]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.teleop.sources.intake import Message
+from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import Reading, read_payload
 from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
 from smooth_operator.teleop.sources.zmq_inbox import Pattern, ZmqInbox

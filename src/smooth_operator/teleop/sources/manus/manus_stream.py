@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.sources.intake import Message
 from smooth_operator.teleop.sources.manus.manus_message import read_manus
+from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
 from smooth_operator.teleop.sources.zmq_inbox import Pattern, ZmqInbox

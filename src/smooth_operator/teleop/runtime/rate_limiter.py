@@ -1,4 +1,7 @@
-"""When commands leave: frames as they come, the pace where none come, never more than the rate."""
+"""Rate limiter of a hand's commands.
+
+Frames are answered as they come, the pace is kept where none come, and the rate is never exceeded.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,14 @@ EXTRA: Final = 1 + BORROWED + KEPT
 """Commands over the rate: within any time t there are at most rate x t + 2.25."""
 
 
-class Turns:
-    """The pace of one hand's commands.
+class RateLimiter:
+    """When the commands of one hand leave.
 
-    Turns lie a period apart. A frame may take one early and a command may take one late, within
-    bounds that don't add up: in any time t there are at most ``t / period + EXTRA`` commands, two
-    are at least ``SHORTEST`` periods apart, and over a run the rate is never exceeded. This is the
-    generic cell rate algorithm (ITU-T I.371), in which frames may come early and commands that
-    only keep the pace may not.
+    Commands have turns, a period apart. A frame may take one early and a command may take one late,
+    within bounds that don't add up: in any time t there are at most ``t / period + EXTRA``
+    commands, two are at least ``SHORTEST`` periods apart, and over a run the rate is never
+    exceeded. This is the generic cell rate algorithm (ITU-T I.371), in which frames may come early
+    and commands that only keep the pace may not.
 
     All times are by one clock [s]. Nothing here has a clock or sleeps.
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.runtime.turns import EXTRA, LONGEST, SHORTEST, Turns
+from smooth_operator.teleop.runtime.rate_limiter import EXTRA, LONGEST, SHORTEST, RateLimiter
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.types import HandFrame
 
@@ -42,14 +42,14 @@ def played(arrivals: np.ndarray, end: float, period: float = PERIOD) -> Played:
     """The loop's own rules over a simulated time, with the loop's own mailbox."""
     now = 0.0
     mailbox = Mailbox(lambda: now)
-    turns, result, coming = Turns(period), Played(), iter([*arrivals.tolist(), np.inf])
-    turns.begin(now)
+    pace, result, coming = RateLimiter(period), Played(), iter([*arrivals.tolist(), np.inf])
+    pace.begin(now)
     comes = next(coming)
     while True:
         newest, following = mailbox.newest("right"), mailbox.following("right")
-        due = turns.keeps(following)
+        due = pace.keeps(following)
         if newest is not None:
-            due = max(turns.answers(newest.received, following), turns.opens)
+            due = max(pace.answers(newest.received, following), pace.opens)
         if comes <= due:  # it came first
             now = comes
             mailbox.post(FRAME)
@@ -62,7 +62,7 @@ def played(arrivals: np.ndarray, end: float, period: float = PERIOD) -> Played:
         result.commands.append(now)
         if taken is not None:
             result.answered[now] = taken.received
-        turns.take(now)
+        pace.take(now)
 
 
 def most(times: list[float], within: float) -> int:
@@ -143,12 +143,12 @@ def test_a_command_that_keeps_the_pace_waits_for_a_frame_that_is_due() -> None:
 
 
 def test_an_emergency_stop_waits_for_nothing_and_delays_what_follows_only_so_far() -> None:
-    turns = Turns(PERIOD)
-    turns.begin(0.0)
+    pace = RateLimiter(PERIOD)
+    pace.begin(0.0)
     for _ in range(200):  # stopped and released again and again within a moment
-        turns.take(0.5)
-    assert turns.opens <= 0.5 + LONGEST * PERIOD
-    assert turns.keeps(None) <= 0.5 + LONGEST * PERIOD + SLACK
+        pace.take(0.5)
+    assert pace.opens <= 0.5 + LONGEST * PERIOD
+    assert pace.keeps(None) <= 0.5 + LONGEST * PERIOD + SLACK
 
 
 def test_the_mailbox_knows_when_the_next_frame_is_expected() -> None:

@@ -21,7 +21,7 @@ SILENCE_S: Final = 1.0
 _MAX_REASON = 300
 
 
-class Intake:
+class MessageReceiver:
     """Reads messages and posts what is in them.
 
     A message that can't be read is counted, and the health has the last reason; it never ends

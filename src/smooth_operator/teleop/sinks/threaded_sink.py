@@ -30,7 +30,7 @@ class Link(Protocol):
         """Give everything back."""
 
 
-class CourierSink(Sink):
+class ThreadedSink(Sink):
     """A sink that hands the newest command of each hand to a link, on a thread of its own.
 
     A command that the link has not yet taken when the next one comes is overwritten: a robot gets
@@ -53,10 +53,10 @@ class CourierSink(Sink):
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Get ready; see ``Sink``."""
-        if self._courier() is not None:
+        if self._sender() is not None:
             raise SinkError(f"{self.label}: it is open already")
         # The settings are frozen, but a sink that is open is not its settings alone.
-        object.__setattr__(self, "_now", _Courier(self.connect(hands, config), self.label))
+        object.__setattr__(self, "_now", _Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
         """Leave a command for the thread.
@@ -64,30 +64,30 @@ class CourierSink(Sink):
         Raises:
             SinkError: the thread gave up, with its reason.
         """
-        courier = self._courier()
-        if courier is None:
+        sender = self._sender()
+        if sender is None:
             raise SinkError(f"{self.label}: it is not open")
-        courier.post(tick)
+        sender.post(tick)
 
     def stalled(self, seconds: float) -> None:
         """Leave word for the thread that no command has come for so long [s]."""
-        courier = self._courier()
-        if courier is not None:
-            courier.silence(seconds)
+        sender = self._sender()
+        if sender is not None:
+            sender.silence(seconds)
 
     def close(self) -> None:
         """Pass on what is left, and close the link; a second call does nothing."""
-        courier = self._courier()
+        sender = self._sender()
         object.__setattr__(self, "_now", None)
-        if courier is not None:
-            courier.end()
+        if sender is not None:
+            sender.end()
 
-    def _courier(self) -> _Courier | None:
-        courier: _Courier | None = getattr(self, "_now", None)
-        return courier
+    def _sender(self) -> _Sender | None:
+        sender: _Sender | None = getattr(self, "_now", None)
+        return sender
 
 
-class _Courier:
+class _Sender:
     """The thread, and what lies ready for it."""
 
     def __init__(self, link: Link, label: str) -> None:
