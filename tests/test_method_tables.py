@@ -114,9 +114,11 @@ def test_a_zero_is_an_argument_where_that_is_the_same(programs: Any, made: Any, 
     (one,), (other,) = run_trial(traced), run_trial(constant)
     for name in ("cosine_similarity", "motion_preservation", "flatness", "self_collision.share"):
         assert figure(one, name) == pytest.approx(figure(other, name), rel=0.01, abs=1e-9)
-    off = todo.task(values | {"landmarks.leap": 0.0})  # which leaves leaps in; 0 m would not
-    assert "landmarks.leap" not in off.values
-    assert off.config.landmarks.leap == 0
+    off = todo.task(
+        values | {"landmarks.jump_threshold": 0.0}
+    )  # which leaves leaps in; 0 m would not
+    assert "landmarks.jump_threshold" not in off.values
+    assert off.config.landmarks.jump_threshold == 0
 
 
 def test_a_row_that_cannot_be(programs: Any, monkeypatch: Any):

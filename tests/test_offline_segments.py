@@ -6,7 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
+from smooth_operator.human.landmark_filter import (
+    FilterState,
+    LandmarkFilterConfig,
+    filter_landmarks,
+)
 from smooth_operator.lab.offline.segments import (
     even_stamps,
     segments,
@@ -39,10 +43,10 @@ def test_noise_of_a_tracker_is_that_of_live_use():
     rng = np.random.default_rng(6)
     points = 0.002 * np.arange(600.0)[:, None, None] + rng.normal(0, 1e-3, (600, 6, 3))
     seen = np.ones(600, bool)
-    config = PursuitConfig(leap=0.05, noise=100.0, noise_time=1.0)
-    followed, live = Followed.nothing(6), []
+    config = LandmarkFilterConfig(jump_threshold=0.05, noise=100.0, noise_time=1.0)
+    followed, live = FilterState.unseen(6), []
     for t, frame in enumerate(points):
-        followed, _ = pursue(followed, jnp.asarray(frame), 0.01, config, anew=t == 0)
+        followed, _ = filter_landmarks(followed, jnp.asarray(frame), 0.01, config, restart=t == 0)
         live.append(float(followed.noise))
     whole = tracker_noise(points, seen)
     assert whole == pytest.approx(np.mean(live[300:]), rel=0.05)

@@ -12,7 +12,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.pursuit import PursuitConfig
+from smooth_operator.human.landmark_filter import LandmarkFilterConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
@@ -272,7 +272,7 @@ def test_every_term_can_be_left_out(motion: HandRecording) -> None:
         motion_weight=0.0,
         motion_speed=0.0,
         self_collision=SelfCollisionConfig(weight=0.0),
-        landmarks=PursuitConfig(),
+        landmarks=LandmarkFilterConfig(),
     )
     result = commands(Retargeter(config=bare), motion[0:10])
     assert np.isfinite(result).all()

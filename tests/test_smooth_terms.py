@@ -17,7 +17,11 @@ from smooth_operator.hands.capsules import capsule_pairs, segment_parameters
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
+from smooth_operator.human.landmark_filter import (
+    FilterState,
+    LandmarkFilterConfig,
+    filter_landmarks,
+)
 from smooth_operator.methods.program import ticks_of
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.goal import FrameGoal
@@ -341,38 +345,40 @@ def test_target_settings_are_checked(bad: dict[str, float]) -> None:
         CloseTargets(**bad)
 
 
-# Followed points
+# The landmark filter
 
 
-def followed_by(path: np.ndarray, config: PursuitConfig, dt: float = 0.01) -> list[Followed]:
-    followed, out = Followed.nothing(path.shape[1]), []
+def filter_states(
+    path: np.ndarray, config: LandmarkFilterConfig, dt: float = 0.01
+) -> list[FilterState]:
+    followed, out = FilterState.unseen(path.shape[1]), []
     for t, points in enumerate(path):
-        followed, _ = pursue(followed, jnp.asarray(points), dt, config, anew=t == 0)
+        followed, _ = filter_landmarks(followed, jnp.asarray(points), dt, config, restart=t == 0)
         out.append(followed)
     return out
 
 
-def follow(path: np.ndarray, config: PursuitConfig, dt: float = 0.01) -> np.ndarray:
-    return np.stack([np.asarray(one.points) for one in followed_by(path, config, dt)])
+def follow(path: np.ndarray, config: LandmarkFilterConfig, dt: float = 0.01) -> np.ndarray:
+    return np.stack([np.asarray(one.points) for one in filter_states(path, config, dt)])
 
 
 def test_an_idle_tracker_passes_points() -> None:
     path = np.random.default_rng(0).normal(0, 1, (5, 2, 3)).astype(np.float32)
-    np.testing.assert_array_equal(follow(path, PursuitConfig()), path)
+    np.testing.assert_array_equal(follow(path, LandmarkFilterConfig()), path)
 
 
 def test_steady_motion_is_late_by_the_lag() -> None:
     path = 1e-3 * np.arange(60.0)[:, None, None] * np.ones(3) / np.sqrt(3)  # 1 mm a frame
-    late = np.linalg.norm((path - follow(path, PursuitConfig(lag=0.004)))[-1, 0])
+    late = np.linalg.norm((path - follow(path, LandmarkFilterConfig(time_constant=0.004)))[-1, 0])
     assert late == pytest.approx(0.4e-3, rel=1e-3)
-    late = np.linalg.norm((path - follow(path, PursuitConfig(leap=0.1)))[-1, 0])
+    late = np.linalg.norm((path - follow(path, LandmarkFilterConfig(jump_threshold=0.1)))[-1, 0])
     assert late < 0.02e-3
 
 
 def test_a_leap_is_spread_and_not_overshot() -> None:
     path = np.zeros((40, 1, 3))
     path[3:] = (0.05, 0.0, 0.0)
-    followed = follow(path, PursuitConfig(leap=0.05))[:, 0, 0]
+    followed = follow(path, LandmarkFilterConfig(jump_threshold=0.05))[:, 0, 0]
     steps = np.diff(followed)
     assert steps.max() == pytest.approx(0.025, rel=1e-3)  # half of a step of that size
     assert (steps >= -1e-9).all()
@@ -382,7 +388,7 @@ def test_a_leap_is_spread_and_not_overshot() -> None:
 
 
 def test_what_a_hand_can_do_in_that_time_is_no_leap() -> None:
-    config = PursuitConfig(leap=0.05, leap_speed=2.0)
+    config = LandmarkFilterConfig(jump_threshold=0.05, jump_speed=2.0)
     path = np.array([[[0.0, 0.0, 0.0]], [[0.1, 0.0, 0.0]]])
     assert follow(path, config, dt=0.01)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
     assert follow(path, config, dt=0.025)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
@@ -390,8 +396,8 @@ def test_what_a_hand_can_do_in_that_time_is_no_leap() -> None:
 
 
 def noise_of(path: np.ndarray, time: float = 0.2) -> np.ndarray:
-    config = PursuitConfig(leap=0.05, noise=100.0, noise_time=time)
-    return np.array([float(one.noise) for one in followed_by(path, config)])
+    config = LandmarkFilterConfig(jump_threshold=0.05, noise=100.0, noise_time=time)
+    return np.array([float(one.noise) for one in filter_states(path, config)])
 
 
 def test_noise_is_what_most_points_do_and_steady_motion_does_not() -> None:
@@ -415,14 +421,16 @@ def test_the_leap_grows_with_the_noise() -> None:
     path[150:] = (0.05, 0.0, 0.0)
     quiet = path + rng.normal(0, 1e-5, path.shape)
     noisy = path + rng.normal(0, 1e-3, path.shape)
-    config = PursuitConfig(leap=0.02, noise=50.0, noise_time=0.2)
+    config = LandmarkFilterConfig(jump_threshold=0.02, noise=50.0, noise_time=0.2)
 
     def gone(path: np.ndarray) -> float:
         return float(follow(path, config)[150, :, 0].mean())
 
     assert gone(quiet) < 0.0205
     assert gone(noisy) > 0.035
-    quieter = PursuitConfig(leap=0.02, noise_time=0.2)  # without it they are followed alike
+    quieter = LandmarkFilterConfig(
+        jump_threshold=0.02, noise_time=0.2
+    )  # without it they are followed alike
     assert follow(quiet, quieter)[150, :, 0].mean() == pytest.approx(
         follow(noisy, quieter)[150, :, 0].mean(), rel=0.1
     )
@@ -430,20 +438,22 @@ def test_the_leap_grows_with_the_noise() -> None:
 
 def test_after_a_gap_points_are_taken_as_they_are_and_the_noise_stays() -> None:
     rng = np.random.default_rng(5)
-    config = PursuitConfig(lag=0.003, leap=0.02, noise=50.0)
-    before = followed_by(rng.normal(0, 1e-3, (50, 6, 3)), config)[-1]
+    config = LandmarkFilterConfig(time_constant=0.003, jump_threshold=0.02, noise=50.0)
+    before = filter_states(rng.normal(0, 1e-3, (50, 6, 3)), config)[-1]
     elsewhere = jnp.full((6, 3), 0.3)
-    after, step = pursue(before, elsewhere, 0.01, config, anew=True)
+    after, step = filter_landmarks(before, elsewhere, 0.01, config, restart=True)
     np.testing.assert_array_equal(after.points, elsewhere)
     assert not np.asarray(step).any()
     assert not np.asarray(after.step).any()
     assert float(after.root) == float(before.root)
 
 
-@pytest.mark.parametrize("name", ["lag", "leap", "leap_speed", "noise", "noise_time"])
+@pytest.mark.parametrize(
+    "name", ["time_constant", "jump_threshold", "jump_speed", "noise", "noise_time"]
+)
 def test_tracker_settings_are_checked(name: str) -> None:
     with pytest.raises(ConfigError, match=name):
-        PursuitConfig(**{name: -1.0})
+        LandmarkFilterConfig(**{name: -1.0})
 
 
 def test_ticks_tell_short_times_apart_at_any_time_of_day() -> None:

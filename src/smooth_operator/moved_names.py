@@ -23,6 +23,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "io.staging": ("teleop.recording.staging",),
     "live": ("teleop.control",),
     "metrics.plots": ("reporting.metric_plots",),
+    "human.pursuit": ("human.landmark_filter",),
     "human.one_euro": ("teleop.sources.webcam.one_euro",),
     "objective.clearance": ("objective.terms.self_collision",),
     "objective.local": ("objective.loss",),

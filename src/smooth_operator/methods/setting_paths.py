@@ -22,6 +22,9 @@ RENAMED: Final = {
     "polar.length": "direction_length.length",
     "polar.knee": "direction_length.huber_width",
     "polar.near": "direction_length.near",
+    "landmarks.lag": "landmarks.time_constant",
+    "landmarks.leap": "landmarks.jump_threshold",
+    "landmarks.leap_speed": "landmarks.jump_speed",
 }
 """Former path of a setting -> its path now; preset files and commands may have either."""
 
@@ -68,7 +71,7 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
 
     Raises:
         UnknownNameError: there is no such setting.
-        ConfigError: a value can't be, alone or beside the others.
+        ConfigError: a value can't be, alone or together with the others.
     """
     known = numeric_settings(config)
     values = {_current(path, known): value for path, value in values.items()}

@@ -1,10 +1,10 @@
-"""``smooth``: accurate, smooth and clear of itself at once, for a live loop.
+"""``smooth``: accurate, smooth and clear of itself, for a live loop.
 
-Eq. (1) with four ideas more, each of which a weight of 0 leaves out: fingertips move as the human's
-do while their places are corrected little by little, and most while the hand moves; the thumb's
-vectors are held by angle and length and not by distance alone; parts of the hand stay out of each
-other; landmarks are followed without leaps. docs/explanation/smooth.md has the equations, and
-what each of them is worth.
+Eq. (1) with four ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
+while their places are corrected little by little, and most while the hand moves. The thumb's
+vectors are held by angle and length and not by distance alone. Parts of the hand stay out of each
+other. The landmark filter limits jumps of the tracker. docs/explanation/smooth.md has the
+equations, and what each of them is worth.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.pursuit import Followed, PursuitConfig, pursue
+from smooth_operator.human.landmark_filter import (
+    FilterState,
+    LandmarkFilterConfig,
+    filter_landmarks,
+)
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
@@ -64,7 +68,7 @@ class SmoothConfig(ObjectiveMethodConfig):
             less. 0 leaves it constant.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
-        landmarks: how human landmarks are followed.
+        landmarks: filter of the human landmarks.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
         sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
             the first after a gap.
@@ -72,7 +76,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         settle_sigma: initial standard deviation of the sampler then [rad].
         polish: Newton steps of a frame, at most.
         rate_hz: rate that is assumed where stamps stand still.
-        gap: after a longer gap in the stamps [s] the basin is looked for anew.
+        gap: after a longer gap in the stamps [s] the basin is searched for again.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -85,8 +89,10 @@ class SmoothConfig(ObjectiveMethodConfig):
     motion_speed: float = 0.1
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
-    landmarks: PursuitConfig = field(
-        default_factory=lambda: PursuitConfig(lag=0.00175, leap=0.065, noise=115.0)
+    landmarks: LandmarkFilterConfig = field(
+        default_factory=lambda: LandmarkFilterConfig(
+            time_constant=0.00175, jump_threshold=0.065, noise=115.0
+        )
     )
     joint_speed: float = 26.0
     sampling: SamplingConfig = field(
@@ -127,7 +133,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
-        followed: the needed human landmarks.
+        filtered: the landmark filter's state, of the needed landmarks.
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
         period: usual time between frames [s].
@@ -137,7 +143,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
-    followed: Followed
+    filtered: FilterState
     targets: Any
     ticks: UInt32[Array, ""]
     period: Float[Array, ""]
@@ -152,13 +158,13 @@ class _Clock(NamedTuple):
         dt: time since the last frame [s].
         period: usual time between frames [s].
         first: nothing came before.
-        anew: nothing came before, or too long ago to count as motion.
+        restart: nothing came before, or too long ago to count as motion.
     """
 
     dt: Float[Array, ""]
     period: Float[Array, ""]
     first: Bool[Array, ""]
-    anew: Bool[Array, ""]
+    restart: Bool[Array, ""]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +211,7 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             neutral,
-            Followed.nothing(len(self.needs)),
+            FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
             jnp.uint32(0),
             jnp.float32(1 / self.config.rate_hz),
@@ -228,8 +234,10 @@ class Smooth(Method):
         config, now = self.config, jnp.asarray(ticks, jnp.uint32)
         clock = self._clock(state, now)
         measured = aligned[jnp.asarray(self.needs)]
-        followed, steps = pursue(state.followed, measured, clock.dt, config.landmarks, clock.anew)
-        goal, policy_state = self._goal(state, followed.points, steps, clock)
+        filtered, steps = filter_landmarks(
+            state.filtered, measured, clock.dt, config.landmarks, clock.restart
+        )
+        goal, policy_state = self._goal(state, filtered.points, steps, clock)
         solved = self._solve(state, goal, clock)
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
@@ -237,19 +245,19 @@ class Smooth(Method):
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
         count = state.frames + jnp.uint32(1)
-        after = SmoothState(q, solved, followed, policy_state, now, clock.period, state.seed, count)
+        after = SmoothState(q, solved, filtered, policy_state, now, clock.period, state.seed, count)
         return after, MethodOutput(q, self.objective.tracking(list(q), goal))
 
     def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:
         elapsed = (now - state.ticks).astype(jnp.int32) * 1e-6
         first = state.frames == 0
         # a stamp that goes back belongs to another recording
-        anew = first | (elapsed > self.config.gap) | (elapsed < 0)
-        told = (elapsed >= _SHORTEST) & ~anew
-        dt = jnp.where(told, elapsed, 1 / self.config.rate_hz).astype(jnp.float32)
+        restart = first | (elapsed > self.config.gap) | (elapsed < 0)
+        stamped = (elapsed >= _SHORTEST) & ~restart
+        dt = jnp.where(stamped, elapsed, 1 / self.config.rate_hz).astype(jnp.float32)
         share = jnp.where(state.frames > 1, _ADAPTS, 1.0)
-        period = jnp.where(told, state.period + share * (dt - state.period), state.period)
-        return _Clock(dt, period, first, anew)
+        period = jnp.where(stamped, state.period + share * (dt - state.period), state.period)
+        return _Clock(dt, period, first, restart)
 
     def _goal(
         self,
@@ -263,7 +271,7 @@ class Smooth(Method):
         every = jnp.zeros((NUM_LANDMARKS, 3), points.dtype).at[jnp.asarray(self.needs)].set(points)
         targets, policy_state = config.objective.targets(state.targets, layout, layout.human(every))
         # the further apart two frames are, the less they hold each other
-        holds = jnp.where(clock.anew, 0.0, REFERENCE / clock.dt)
+        holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         velocity = config.objective.velocity_weight * holds
         tips = np.array([self.needs.index(TIPS[FINGERS.index(f)]) for f in self.hand.fingers])
         moves = steps[tips] - steps[self.needs.index(WRIST)]
@@ -296,7 +304,7 @@ class Smooth(Method):
 
         # The last round only polishes; of most frames it is the only one. The Newton steps stand
         # here once, for a program with two of them takes twice as long to compile.
-        rounds = jnp.where(clock.anew, config.settle_rounds, 0)
+        rounds = jnp.where(clock.restart, config.settle_rounds, 0)
 
         def cost(q: Array) -> Array:
             return self.objective.values(q[None], goal)[0]

@@ -31,8 +31,8 @@ WITHOUT: dict[str, Values] = {
     },
     "focus (powers 0)": {f"{TARGETS}.focus": 0.0, f"{TARGETS}.focus_between": 0.0},
     "velocity term": {"objective.velocity_weight": 0.0},
-    "lag": {"landmarks.lag": 0.0},
-    "leap": {"landmarks.leap": 1e9},
+    "lag": {"landmarks.time_constant": 0.0},
+    "leap": {"landmarks.jump_threshold": 1e9},
     "its growth with noise": {"landmarks.noise": 0.0},
     "price of angles": {f"{VECTORS}.direction": 0.0},
     "price of pinches' lengths": {f"{VECTORS}.length": 0.0},
@@ -86,10 +86,10 @@ FRONTS = (
     Front(
         "Smooth against correlated",
         "lag, leap",
-        {  # a leap_speed would make leaps of 0.05 m longer at 30 Hz
+        {  # a jump_speed would make leaps of 0.05 m longer at 30 Hz
             f"lag {1e3 * lag:g} ms, leap {'∞' if leap > 1e3 else f'{leap:g}'}": {
-                "landmarks.lag": lag, "landmarks.leap": leap, "landmarks.leap_speed": 0.0,
-                "landmarks.noise": 0.0,
+                "landmarks.time_constant": lag, "landmarks.jump_threshold": leap,
+                "landmarks.jump_speed": 0.0, "landmarks.noise": 0.0,
             }
             for lag, leap in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
                               (1.75e-3, 0.05), (4e-3, 0.1), (4e-3, 0.05), (8e-3, 0.1))
@@ -134,8 +134,8 @@ FRONTS = (
 
 LIKE_ANY_VALUE = frozenset({
     "motion_weight", "self_collision.weight", f"{TARGETS}.focus", f"{TARGETS}.focus_between",
-    "objective.velocity_weight", "objective.pose_weight", "landmarks.lag",
-    "landmarks.leap_speed", "landmarks.noise", f"{VECTORS}.direction", f"{VECTORS}.length",
+    "objective.velocity_weight", "objective.pose_weight", "landmarks.time_constant",
+    "landmarks.jump_speed", "landmarks.noise", f"{VECTORS}.direction", f"{VECTORS}.length",
     f"{TARGETS}.apart",
 })  # fmt: skip
 """Settings whose 0 needs no program of its own, see ``setting_rows``."""

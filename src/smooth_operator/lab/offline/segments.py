@@ -49,7 +49,7 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
     """What a tracker usually adds to a point, as a second difference [m].
 
     Of each frame the median of the points, over time the mean of roots: as
-    ``pursue`` has it, but of all frames together.
+    the landmark filter has it, but of all frames together.
 
     Args:
         points: (T, N, 3) [m].
@@ -67,7 +67,7 @@ def without_leaps(
 ) -> Float[np.ndarray, "T N 3"]:
     """Points that are followed without jumps, and neither late nor early.
 
-    They are pursued twice, forwards and backwards in time, each time by an ever smaller share of a
+    They are filtered twice, forwards and backwards in time, each time by an ever smaller share of a
     step as it grows, and the mean is taken. Steady motion is late in one and as early in the other;
     a jump is spread over the frames before and after it.
 
