@@ -42,7 +42,7 @@ class Progressing:
 
     @property
     def lines(self) -> bool:
-        """Whether progress is told in lines: not quiet, and no terminal for a bar."""
+        """Whether progress is printed as lines: not quiet, and no terminal for a bar."""
         return not (self._quiet or self._console.is_terminal)
 
     def note(self, text: str, *, matters: bool = False) -> None:

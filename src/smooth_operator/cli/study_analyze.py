@@ -106,7 +106,7 @@ def _exported(target: str, name: str | None) -> str:
 
 
 def _with_metrics(paths: Sequence[Path]) -> list[Path]:
-    """The files, and the metrics that lie beside the trials under their usual name."""
+    """The files, and the metrics in the folder of the trials under their usual name."""
     found = list(paths)
     if any(path.name == NAMES[2] for path in paths):
         return found

@@ -246,7 +246,7 @@ class TrajectoryMethodConfig(MethodConfig):
             and its objective, without the terms about the last frame, is the cost of each frame.
         future: what motion between the frames costs.
         bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
-        leap: step of a landmark in one frame of which half is followed, the rest before and after
+        leap: the filter follows half of a landmark's step of this length, the rest before and after
             it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
         noise: by how many times the tracker's noise that step is longer.
     """

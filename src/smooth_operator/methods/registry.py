@@ -1,6 +1,6 @@
 """The methods by name, built-in and of plugins; nothing here imports JAX.
 
-What a name stands for is a mapping of preset names to configurations, of which the first is the
+What a name stands for is a mapping of preset names to configurations, whose first is the
 default, or one configuration, whose preset is called ``default``.
 """
 

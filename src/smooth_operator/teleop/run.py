@@ -135,7 +135,7 @@ def teleoperate(
         keys: listen to the keyboard where there is a terminal: stop, release, pause, quit.
         reporter: takes lines for a person; None for the logger ``smooth_operator.teleop``.
         started: called with the running loop once everything is open, on the loop's thread, so
-            it must return at once; the loop's ``controls`` may be used from any thread.
+            it must not wait; the loop's ``controls`` may be used from any thread.
 
     Returns:
         What the run came to, as plain JSON values: ``duration_s``, ``interrupted`` (by a signal),

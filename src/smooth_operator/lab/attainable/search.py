@@ -1,6 +1,6 @@
 """For each frame the best pose that keeps to its limits.
 
-A frame is a problem of its own: of all poses within the joint limits, no two parts of which are
+A frame is a problem of its own: of all poses within the joint limits, without two parts that are
 deeper in each other than allowed and whose pinch gaps are not wider than allowed, the one whose
 keyvectors point most like the human's. It has many local optima, so the search goes in three steps:
 many starts descend with a rising price on what breaks a limit; the best of them are finished by

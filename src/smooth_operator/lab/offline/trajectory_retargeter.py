@@ -1,6 +1,6 @@
 """A recording retargeted as a whole: smooth in both directions of time, and without lag.
 
-The method's own answers, frame by frame, choose the basin. From there all frames are solved at once
+The method's own answers, frame by frame, choose the basin. From there all frames are solved jointly
 (``trajectory_solver``): what each asks, and the price of motion between them.
 Frames without a usable hand ask nothing, and go where motion is cheapest, as long as the gap is
 short; over a longer one the last pose is held. Either way their status says what they were.
@@ -42,7 +42,7 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048
-"""Frames that are settled at once."""
+"""Frames that are solved together."""
 AHEAD_S: Final = 2.0
 """How far beyond them is looked [s]."""
 CHUNK: Final = 256
@@ -302,8 +302,7 @@ def _frame_goals(method: Method) -> FrameGoals:
     goals = method.frame_goals()
     if goals is None:
         raise ConfigError(
-            f"{type(method).__name__} can't be solved for a whole recording at once; sbr and "
-            "smooth can"
+            f"{type(method).__name__} can't be solved for a whole recording; sbr and smooth can"
         )
     return goals
 

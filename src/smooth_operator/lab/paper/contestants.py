@@ -117,7 +117,7 @@ class Sampling:
     Attributes:
         samples, elites, cycles, sigma: N, M, L and the initial standard deviation [rad].
         most_cycles: L that the program is compiled for.
-        note: what is said of it beside its name.
+        note: what is said of it after its name.
     """
 
     samples: int = 8192

@@ -1,4 +1,4 @@
-"""Another method, preset or setting while the hand moves: built beside the loop."""
+"""Another method, preset or setting while the hand moves: built in the background."""
 
 from __future__ import annotations
 
