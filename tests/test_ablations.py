@@ -20,19 +20,20 @@ from smooth_operator.cli import main
 from smooth_operator.cli.ablate_options import ExperimentName
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.paper import experiment_context as study_module
 from smooth_operator.lab.paper import interval_coverage
-from smooth_operator.lab.paper import study as study_module
-from smooth_operator.lab.paper.catalogue import EXPERIMENTS, experiment
-from smooth_operator.lab.paper.compute import balance
-from smooth_operator.lab.paper.contestants import (
-    Contestant,
+from smooth_operator.lab.paper.budget_grid import Point, contours
+from smooth_operator.lab.paper.compared_solvers import (
     Newton,
     Rmsprop,
     Sampling,
     Slsqp,
+    Solver,
     Starts,
 )
-from smooth_operator.lab.paper.grid import Point, contours
+from smooth_operator.lab.paper.compute import balance
+from smooth_operator.lab.paper.experiment_context import TUNING_OPERATOR, ExperimentContext
+from smooth_operator.lab.paper.experiment_folder import ExperimentFolder
 from smooth_operator.lab.paper.hessian import hessians, projected_jitter
 from smooth_operator.lab.paper.intervals import (
     Estimate,
@@ -43,14 +44,13 @@ from smooth_operator.lab.paper.intervals import (
     pooled,
     typical,
 )
-from smooth_operator.lab.paper.lineup import make_lineup
 from smooth_operator.lab.paper.problems import Problem, unbroken
+from smooth_operator.lab.paper.registry import EXPERIMENTS, experiment
 from smooth_operator.lab.paper.rmsprop import RmspropConfig, rmsprop_minimise
-from smooth_operator.lab.paper.runs import Run, measure_run, run_contestant
+from smooth_operator.lab.paper.runs import Run, measure_run, run_solver
 from smooth_operator.lab.paper.sizes import PUBLISHED_STARTS, QUICK, Size
+from smooth_operator.lab.paper.solver_grid import make_solver_grid
 from smooth_operator.lab.paper.starts import scattered_starts, soft_mean
-from smooth_operator.lab.paper.store import Store
-from smooth_operator.lab.paper.study import TUNING_OPERATOR, Study
 from smooth_operator.lab.paper.suite import SIZES, Settings, load_recordings, run_experiments
 from smooth_operator.lab.paper.verdicts import Direction, Effect, Equality, Held, judge
 from smooth_operator.objective.goal import FrameGoal
@@ -99,8 +99,8 @@ def outcomes(settings: Settings) -> dict[str, typing.Any]:
 
 @pytest.fixture(scope="module")
 def problem(settings: Settings, tmp_path_factory: pytest.TempPathFactory) -> Problem:
-    store = Store(tmp_path_factory.mktemp("problem") / "out", {})
-    return Study(load_recordings(settings), "mimic_p050", TINY, store).judged[0]
+    store = ExperimentFolder(tmp_path_factory.mktemp("problem") / "out", {})
+    return ExperimentContext(load_recordings(settings), "mimic_p050", TINY, store).judged[0]
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_a_finished_run_computes_nothing_again_and_says_the_same(
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     calls: list[str] = []
 
-    def fake(problem: Problem, one: Contestant, weight: float, seed: int, advance: object) -> Run:
+    def fake(problem: Problem, one: Solver, weight: float, seed: int, advance: object) -> Run:
         calls.append(one.label)
         rng = np.random.default_rng([len(one.label), seed])
         q = problem.start + 1e-3 * rng.standard_normal((len(problem), len(problem.start)))
@@ -215,12 +215,16 @@ def test_steps_are_tuned_on_frames_that_are_not_judged(tmp_path: Path, counted: 
         recordings=(f"synthetic:{TUNING_OPERATOR}@{frames}",),
     )
     sources = load_recordings(judged)
-    study = Study(sources, "mimic_p050", TINY, Store(judged.output, {}))
-    assert study.tuning.name != study.judged[0].name
-    assert not np.allclose(study.tuning.vectors, study.judged[0].vectors)
-    lineup = make_lineup(study, 0.0)
-    assert [one.solver for one in lineup.tuning] == ["sampling, tuned", "RMSProp", "RMSProp × 3"]
-    for tuned in lineup.tuning:
+    context = ExperimentContext(sources, "mimic_p050", TINY, ExperimentFolder(judged.output, {}))
+    assert context.tuning.name != context.judged[0].name
+    assert not np.allclose(context.tuning.vectors, context.judged[0].vectors)
+    solver_grid = make_solver_grid(context, 0.0)
+    assert [one.solver for one in solver_grid.tuning] == [
+        "sampling, tuned",
+        "RMSProp",
+        "RMSProp × 3",
+    ]
+    for tuned in solver_grid.tuning:
         assert tuned.chosen == min(tuned.tried, key=lambda pair: pair[1])[0]
 
 
@@ -365,10 +369,10 @@ def test_cycles_given_to_the_sampler_are_those_of_its_configuration() -> None:
 
 def test_a_batch_of_one_is_the_single_start(problem: Problem) -> None:
     """And all solvers of one objective agree on what is better than the last answer."""
-    one = run_contestant(problem, Slsqp(), 0.0, 0)
-    same = run_contestant(problem, Slsqp(starts=Starts(1)), 0.0, 7)
+    one = run_solver(problem, Slsqp(), 0.0, 0)
+    same = run_solver(problem, Slsqp(starts=Starts(1)), 0.0, 7)
     np.testing.assert_array_equal(one.q, same.q)
-    tight = run_contestant(problem, Newton(), 0.0, 0)
+    tight = run_solver(problem, Newton(), 0.0, 0)
     a, b = (measure_run(problem, run, 0.0)["cost"] for run in (one, tight))
     assert b < 1.05 * a
     low, high = problem.hand.limits.T
@@ -379,7 +383,7 @@ def test_a_batch_of_one_is_the_single_start(problem: Problem) -> None:
 
 def test_random_solvers_repeat_by_their_seed(problem: Problem) -> None:
     sampling = Sampling(TINY.samples, TINY.cycles, most_cycles=TINY.cycles)
-    first, again, other = (run_contestant(problem, sampling, 0.0, seed) for seed in (0, 0, 1))
+    first, again, other = (run_solver(problem, sampling, 0.0, seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first.q, again.q)
     assert np.abs(first.q - other.q).max() > 1e-4
     assert not Rmsprop().random
@@ -387,7 +391,7 @@ def test_random_solvers_repeat_by_their_seed(problem: Problem) -> None:
 
 
 def test_a_velocity_term_slows_the_answers_down(problem: Problem) -> None:
-    free, held = (run_contestant(problem, Newton(), weight, 0).q for weight in (0.0, 100.0))
+    free, held = (run_solver(problem, Newton(), weight, 0).q for weight in (0.0, 100.0))
     assert np.abs(np.diff(held, axis=0)).max() < 0.2 * np.abs(np.diff(free, axis=0)).max()
 
 
@@ -415,7 +419,7 @@ def test_the_tracking_loss_is_the_objectives_own(problem: Problem) -> None:
 def test_the_hessian_is_that_of_the_cost_by_finite_differences_of_values(problem: Problem) -> None:
     """Not through the program that makes the Hessian: NumPy kinematics, differences of values."""
     t, step = 3, 1e-4
-    q = run_contestant(problem, Newton(), 0.0, 0).q
+    q = run_solver(problem, Newton(), 0.0, 0).q
     exact, error = hessians(problem, q)
     assert error < 1e-6
     np.testing.assert_allclose(exact, np.swapaxes(exact, 1, 2), atol=1e-9)

@@ -18,7 +18,16 @@ from smooth_operator.lab.benchmark.ranking import HEADLINES
 from smooth_operator.lab.benchmark.settings import Choice
 from smooth_operator.lab.benchmark.sources import Request, Source, load_sources, parse_request
 from smooth_operator.lab.paper import fk, fk_libraries, follow, more_sizes, noise, rate, table
+from smooth_operator.lab.paper.degraded_recordings import (
+    LEAD,
+    at_rate,
+    middle,
+    nearest_frames,
+    through_tracker,
+)
 from smooth_operator.lab.paper.delay import sub_frame_lag
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
+from smooth_operator.lab.paper.experiment_folder import ExperimentFolder
 from smooth_operator.lab.paper.figures_more import looks_of
 from smooth_operator.lab.paper.fk_libraries import (
     AGREEMENT,
@@ -38,10 +47,7 @@ from smooth_operator.lab.paper.follow import PUBLISHED_SBR, Field, field_of
 from smooth_operator.lab.paper.intervals import independent, mean_of
 from smooth_operator.lab.paper.noise import Condition
 from smooth_operator.lab.paper.sizes import QUICK
-from smooth_operator.lab.paper.store import Store
-from smooth_operator.lab.paper.study import Study
 from smooth_operator.lab.paper.table import Benchmark
-from smooth_operator.lab.paper.takes import LEAD, at_rate, middle, nearest_frames, through_tracker
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.synthetic.tracker import TrackerModel
 
@@ -72,9 +78,9 @@ def sources() -> list[Source]:
 
 
 @pytest.fixture
-def study(sources: list[Source], tmp_path: Path) -> Study:
+def context(sources: list[Source], tmp_path: Path) -> ExperimentContext:
     size = dataclasses.replace(QUICK, name="tiny")
-    return Study(sources, "mimic_p050", size, Store(tmp_path / "out", {}))
+    return ExperimentContext(sources, "mimic_p050", size, ExperimentFolder(tmp_path / "out", {}))
 
 
 @pytest.fixture
@@ -160,7 +166,7 @@ def test_every_library_that_is_here_agrees() -> None:
 
 
 def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
-    study: Study, monkeypatch: pytest.MonkeyPatch
+    context: ExperimentContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def wrong(name: str, hand: Any) -> Library:
         right = make_library(name, hand)
@@ -171,7 +177,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
     monkeypatch.setattr(fk, "make_library", wrong)
     here = (WALK, BOUNDED, MUJOCO)
     monkeypatch.setattr(fk, "missing", lambda name: None if name in here else "not installed")
-    found = fk.time_libraries(study, load_hand(study.hand))
+    found = fk.time_libraries(context, load_hand(context.hand))
     assert set(found.per_pose) == {WALK, MUJOCO}
     assert found.gaps[PINOCCHIO] == "not installed"
     assert "m from MuJoCo's" in found.gaps[BOUNDED]
@@ -181,7 +187,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
         for times in own.values()
     )
     monkeypatch.setattr(fk, "make_library", None)  # nothing is made or timed again
-    outcome = fk.FkLibraries().run(study)
+    outcome = fk.FkLibraries().run(context)
     assert outcome.figures["ns_per_pose"] == found.per_pose
     assert "Pinocchio: not installed, so there is a gap" in outcome.setup
     paper, ours = outcome.verdicts
@@ -210,31 +216,31 @@ def test_a_tracker_adds_its_noise_and_loses_its_share(sources: list[Source]) -> 
     clean = sources[0].recording
     assert clean is not None
     before = clean.landmarks.copy()
-    take = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
-    lost = ~take.seen.valid.any(axis=1)  # type: ignore[union-attr]
+    degraded = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
+    lost = ~degraded.seen.valid.any(axis=1)  # type: ignore[union-attr]
     assert not lost[:LEAD].any()
     assert 0.08 < lost.mean() < 0.35
-    assert np.isnan(take.seen.landmarks[lost]).all()
+    assert np.isnan(degraded.seen.landmarks[lost]).all()
     kept = ~lost[LEAD:]
-    error = take.seen.landmarks[LEAD:][kept] - clean.landmarks[kept]
+    error = degraded.seen.landmarks[LEAD:][kept] - clean.landmarks[kept]
     assert np.std(error) == pytest.approx(2e-3, rel=0.03)
     assert abs(np.mean(error)) < 1e-4
-    assert len(take.seen) == len(clean) + LEAD
+    assert len(degraded.seen) == len(clean) + LEAD
     np.testing.assert_array_equal(clean.landmarks, before)
-    np.testing.assert_array_equal(take.seen.stamps[LEAD:], clean.stamps)
-    np.testing.assert_allclose(np.diff(take.seen.stamps), 0.01, atol=1e-9)
+    np.testing.assert_array_equal(degraded.seen.stamps[LEAD:], clean.stamps)
+    np.testing.assert_allclose(np.diff(degraded.seen.stamps), 0.01, atol=1e-9)
     again = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
     other = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=4))
-    assert take.digest == again.digest != other.digest
+    assert degraded.digest == again.digest != other.digest
 
 
 def test_without_imperfections_a_take_is_the_recording(sources: list[Source]) -> None:
     clean = sources[0].recording
     assert clean is not None
-    take = through_tracker(sources[0], clean, TrackerModel())
-    np.testing.assert_array_equal(take.seen.landmarks[LEAD:], clean.landmarks)
+    degraded = through_tracker(sources[0], clean, TrackerModel())
+    np.testing.assert_array_equal(degraded.seen.landmarks[LEAD:], clean.landmarks)
     np.testing.assert_array_equal(
-        take.seen.landmarks[:LEAD], np.repeat(clean.landmarks[:1], LEAD, axis=0)
+        degraded.seen.landmarks[:LEAD], np.repeat(clean.landmarks[:1], LEAD, axis=0)
     )
 
 
@@ -252,12 +258,12 @@ def test_the_built_in_operator_moves_alike_at_every_rate(sources: list[Source]) 
 
 def test_an_operators_hand_and_tempo_stay_at_every_rate() -> None:
     (source,) = load_sources([parse_request("synthetic:1@16.5cm,1.3x,300:400")])
-    take = at_rate(source, 100.0, 0.5)
-    assert take is not None
+    degraded = at_rate(source, 100.0, 0.5)
+    assert degraded is not None
     assert source.recording is not None
-    at = np.flatnonzero(np.isclose(source.recording.stamps, take.clean.stamps[0]))[0]
-    same = source.recording.landmarks[at : at + len(take.clean)]
-    np.testing.assert_allclose(take.clean.landmarks, same, atol=1e-9)
+    at = np.flatnonzero(np.isclose(source.recording.stamps, degraded.clean.stamps[0]))[0]
+    same = source.recording.landmarks[at : at + len(degraded.clean)]
+    np.testing.assert_allclose(degraded.clean.landmarks, same, atol=1e-9)
 
 
 def test_of_a_file_frames_are_taken_and_never_made_up(sources: list[Source]) -> None:
@@ -318,16 +324,16 @@ def test_where_nothing_moves_there_is_no_lag() -> None:
 
 
 def test_noise_makes_rougher_and_is_resumed(
-    study: Study, field: Field, monkeypatch: pytest.MonkeyPatch
+    context: ExperimentContext, field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(noise, "field_of", lambda study: field)
-    outcome = noise.TrackerNoise().run(study)
+    monkeypatch.setattr(noise, "field_of", lambda context: field)
+    outcome = noise.TrackerNoise().run(context)
     clean, noisy = Condition(), Condition(noise=2e-3)
     by = {
         (one["method"], one["condition"], one["recording"]): one["seeds"]
         for one in outcome.figures["cells"]
     }
-    for source in study.sources:
+    for source in context.sources:
         for label in field.choices:
             (at_rest,), shaken = (by[label, c, source.name] for c in (clean, noisy))
             assert len(shaken) == TINY.seeds
@@ -345,15 +351,15 @@ def test_noise_makes_rougher_and_is_resumed(
     assert "geort × " in outcome.verdicts[0].ours
     assert "geort ×" not in outcome.verdicts[2].ours
     monkeypatch.setattr(follow, "built_for", None)  # no method runs again
-    assert noise.TrackerNoise().run(study).figures == outcome.figures
+    assert noise.TrackerNoise().run(context).figures == outcome.figures
 
 
 def test_rate_reports_accelerations_and_lags(
-    study: Study, field: Field, monkeypatch: pytest.MonkeyPatch
+    context: ExperimentContext, field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rate, "field_of", lambda study: field)
-    glove = Source(Request(Path("glove.npz")), "glove", study.sources[0].recording, digest="d")
-    mixed = dataclasses.replace(study, sources=[study.sources[1], glove])
+    monkeypatch.setattr(rate, "field_of", lambda context: field)
+    glove = Source(Request(Path("glove.npz")), "glove", context.sources[0].recording, digest="d")
+    mixed = dataclasses.replace(context, sources=[context.sources[1], glove])
     outcome = rate.FrameRate().run(mixed)
     cells = [one for one in outcome.figures["cells"] if one["method"] == PUBLISHED_SBR]
     assert {one["condition"] for one in cells} == set(TINY.rates)
@@ -371,8 +377,8 @@ def test_rate_reports_accelerations_and_lags(
     assert "glove at 200 Hz" in again.setup
 
 
-def test_a_method_that_cannot_serve_the_hand_is_a_gap(study: Study) -> None:
-    other = dataclasses.replace(study, hand="allegro_hand")  # no GeoRT model comes with it
+def test_a_method_that_cannot_serve_the_hand_is_a_gap(context: ExperimentContext) -> None:
+    other = dataclasses.replace(context, hand="allegro_hand")  # no GeoRT model comes with it
     found = field_of(other, ("joint_angle", "geort"))
     assert list(found.choices) == ["joint_angle"]
     assert "geort is missing: there is no built-in GeoRT model" in found.told()
@@ -384,17 +390,17 @@ def test_a_method_that_cannot_serve_the_hand_is_a_gap(study: Study) -> None:
 
 
 def test_the_table_has_six_metrics_by_both_definitions(
-    study: Study, field: Field, monkeypatch: pytest.MonkeyPatch
+    context: ExperimentContext, field: Field, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table, "field_of", lambda study, names: field)
-    outcome = table.BenchmarkTable().run(study)
+    monkeypatch.setattr(table, "field_of", lambda context, names: field)
+    outcome = table.BenchmarkTable().run(context)
     assert [v.claim.partition(":")[0].split(" (")[0].split(" [")[0] for v in outcome.verdicts] == [
         "cosine similarity", "scale ratio", "motion preservation", "flatness",
         "workspace utilisation", "latency",
     ]  # fmt: skip
     values = {(v["definition"], v["method"], v["metric"]): v["recordings"]
               for v in outcome.figures["values"]}  # fmt: skip
-    names = {source.name for source in study.sources}
+    names = {source.name for source in context.sources}
     for definition in ("paper", "sound"):
         for label in field.choices:
             for metric in HEADLINES:
@@ -409,7 +415,7 @@ def test_the_table_has_six_metrics_by_both_definitions(
     assert max(flat.values()) < 1e-6
     monkeypatch.setattr(table, "built_for", None)
     monkeypatch.setattr(table, "measure_latency", None)
-    assert table.BenchmarkTable().run(study).figures == outcome.figures
+    assert table.BenchmarkTable().run(context).figures == outcome.figures
 
 
 def _benchmark(order: tuple[str, ...]) -> Benchmark:

@@ -14,12 +14,12 @@ from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.offline.finished import claimed
-from smooth_operator.lab.paper.catalogue import EXPERIMENTS
 from smooth_operator.lab.paper.experiment import Outcome
-from smooth_operator.lab.paper.report import REPORT, verdict_lines
+from smooth_operator.lab.paper.experiment_context import Advance, Track
+from smooth_operator.lab.paper.experiment_folder import check_folder
+from smooth_operator.lab.paper.experiment_report import REPORT, verdict_lines
+from smooth_operator.lab.paper.registry import EXPERIMENTS
 from smooth_operator.lab.paper.sizes import trial_note
-from smooth_operator.lab.paper.store import check_folder
-from smooth_operator.lab.paper.study import Advance, Track
 from smooth_operator.lab.paper.suite import Settings, load_recordings, run_experiments
 
 

@@ -23,8 +23,8 @@ from smooth_operator.lab.benchmark import (
     read_results,
     run_suite,
 )
+from smooth_operator.lab.benchmark.benchmark_folder import REPORT, RESULTS, write_json
 from smooth_operator.lab.benchmark.cells import Cell
-from smooth_operator.lab.benchmark.store import REPORT, RESULTS, write_json
 from smooth_operator.lab.benchmark.suite import Advance
 from smooth_operator.lab.offline.finished import claimed
 

@@ -8,8 +8,8 @@ from typing import Any, Final, TypeAlias
 
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.io.documents import read_json
+from smooth_operator.lab.benchmark.benchmark_folder import CELLS, RESULTS
 from smooth_operator.lab.benchmark.settings import Settings, method_label
-from smooth_operator.lab.benchmark.store import CELLS, RESULTS
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.metrics import Metric
 

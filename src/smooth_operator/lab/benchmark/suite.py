@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TypeAlias
 
+from smooth_operator.lab.benchmark.benchmark_folder import BenchmarkFolder, check_folder
 from smooth_operator.lab.benchmark.cells import Cell, cells_of
 from smooth_operator.lab.benchmark.latency import Latency, measure_latency
 from smooth_operator.lab.benchmark.quality import Measured, Task, measure_cell
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
-from smooth_operator.lab.benchmark.store import Store, check_folder
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import (
     Job,
@@ -101,7 +101,7 @@ def run_suite(
         OutputError: a result can't be written.
         ConfigError: the workers can't be.
     """
-    store = Store(settings, note)
+    store = BenchmarkFolder(settings, note)
     reasons = {c.key: c.source.error for c in cells if c.source.error is not None}
     jobs = [store.job(cell) for cell in cells if cell.key not in reasons]
     found, missing = find_results(jobs, store.measured)
@@ -125,7 +125,7 @@ def run_suite(
 
 
 def _measure_quality(
-    store: Store,
+    store: BenchmarkFolder,
     jobs: Sequence[Job[Cell]],
     measured: dict[RowKey, Measured],
     reasons: dict[RowKey, str],
@@ -169,7 +169,7 @@ def _task(cell: Cell, settings: Settings) -> Task:
 
 
 def _measure_latency(
-    store: Store,
+    store: BenchmarkFolder,
     cells: Sequence[Cell],
     latencies: dict[tuple[str, ...], Latency],
     track: Track,

@@ -13,9 +13,9 @@ from smooth_operator.io import to_json
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.judging.kept_figures import code_of
-from smooth_operator.lab.tuning.log import Trial, TrialLog
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
+from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.setting_paths import numeric_settings, with_settings, with_unchecked
 from smooth_operator.parallel import TaskResult, run_tasks

@@ -10,14 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.lab.paper.contestants import Contestant, Sampling, Slsqp, Starts
+from smooth_operator.lab.paper.compared_solvers import Sampling, Slsqp, Solver, Starts
 from smooth_operator.lab.paper.experiment import Table
+from smooth_operator.lab.paper.experiment_context import (
+    TUNING_OPERATOR,
+    ExperimentContext,
+    counted,
+    recordings_of,
+)
 from smooth_operator.lab.paper.intervals import Estimate, Samples, typical
-from smooth_operator.lab.paper.lineup import Lineup, make_lineup
 from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.runs import Run, measure_run
 from smooth_operator.lab.paper.sizes import PUBLISHED_STARTS, Size
-from smooth_operator.lab.paper.study import TUNING_OPERATOR, Study, counted, recordings_of
+from smooth_operator.lab.paper.solver_grid import SolverGrid, make_solver_grid
 from smooth_operator.methods.presets import DEXPILOT_PUBLISHED
 from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 
@@ -28,13 +33,13 @@ class Comparison:
 
     Attributes:
         velocity_weight: w_v of the objective.
-        lineup: the solvers.
+        solver_grid: the solvers.
         problems: the recordings.
         runs: label -> recording -> seed -> run.
     """
 
     velocity_weight: float
-    lineup: Lineup
+    solver_grid: SolverGrid
     problems: list[Problem]
     runs: Mapping[str, list[list[Run]]]
 
@@ -122,57 +127,61 @@ class Comparison:
             ],
             "solvers": {
                 label: {
-                    "settings": self.lineup.contestants[label],
+                    "settings": self.solver_grid.solvers[label],
                     **{metric: self.samples(label, metric).values for metric in metrics},
                 }
                 for label in self.runs
             },
-            "tuning": self.lineup.tuning,
+            "tuning": self.solver_grid.tuning,
             "others": self.others(),
         }
 
 
-def compare_solvers(study: Study, velocity_weight: float) -> Comparison:
+def compare_solvers(context: ExperimentContext, velocity_weight: float) -> Comparison:
     """All solvers on DexPilot's loss; runs what is missing."""
-    lineup = make_lineup(study, velocity_weight)
+    solver_grid = make_solver_grid(context, velocity_weight)
     term = f", w_v {velocity_weight:g}" if velocity_weight else ""
-    return _compared(study, lineup, study.judged, velocity_weight, f"solvers{term}")
+    return _compared(context, solver_grid, context.judged, velocity_weight, f"solvers{term}")
 
 
-def compare_as_printed(study: Study) -> Comparison:
+def compare_as_printed(context: ExperimentContext) -> Comparison:
     """Sampling and SLSQP on DexPilot's loss with a squared norm, as the supplement prints it."""
-    size = study.size
+    size = context.size
     sampling = Sampling(size.samples, size.cycles, most_cycles=size.cycles)
-    contestants: list[Contestant] = [
+    solvers: list[Solver] = [
         sampling, Slsqp(), Slsqp(config=ScipySlsqpConfig()),
         Slsqp(starts=Starts(size.slsqp_starts)),
     ]  # fmt: skip
-    problems = study.problems(replace(DEXPILOT_PUBLISHED.objective, loss="squared"), size.frames)
-    lineup = Lineup({one.label: one for one in contestants}, ())
-    return _compared(study, lineup, problems, 0.0, "squared loss")
+    problems = context.problems(replace(DEXPILOT_PUBLISHED.objective, loss="squared"), size.frames)
+    solver_grid = SolverGrid({one.label: one for one in solvers}, ())
+    return _compared(context, solver_grid, problems, 0.0, "squared loss")
 
 
 def _compared(
-    study: Study, lineup: Lineup, problems: list[Problem], velocity_weight: float, phase: str
+    context: ExperimentContext,
+    solver_grid: SolverGrid,
+    problems: list[Problem],
+    velocity_weight: float,
+    phase: str,
 ) -> Comparison:
     seeds = {
-        label: range(study.size.seeds if one.random else 1)
-        for label, one in lineup.contestants.items()
+        label: range(context.size.seeds if one.random else 1)
+        for label, one in solver_grid.solvers.items()
     }
     # recording by recording, so that a run which is stopped has whole comparisons
     order = [
         (label, r, seed) for r in range(len(problems)) for label in seeds for seed in seeds[label]
     ]
     jobs = [
-        study.run_job(problems[r], lineup.contestants[label], velocity_weight, seed)
+        context.run_job(problems[r], solver_grid.solvers[label], velocity_weight, seed)
         for label, r, seed in order
     ]
-    done = dict(zip(order, study.run_all(phase, jobs), strict=True))
+    done = dict(zip(order, context.run_all(phase, jobs), strict=True))
     runs = {
         label: [[done[label, r, s] for s in seeds[label]] for r in range(len(problems))]
         for label in seeds
     }
-    return Comparison(velocity_weight, lineup, problems, runs)
+    return Comparison(velocity_weight, solver_grid, problems, runs)
 
 
 def setup_of(comparison: Comparison, size: Size) -> str:

@@ -7,15 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.lab.paper.contestants import Slsqp
+from smooth_operator.lab.paper.budget_grid import Point, contours, grid_points, most_cycles
+from smooth_operator.lab.paper.compared_solvers import Slsqp
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext, counted
 from smooth_operator.lab.paper.figures_compute import compute_figure
-from smooth_operator.lab.paper.grid import Point, contours, grid_points, most_cycles
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, typical
 from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.runs import measure_run
 from smooth_operator.lab.paper.solver import percent
-from smooth_operator.lab.paper.study import Study, counted
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
 from smooth_operator.methods.presets import DEXPILOT_PUBLISHED, SBR_PAPER
 from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
@@ -36,13 +36,13 @@ class Compute:
     title = "Samples against cycles at equal compute"
     claim = "at equal N × L a balanced split has the lowest loss, and passes DexPilot's 0.4414"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
         config = SBR_PAPER.objective
-        problems = study.problems(config, study.size.grid_frames)
-        points = grid_points(study.size)
-        losses = _losses(study, problems, points)
-        reference, own = _references(study, problems)
+        problems = context.problems(config, context.size.grid_frames)
+        points = grid_points(context.size)
+        losses = _losses(context, problems, points)
+        reference, own = _references(context, problems)
         means = {point: typical(losses[point]) for point in points}
         lines = contours(points)
         verdicts = [_reference_verdict(losses, means, reference, own)]
@@ -53,9 +53,8 @@ class Compute:
             f"SBR's objective as published (pose weight {config.pose_weight:g}, w_v "
             f"{config.velocity_weight:g}, M = 128, σ = 0.2, λ = 0.1, fresh normals) on "
             f"{problems[0].hand.name}: {len(points)} cells of the grid, {frames:,} frames of "
-            f"{study.recordings}, {counted(study.size.seeds, 'seed')} each, every cell over the "
-            "whole "
-            "of every recording from its own last answers. L counts the last cycle, which "
+            f"{context.recordings}, {counted(context.size.seeds, 'seed')} each, every cell over "
+            "the whole of every recording from its own last answers. L counts the last cycle, which "
             "Algorithm 1 draws and does not use. The reference is DexPilot as published (its own "
             "loss) "
             "on the same frames, its answers measured by the same loss as the grid's.",
@@ -86,26 +85,24 @@ Losses = dict[Point, Samples]
 """Mean tracking loss of a cell, by recording and seed."""
 
 
-def _losses(study: Study, problems: list[Problem], points: list[Point]) -> Losses:
+def _losses(context: ExperimentContext, problems: list[Problem], points: list[Point]) -> Losses:
     weight = problems[0].objective.config.velocity_weight
     # one N after the other: all its L share a program
     order = [
         (point, r, seed)
-        for point in points for r in range(len(problems)) for seed in range(study.size.seeds)
+        for point in points for r in range(len(problems)) for seed in range(context.size.seeds)
     ]  # fmt: skip
     jobs = [
-        study.run_job(
-            problems[r], point.contestant(most_cycles(points, point.samples)), weight, seed
-        )
+        context.run_job(problems[r], point.solver(most_cycles(points, point.samples)), weight, seed)
         for point, r, seed in order
     ]
-    runs = dict(zip(order, study.run_all("grid N × L", jobs), strict=True))
+    runs = dict(zip(order, context.run_all("grid N × L", jobs), strict=True))
     units = [problem.unit for problem in problems]
     return {
         point: Samples(
             [
                 [measure_run(problem, runs[point, r, seed], weight)["loss"]
-                 for seed in range(study.size.seeds)]
+                 for seed in range(context.size.seeds)]
                 for r, problem in enumerate(problems)
             ],
             units,
@@ -114,11 +111,13 @@ def _losses(study: Study, problems: list[Problem], points: list[Point]) -> Losse
     }  # fmt: skip
 
 
-def _references(study: Study, problems: list[Problem]) -> tuple[Samples, Samples]:
+def _references(context: ExperimentContext, problems: list[Problem]) -> tuple[Samples, Samples]:
     """DexPilot's answers measured by SBR's loss, and by its own."""
-    own = study.problems(DEXPILOT_PUBLISHED.objective, study.size.grid_frames)
+    own = context.problems(DEXPILOT_PUBLISHED.objective, context.size.grid_frames)
     published = Slsqp(config=ScipySlsqpConfig())
-    runs = study.run_all("DexPilot", [study.run_job(problem, published, 0.0) for problem in own])
+    runs = context.run_all(
+        "DexPilot", [context.run_job(problem, published, 0.0) for problem in own]
+    )
     same = [[float(p.tracking_loss(run.q).mean())] for p, run in zip(problems, runs, strict=True)]
     theirs = [[float(p.tracking_loss(run.q).mean())] for p, run in zip(own, runs, strict=True)]
     units = [problem.unit for problem in problems]

@@ -22,10 +22,10 @@ from typing import Annotated, Any, Final
 import tyro
 
 from smooth_operator.lab.paper import interval_coverage
-from smooth_operator.lab.paper.catalogue import EXPERIMENTS
 from smooth_operator.lab.paper.experiment import Table
-from smooth_operator.lab.paper.report import markdown
-from smooth_operator.lab.paper.store import RESULTS
+from smooth_operator.lab.paper.experiment_folder import RESULTS
+from smooth_operator.lab.paper.experiment_report import markdown
+from smooth_operator.lab.paper.registry import EXPERIMENTS
 
 ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "noise", "rate")
 """Experiments as the page has them."""

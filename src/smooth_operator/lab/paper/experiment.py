@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from smooth_operator.lab.paper.study import Study
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
 from smooth_operator.lab.paper.verdicts import Verdict
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Experiment(Protocol):
     claim: str
     """The paper's claim, one line."""
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """Computes what is missing, and says what came of it.
 
         Raises:

@@ -80,7 +80,7 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
 def _dot(
     ax: Axes, found: Comparison, label: str, metric: str, factor: float, y: float, filled: bool
 ) -> None:
-    family = found.lineup.contestants[label].family
+    family = found.solver_grid.solvers[label].family
     color = FAMILY_COLORS[family]
     mean = found.mean(label, metric)
     each = factor * found.samples(label, metric).means

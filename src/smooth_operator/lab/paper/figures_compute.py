@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from smooth_operator.lab.paper.budget_grid import Point
 from smooth_operator.lab.paper.figures import plain_log
-from smooth_operator.lab.paper.grid import Point
 from smooth_operator.lab.paper.intervals import Estimate
 from smooth_operator.reporting.drawing import GRID, MARKERS
 

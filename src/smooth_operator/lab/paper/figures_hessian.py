@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.lab.paper.compared_solvers import Newton, Rmsprop, Slsqp
 from smooth_operator.lab.paper.comparison import Comparison
-from smooth_operator.lab.paper.contestants import Newton, Rmsprop, Slsqp
 from smooth_operator.lab.paper.figures import FAMILY_COLORS, FAMILY_MARKERS, plain_log
-from smooth_operator.lab.paper.lineup import TUNED
+from smooth_operator.lab.paper.solver_grid import TUNED
 from smooth_operator.reporting.drawing import INK
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def hessian_figure(
         for label, recordings in by_rank.items():
             if label == TUNED:
                 continue  # its settings are near the published ones; it is in the tables
-            one = found.lineup.contestants[label]
+            one = found.solver_grid.solvers[label]
             many = isinstance(one, (Slsqp, Rmsprop, Newton)) and one.starts.count > 1
             mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
             ranks = np.arange(1, len(mean) + 1)

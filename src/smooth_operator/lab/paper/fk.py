@@ -19,6 +19,7 @@ from smooth_operator.lab.benchmark.machine import Watch
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.lab.paper import fk_libraries
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext, cell_job
 from smooth_operator.lab.paper.figures_more import fk_figure
 from smooth_operator.lab.paper.fk_libraries import (
     AGREEMENT,
@@ -40,7 +41,6 @@ from smooth_operator.lab.paper.fk_libraries import (
 from smooth_operator.lab.paper.fk_urdf import write_urdf
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, independent, typical
 from smooth_operator.lab.paper.more_sizes import more_size
-from smooth_operator.lab.paper.study import Study, cell_job
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
 
 SLICE_S: Final = 0.05
@@ -88,19 +88,19 @@ class FkLibraries:
     title = "Libraries of forward kinematics"
     claim = "MJX is fast enough even at large batch sizes, and was chosen for it"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        hand = load_hand(study.hand, study.sources[0].side)
-        found = time_libraries(study, hand)
-        device = str(study.store.environment["device"])
+        hand = load_hand(context.hand, context.sources[0].side)
+        found = time_libraries(context, hand)
+        device = str(context.store.environment["device"])
         return Outcome(
             f"Fingertips of {hand.name} ({len(hand.joint_names)} joints) in its palm frame, from "
             "the same random poses within the limits, given beforehand in the form that each "
             "library likes best; the model of Pinocchio and PyTorch Kinematics is URDF that is "
             "written from the compiled one. Before the clock starts each must agree with MuJoCo's "
             f"own kinematics on {CHECKED} poses to {1e6 * AGREEMENT:g} µm. Warm; libraries take "
-            f"turns, {more_size(study).fk_rounds} rounds, and are compared round by round; a round "
-            f"is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the rounds of "
+            f"turns, {more_size(context).fk_rounds} rounds, and are compared round by round; a "
+            f"round is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the rounds of "
             "this run on this machine, and say nothing of another. Ours, MJX and PyTorch "
             f"Kinematics compute in float32 and on as many threads as they like ({device}); "
             "Pinocchio and MuJoCo C in float64, a pose at a time in a Python loop, since they have "
@@ -128,7 +128,7 @@ class FkLibraries:
         )
 
 
-def time_libraries(study: Study, hand: Hand) -> Timing:
+def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
     """Times what is installed and agrees; the other libraries are gaps with a reason."""
     gaps = {name: why for name in LIBRARIES if (why := missing(name)) is not None}
     made: Callable[[str], Library] = cache(lambda name: make_library(name, hand))
@@ -141,7 +141,7 @@ def time_libraries(study: Study, hand: Hand) -> Timing:
             "kind": kind,
             "libraries": versions,
             "model": model,
-            "machine": study.store.machine,
+            "machine": context.store.machine,
             **more,
         }
 
@@ -152,14 +152,14 @@ def time_libraries(study: Study, hand: Hand) -> Timing:
         cell_job(f"{name}: agreement", key("fk-check", [name]), 3000.0, partial(checked, name))
         for name in here
     ]
-    cells = study.finish("agreement of the libraries", jobs)
+    cells = context.finish("agreement of the libraries", jobs)
     worst = {name: float(cell["worst"]) for name, cell in zip(here, cells, strict=True)}
     for name, error in worst.items():
         if not error < AGREEMENT:  # NaN is none
             gaps[name] = f"its fingertips are up to {error:.1e} m from MuJoCo's, so it is not timed"
     here = [name for name in here if name not in gaps]
 
-    size = more_size(study)
+    size = more_size(context)
 
     def timed(batch: int, advance: Callable[[float], None]) -> dict[str, np.ndarray]:
         poses = random_poses(hand, batch, 1)
@@ -181,7 +181,7 @@ def time_libraries(study: Study, hand: Hand) -> Timing:
         )
         for batch in size.fk_batches
     ]  # fmt: skip
-    cells = study.finish("forward kinematics", jobs)
+    cells = context.finish("forward kinematics", jobs)
     shares = [float(cell["others"]) for cell in cells if np.isfinite(cell["others"])]
     per_pose = {
         name: {

@@ -1,4 +1,4 @@
-"""Methods at work on takes, as cells; and what is measured of them."""
+"""Methods on degraded recordings, as cells; and what is measured of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label, select_methods
+from smooth_operator.lab.paper.degraded_recordings import LEAD, DegradedRecording
 from smooth_operator.lab.paper.delay import sub_frame_lag
+from smooth_operator.lab.paper.experiment_context import Compute, ExperimentContext, cell_job
 from smooth_operator.lab.paper.intervals import (
     Contrast,
     Estimate,
@@ -26,8 +28,6 @@ from smooth_operator.lab.paper.intervals import (
     mean_of,
     typical,
 )
-from smooth_operator.lab.paper.study import Compute, Study, cell_job
-from smooth_operator.lab.paper.takes import LEAD, Take
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
@@ -67,15 +67,15 @@ class Field:
         return "".join(f" {label} is missing: {why}." for label, why in self.gaps.items())
 
 
-def field_of(study: Study, names: Sequence[str] = METHODS) -> Field:
-    """Which of some methods can serve the study's hand.
+def field_of(context: ExperimentContext, names: Sequence[str] = METHODS) -> Field:
+    """Which of some methods can serve the hand.
 
     Raises:
         ConfigError: none can.
     """
     choices: dict[str, Choice] = {}
     gaps: dict[str, str] = {}
-    hand = load_hand(study.hand, study.sources[0].side)
+    hand = load_hand(context.hand, context.sources[0].side)
     for choice in select_methods(tuple(names)):
         label = method_label(choice.method, choice.preset)
         try:
@@ -95,30 +95,36 @@ def effort_ms(label: str) -> float:
     return _EFFORT_MS.get(label, 0.7)
 
 
-def follow_job(study: Study, label: str, choice: Choice, take: Take, seed: int = 0) -> Job[Compute]:
-    """A method on a take, as a cell: ``q`` (T, n) [rad] and ``status`` (T,)."""
-    seen = replace(take.source, recording=take.seen, digest=take.digest)
-    cell = Cell(seen, study.hand, choice.method, choice.preset, choice.config)
+def follow_job(
+    context: ExperimentContext,
+    label: str,
+    choice: Choice,
+    degraded: DegradedRecording,
+    seed: int = 0,
+) -> Job[Compute]:
+    """A method on a degraded recording, as a cell: ``q`` (T, n) [rad] and ``status`` (T,)."""
+    seen = replace(degraded.source, recording=degraded.seen, digest=degraded.digest)
+    cell = Cell(seen, context.hand, choice.method, choice.preset, choice.config)
 
     def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
-        hand = load_hand(study.hand, take.seen.side)
-        todo = Plan(take.seen, hand, choice.method, choice.preset, choice.config, 0)
+        hand = load_hand(context.hand, degraded.seen.side)
+        todo = Plan(degraded.seen, hand, choice.method, choice.preset, choice.config, 0)
         retargeter, _ = built_for(todo)
 
         def told(frames: Iterable[int]) -> Iterator[int]:
             for i in frames:
                 yield i
                 if i % 20 == 19:
-                    advance(20 / len(take.seen))
+                    advance(20 / len(degraded.seen))
 
-        commands, _ = retargeter.run(take.seen, seed=seed, track=told)
+        commands, _ = retargeter.run(degraded.seen, seed=seed, track=told)
         return {"q": commands.joint_positions[LEAD:], "status": commands.status[LEAD:]}
 
     return cell_job(
-        f"{label} on {take.source.name}",
+        f"{label} on {degraded.source.name}",
         {"kind": f"follow-{choice.method}", "lead": LEAD,
          "cell": fingerprint(cell, Settings(output=Path(), seed=seed))},
-        300.0 + effort_ms(label) * len(take.seen),
+        300.0 + effort_ms(label) * len(degraded.seen),
         compute,
         benchmark_code(),
     )  # fmt: skip
@@ -126,12 +132,12 @@ def follow_job(study: Study, label: str, choice: Choice, take: Take, seed: int =
 
 def measure_following(
     hand: Hand,
-    take: Take,
+    degraded: DegradedRecording,
     cell: Mapping[str, np.ndarray],
     alignment: AlignmentConfig,
     timing: bool = False,
 ) -> dict[str, float]:
-    """Figures of a method on a take, against the hand as it was.
+    """Figures of a method on a degraded recording, against the hand as it was.
 
     Returns:
         ``cosine_similarity`` (thumb to tips), ``motion_preservation``, ``flatness`` [m²],
@@ -142,13 +148,13 @@ def measure_following(
     """
     q = np.asarray(cell["q"], float)
     trace = Trace(
-        human=align_recording(take.clean, hand, alignment),
+        human=align_recording(degraded.clean, hand, alignment),
         robot_tips=hand.tips(q),
         robot_wrist=hand.wrist,
         fingers=hand.fingers,
         joint_positions=q,
         joint_limits=hand.joint_limits,
-        stamps=take.clean.stamps,
+        stamps=degraded.clean.stamps,
         status=cell["status"],
         latency_ms=np.full(len(q), np.nan),
     )
@@ -174,11 +180,11 @@ def measure_following(
     return {name: float("nan") if value is None else value for name, value in figures.items()}
 
 
-def measure_human(hand: Hand, take: Take) -> dict[str, float]:
+def measure_human(hand: Hand, degraded: DegradedRecording) -> dict[str, float]:
     """``flatness`` [m²] and ``tip_acceleration`` [m/s²] of the human's own fingertips, aligned: as
     they were, and as seen (``seen_flatness``, ``seen_tip_acceleration``)."""
     figures: dict[str, float] = {}
-    for prefix, recording in (("", take.clean), ("seen_", take.seen[LEAD:])):
+    for prefix, recording in (("", degraded.clean), ("seen_", degraded.seen[LEAD:])):
         aligned = align_recording(recording, hand, AlignmentConfig())
         tips = _tips(hand, aligned)
         for name, value in (
@@ -269,54 +275,63 @@ class Sweep:
 
 
 def run_sweep(
-    study: Study,
+    context: ExperimentContext,
     name: str,
     field: Field,
-    takes: Mapping[tuple[Any, str], Sequence[Take]],
+    inputs: Mapping[tuple[Any, str], Sequence[DegradedRecording]],
     timing: bool = False,
 ) -> Sweep:
     """Runs what is missing.
 
     Args:
-        study: the study.
+        context: the recordings, the size and the folder.
         name: of the phase, for the display.
         field: the methods.
-        takes: (condition, recording) -> one take for each seed.
+        inputs: (condition, recording) -> one degraded recording for each seed.
         timing: measure the lag, too.
     """
     # recording by recording, so that a run which is stopped has whole comparisons
     order = [
         (label, condition, recording, seed)
-        for recording in dict.fromkeys(recording for _, recording in takes)
+        for recording in dict.fromkeys(recording for _, recording in inputs)
         for label in field.choices
-        for (condition, own), several in takes.items()
+        for (condition, own), several in inputs.items()
         if own == recording
         for seed in range(len(several))
     ]
     jobs = [
-        follow_job(study, label, field.choices[label], takes[condition, recording][seed], seed)
+        follow_job(
+            context,
+            label,
+            field.choices[label],
+            inputs[condition, recording][seed],
+            seed,
+        )
         for label, condition, recording, seed in order
     ]
     measured: dict[tuple[str, Any, str], list[dict[str, float]]] = {}
     for (label, condition, recording, seed), cell in zip(
-        order, study.finish(name, jobs), strict=True
+        order, context.finish(name, jobs), strict=True
     ):
-        take = takes[condition, recording][seed]
-        hand = load_hand(study.hand, take.seen.side)
+        degraded = inputs[condition, recording][seed]
+        hand = load_hand(context.hand, degraded.seen.side)
         alignment = field.choices[label].config.alignment
         measured.setdefault((label, condition, recording), []).append(
-            measure_following(hand, take, cell, alignment, timing)
+            measure_following(hand, degraded, cell, alignment, timing)
         )
     human = {
-        at: [measure_human(load_hand(study.hand, take.seen.side), take) for take in several]
-        for at, several in takes.items()
+        at: [
+            measure_human(load_hand(context.hand, degraded.seen.side), degraded)
+            for degraded in several
+        ]
+        for at, several in inputs.items()
     }
     return Sweep(
-        list(dict.fromkeys(condition for condition, _ in takes)),
+        list(dict.fromkeys(condition for condition, _ in inputs)),
         list(field.choices),
         measured,
         human,
-        {name: study.unit_of[name] for name in dict.fromkeys(own for _, own in takes)},
+        {name: context.unit_of[name] for name in dict.fromkeys(own for _, own in inputs)},
     )
 
 

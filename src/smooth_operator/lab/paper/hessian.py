@@ -13,11 +13,11 @@ from jaxtyping import Float
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.lab.paper.comparison import Comparison, compare_solvers, setup_of
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import Compute, ExperimentContext, cell_job
 from smooth_operator.lab.paper.figures_hessian import hessian_figure
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, pooled, typical
-from smooth_operator.lab.paper.lineup import NEWTON, SAMPLING
 from smooth_operator.lab.paper.problems import Problem
-from smooth_operator.lab.paper.study import Compute, Study, cell_job
+from smooth_operator.lab.paper.solver_grid import NEWTON, SAMPLING
 from smooth_operator.lab.paper.velocity import VELOCITY_WEIGHT
 from smooth_operator.lab.paper.verdicts import Direction, Equality, Verdict, judge
 from smooth_operator.objective.goal import FrameGoal
@@ -39,19 +39,19 @@ class HessianDirections:
     title = "Where solvers jitter: eigen-directions of the loss"
     claim = "jitter is alike in stiff directions and diverges in flat ones"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        without, held = compare_solvers(study, 0.0), compare_solvers(study, VELOCITY_WEIGHT)
+        without, held = compare_solvers(context, 0.0), compare_solvers(context, VELOCITY_WEIGHT)
         # Where all are looked at: along DexPilot's own answers, single-start SLSQP's.
-        centres = [seeds[0].q for seeds in without.runs[without.lineup.slsqp]]
+        centres = [seeds[0].q for seeds in without.runs[without.solver_grid.slsqp]]
         jobs = [_job(problem, q) for problem, q in zip(without.problems, centres, strict=True)]
-        cells = study.finish("Hessians", jobs)
+        cells = context.finish("Hessians", jobs)
         spectra = [cell["values"] for cell in cells]
         vectors = [cell["vectors"] for cell in cells]
         error = max(float(cell["error"]) for cell in cells)
         ranked = [ranked_jitter(one, vectors) for one in (without, held)]
         return Outcome(
-            setup_of(without, study.size)
+            setup_of(without, context.size)
             + " The Hessian of the loss is taken at single-start SLSQP's answers without velocity "
             "term, the same for all solvers, and its eigenvectors are ranked in every frame, rank "
             "1 the flattest; jitter along a rank is the mean |second difference of q, projected "
@@ -191,7 +191,7 @@ def _thirds(ranked: Ranked) -> tuple[slice, slice]:
 
 
 def _ratios(found: Comparison, ranked: Ranked, ranks: slice) -> dict[str, Estimate]:
-    labels = found.lineup.of("slsqp")
+    labels = found.solver_grid.of("slsqp")
     sampled = _share(found, ranked, SAMPLING, ranks)
     return {one: contrast(_share(found, ranked, one, ranks), sampled, "ratio") for one in labels}
 

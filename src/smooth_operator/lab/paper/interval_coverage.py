@@ -17,8 +17,8 @@ import numpy as np
 import tyro
 
 from smooth_operator.lab.paper.experiment import Table
+from smooth_operator.lab.paper.experiment_report import markdown
 from smooth_operator.lab.paper.intervals import Samples, contrast
-from smooth_operator.lab.paper.report import markdown
 from smooth_operator.lab.paper.verdicts import Direction, judge
 
 COUNTS: Final = (2, 4, 8, 20)

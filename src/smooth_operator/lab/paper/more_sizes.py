@@ -1,11 +1,11 @@
-"""How much the experiments on libraries and methods compute, at each size of a study."""
+"""How much the experiments on libraries and methods compute, at each size."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Final
 
-from smooth_operator.lab.paper.study import Study
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,6 @@ PUBLISHED: Final = replace(
 _SIZES: Final = {"quick": QUICK, "default": DEFAULT, "published": PUBLISHED}
 
 
-def more_size(study: Study) -> MoreSize:
-    """How much is computed at a study's size; as by default where it has a name of its own."""
-    return _SIZES.get(study.size.name, DEFAULT)
+def more_size(context: ExperimentContext) -> MoreSize:
+    """How much is computed at a size; as by default where it has a name of its own."""
+    return _SIZES.get(context.size.name, DEFAULT)

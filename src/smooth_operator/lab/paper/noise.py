@@ -6,13 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from smooth_operator.lab.paper.degraded_recordings import (
+    LEAD,
+    middle,
+    recording_of,
+    through_tracker,
+)
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext, counted
 from smooth_operator.lab.paper.figures_more import Column, Row, sweep_figure
 from smooth_operator.lab.paper.follow import BASELINES, PUBLISHED_SBR, Sweep, field_of, run_sweep
 from smooth_operator.lab.paper.intervals import Estimate
 from smooth_operator.lab.paper.more_sizes import more_size
-from smooth_operator.lab.paper.study import Study, counted
-from smooth_operator.lab.paper.takes import LEAD, middle, recording_of, through_tracker
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
 from smooth_operator.synthetic.tracker import TrackerModel
 
@@ -44,12 +49,12 @@ class TrackerNoise:
     title = "Tracker noise and drop-outs"
     claim = "ours: who stays smooth behind a worse tracker? The paper: SBR is a low-pass filter"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(study), field_of(study)
+        size, field = more_size(context), field_of(context)
         noises = [Condition(noise=noise) for noise in size.noises]
         losses = [Condition(loss=loss) for loss in size.losses]
-        takes = {
+        inputs = {
             (condition, source.name): [
                 through_tracker(
                     source,
@@ -60,14 +65,14 @@ class TrackerNoise:
                 for seed in range(size.seeds if condition.noise or condition.loss else 1)
             ]
             for condition in dict.fromkeys([*noises, *losses])
-            for source in study.sources
+            for source in context.sources
         }
-        sweep = run_sweep(study, "tracker noise", field, takes)
-        frames = sum(len(takes[noises[0], source.name][0].clean) for source in study.sources)
-        rates = sorted({round(s.recording.rate_hz) for s in study.sources if s.recording})
+        sweep = run_sweep(context, "tracker noise", field, inputs)
+        frames = sum(len(inputs[noises[0], source.name][0].clean) for source in context.sources)
+        rates = sorted({round(s.recording.rate_hz) for s in context.sources if s.recording})
         return Outcome(
-            f"{len(field.choices)} methods on {study.hand}, {frames:,} frames of "
-            f"{study.recordings} at {' and '.join(map(str, rates))} Hz, "
+            f"{len(field.choices)} methods on {context.hand}, {frames:,} frames of "
+            f"{context.recordings} at {' and '.join(map(str, rates))} Hz, "
             f"{counted(size.seeds, 'seed')} of the tracker for each condition. Noise is white and "
             "Gaussian, independent for "
             "each coordinate of each landmark and each frame; frames are lost in bursts of 30 ms "

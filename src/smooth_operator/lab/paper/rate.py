@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import Final
 
 from smooth_operator.errors import RecordingError
+from smooth_operator.lab.paper.degraded_recordings import LEAD, DegradedRecording, at_rate
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
 from smooth_operator.lab.paper.figures_more import Column, Row, sweep_figure
 from smooth_operator.lab.paper.follow import PUBLISHED_SBR, Sweep, field_of, run_sweep
 from smooth_operator.lab.paper.intervals import Estimate
 from smooth_operator.lab.paper.more_sizes import more_size
 from smooth_operator.lab.paper.noise import compared, listed, listed_changes, not_compared, signed
-from smooth_operator.lab.paper.study import Study
-from smooth_operator.lab.paper.takes import LEAD, Take, at_rate
 from smooth_operator.lab.paper.verdicts import Direction, Equality, Verdict, judge
 
 CONTROL_HZ: Final = 30.0
@@ -26,33 +26,33 @@ class FrameRate:
     title = "Frame rate"
     claim = "ours: at which rate is who smooth, and who late? The paper: smooth and responsive"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(study), field_of(study)
-        takes: dict[tuple[float, str], list[Take]] = {}
+        size, field = more_size(context), field_of(context)
+        inputs: dict[tuple[float, str], list[DegradedRecording]] = {}
         slow = []
         for rate in size.rates:
-            for source in study.sources:
-                take = at_rate(source, rate, size.seconds)
-                if take is None:
+            for source in context.sources:
+                degraded = at_rate(source, rate, size.seconds)
+                if degraded is None:
                     slow.append(f"{source.name} at {rate:g} Hz")
                 else:
-                    takes[rate, source.name] = [take]
-        if not takes:
+                    inputs[rate, source.name] = [degraded]
+        if not inputs:
             raise RecordingError(
                 f"no recording has the {size.rates[0]:g} frames a second that this experiment "
                 "begins at"
             )
-        sweep = run_sweep(study, "frame rate", field, takes, timing=True)
+        sweep = run_sweep(context, "frame rate", field, inputs, timing=True)
         gap = f" Recorded too slowly, and left out: {', '.join(slow)}." if slow else ""
         seconds = sum(
-            max(own[0].clean.duration for (_, name), own in takes.items() if name == source.name)
-            for source in study.sources
-            if any(name == source.name for _, name in takes)
+            max(own[0].clean.duration for (_, name), own in inputs.items() if name == source.name)
+            for source in context.sources
+            if any(name == source.name for _, name in inputs)
         )
         return Outcome(
-            f"{len(field.choices)} methods on {study.hand}, {seconds:.3g} s of "
-            f"{study.recordings} at each rate. The built-in operator is recorded again "
+            f"{len(field.choices)} methods on {context.hand}, {seconds:.3g} s of "
+            f"{context.recordings} at each rate. The built-in operator is recorded again "
             "at each rate, the motion being the same; of other recordings frames are left out. "
             "Accelerations are by the real stamps. Lag is the shift of cubic splines through the "
             "commands against those through the human's motion that best aligns their velocities, "

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.lab.benchmark.machine import Watch
-from smooth_operator.lab.paper.contestants import (
-    CompiledContestant,
-    Contestant,
+from smooth_operator.lab.paper.compared_solvers import (
+    CompiledSolver,
     Slsqp,
+    Solver,
     slsqp_objective,
 )
 from smooth_operator.lab.paper.problems import Problem
@@ -89,9 +89,9 @@ def measure_run(problem: Problem, run: Run, velocity_weight: float) -> dict[str,
     }
 
 
-def run_contestant(
+def run_solver(
     problem: Problem,
-    contestant: Contestant,
+    solver: Solver,
     velocity_weight: float,
     seed: int,
     advance: Advance = lambda share: None,
@@ -100,17 +100,17 @@ def run_contestant(
 
     Args:
         problem: the recording.
-        contestant: the solver.
+        solver: the solver.
         velocity_weight: w_v; the objective's own is not looked at.
         seed: of its random numbers, where it has any.
         advance: told of the progress.
     """
     watch = Watch()
-    if isinstance(contestant, Slsqp):
-        q, times, evaluations = _on_host(problem, contestant, velocity_weight, seed, advance)
+    if isinstance(solver, Slsqp):
+        q, times, evaluations = _on_host(problem, solver, velocity_weight, seed, advance)
     else:
-        assert isinstance(contestant, CompiledContestant)  # there is no third kind
-        q, times, evaluations = _compiled(problem, contestant, velocity_weight, seed, advance)
+        assert isinstance(solver, CompiledSolver)  # there is no third kind
+        q, times, evaluations = _compiled(problem, solver, velocity_weight, seed, advance)
     others = watch.others()
     return Run(
         np.clip(q, problem.hand.limits[:, 0], problem.hand.limits[:, 1]),  # float32 may round out
@@ -122,13 +122,13 @@ def run_contestant(
 
 def _compiled(
     problem: Problem,
-    contestant: CompiledContestant,
+    solver: CompiledSolver,
     velocity_weight: float,
     seed: int,
     advance: Advance,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    program = _program(problem.objective, contestant.program_key())
-    knobs = jnp.asarray(contestant.knobs, jnp.float32)
+    program = _program(problem.objective, solver.program_key())
+    knobs = jnp.asarray(solver.knobs, jnp.float32)
     weight, words = jnp.float32(velocity_weight), jnp.asarray(seed_words(seed))
     q = jnp.asarray(problem.start, jnp.float32)
     count = len(problem)
@@ -174,14 +174,14 @@ class _Program:
 
 
 @lru_cache(maxsize=32)
-def _program(objective: Objective, contestant: CompiledContestant) -> _Program:
+def _program(objective: Objective, solver: CompiledSolver) -> _Program:
     """Some frames as one compiled program, the same for all values of the knobs."""
 
     def program(q: Array, frames: Any, weight: Array, words: Array, knobs: Array) -> Any:
         def frame(q: Array, given: tuple[Array, Array, Array]) -> Any:
             vectors, weights, at = given
             goal = FrameGoal(vectors, weights, q, weight)
-            found, spent = contestant.solve(objective, goal, q, frame_key(words, at), knobs)
+            found, spent = solver.solve(objective, goal, q, frame_key(words, at), knobs)
             # an answer that is no number is none: the last one is held
             found = jnp.where(jnp.isfinite(found).all(), found, q)
             return found, (found, spent)
@@ -197,12 +197,12 @@ def _evaluation(objective: Objective) -> Callable[..., Array]:
 
 
 def _on_host(
-    problem: Problem, contestant: Slsqp, velocity_weight: float, seed: int, advance: Advance
+    problem: Problem, solver: Slsqp, velocity_weight: float, seed: int, advance: Advance
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     evaluate, limits, starts = (
         _evaluation(problem.objective),
         problem.hand.limits,
-        contestant.starts,
+        solver.starts,
     )
     q = problem.start
     evaluate(q.astype(np.float32), problem.goal(0, q, velocity_weight))  # compiles
@@ -218,7 +218,7 @@ def _on_host(
             return np.asarray(evaluate(x.astype(np.float32), goal), np.float64)
 
         results = [
-            contestant.minimise(objective, np.clip(q + move, limits[:, 0], limits[:, 1]), limits)
+            solver.minimise(objective, np.clip(q + move, limits[:, 0], limits[:, 1]), limits)
             for move in moves
         ]  # fmt: skip
         costs = np.array([result.value for result in results])

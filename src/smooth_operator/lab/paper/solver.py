@@ -14,10 +14,10 @@ from smooth_operator.lab.paper.comparison import (
     setup_of,
 )
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
 from smooth_operator.lab.paper.figures import comparison_figure
 from smooth_operator.lab.paper.intervals import Estimate, contrast
-from smooth_operator.lab.paper.lineup import NEWTON, SAMPLING, TUNED
-from smooth_operator.lab.paper.study import Study
+from smooth_operator.lab.paper.solver_grid import NEWTON, SAMPLING, TUNED
 from smooth_operator.lab.paper.verdicts import Effect, Equality, Verdict, judge
 from smooth_operator.metrics.consistency import JOINTS_STILL
 
@@ -34,11 +34,11 @@ class SolverSwap:
     title = "The solver swapped, the loss unchanged"
     claim = "at equal loss, sampling has 36.4 % less joint jitter than SLSQP"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        found, printed = compare_solvers(study, 0.0), compare_as_printed(study)
+        found, printed = compare_solvers(context, 0.0), compare_as_printed(context)
         return Outcome(
-            setup_of(found, study.size),
+            setup_of(found, context.size),
             [_loss_verdict(found), _jitter_verdict(found), _printed_verdict(printed)],
             [
                 found.table("Solvers on DexPilot's loss"),
@@ -65,7 +65,9 @@ def change(found: Comparison, label: str, other: str, metric: str) -> Estimate:
 
 def changes_of(found: Comparison, metric: str) -> dict[str, Estimate]:
     """Relative change of a figure from every form of SLSQP to sampling."""
-    return {other: change(found, SAMPLING, other, metric) for other in found.lineup.of("slsqp")}
+    return {
+        other: change(found, SAMPLING, other, metric) for other in found.solver_grid.of("slsqp")
+    }
 
 
 def against(changes: dict[str, Estimate]) -> str:
@@ -90,7 +92,7 @@ def _loss_verdict(found: Comparison) -> Verdict:
         "remarkably similar, so that what differs is smoothness alone. Here the loss of sampling "
         f"differs by {against(changes)}; equal means within {100 * LOSS_MARGIN:.0f} %. Newton's "
         "differs by "
-        f"{percent(change(found, NEWTON, found.lineup.slsqp, 'loss'))} from SLSQP's. "
+        f"{percent(change(found, NEWTON, found.solver_grid.slsqp, 'loss'))} from SLSQP's. "
         f"Verdict: {held}.",
     )
 
@@ -120,9 +122,9 @@ def _printed_verdict(found: Comparison) -> Verdict:
     held = judge(Effect(0.0, PAPER_REDUCTION), list(changes.values()))
     still, stops = (
         np.mean([[frozen(run.q) for run in seeds] for seeds in found.runs[label]])
-        for label in (SAMPLING, found.lineup.slsqp)
+        for label in (SAMPLING, found.solver_grid.slsqp)
     )
-    loss = change(found, SAMPLING, found.lineup.slsqp, "loss")
+    loss = change(found, SAMPLING, found.solver_grid.slsqp, "loss")
     return Verdict(
         "the same, with the squared norm that the supplement prints",
         "−36.4 %",
@@ -160,7 +162,7 @@ def against_sampling(found: Comparison) -> Table:
 def tuning_table(found: Comparison) -> Table:
     """What was tuned, and over what."""
     rows = []
-    for tuned in found.lineup.tuning:
+    for tuned in found.solver_grid.tuning:
         for values, cost in tuned.tried:
             chosen = "chosen" if values == tuned.chosen else ""
             said = ", ".join(f"{name} {value:g}" for name, value in values.items())

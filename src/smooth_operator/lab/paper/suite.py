@@ -9,12 +9,12 @@ from typing import Final
 
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
-from smooth_operator.lab.paper.catalogue import experiment
 from smooth_operator.lab.paper.experiment import Outcome
-from smooth_operator.lab.paper.report import write_outcome, write_report
+from smooth_operator.lab.paper.experiment_context import ExperimentContext, Track, silent
+from smooth_operator.lab.paper.experiment_folder import ExperimentFolder
+from smooth_operator.lab.paper.experiment_report import write_outcome, write_report
+from smooth_operator.lab.paper.registry import experiment
 from smooth_operator.lab.paper.sizes import DEFAULT, PUBLISHED, QUICK, Size, trial_note
-from smooth_operator.lab.paper.store import Store
-from smooth_operator.lab.paper.study import Study, Track, silent
 from smooth_operator.reporting.drawing import styled
 from smooth_operator.result_cache import Note, no_note
 
@@ -96,16 +96,16 @@ def run_experiments(
         SmoothOperatorError: the hand is unknown, a recording unusable, or a file can't be written.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
-    store = Store(settings.output, {
+    store = ExperimentFolder(settings.output, {
         "experiments": settings.experiments, "recordings": [source.facts for source in sources],
         "hand": settings.hand, "frames": settings.frames, "size": settings.how_much,
     }, note)  # fmt: skip
-    study = Study(sources, settings.hand, settings.how_much, store, track)
+    context = ExperimentContext(sources, settings.hand, settings.how_much, store, track)
     outcomes = []
     for name in settings.experiments:
         made = experiment(name)
         with styled():
-            outcome = made.run(study)
+            outcome = made.run(context)
         write_outcome(store, name, made, outcome, trial_note(settings.how_much))
         outcomes.append((name, outcome))
         write_report(store)

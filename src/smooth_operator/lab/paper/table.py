@@ -22,13 +22,13 @@ from smooth_operator.lab.benchmark.settings import Settings
 from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.lab.offline.execution import Outcome as Execution
+from smooth_operator.lab.paper.degraded_recordings import LEAD, led, middle, recording_of
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext, cell_job
 from smooth_operator.lab.paper.figures_more import Panel, table_figure
 from smooth_operator.lab.paper.follow import Field, effort_ms, field_of
 from smooth_operator.lab.paper.intervals import Estimate, Samples, contrast, mean_of, typical
 from smooth_operator.lab.paper.more_sizes import more_size
-from smooth_operator.lab.paper.study import Study, cell_job
-from smooth_operator.lab.paper.takes import LEAD, led, middle, recording_of
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
 from smooth_operator.metrics import Metric, evaluate
 from smooth_operator.planning import Plan
@@ -131,16 +131,16 @@ class BenchmarkTable:
     title = "The six metrics"
     claim = "SBR is best in cosine similarity, motion preservation and flatness"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(study), field_of(study, METHODS)
-        found = measure_benchmark(study, field)
-        frames = sum(min(len(recording_of(s)), size.table_frames) for s in study.sources)
+        size, field = more_size(context), field_of(context, METHODS)
+        found = measure_benchmark(context, field)
+        frames = sum(min(len(recording_of(s)), size.table_frames) for s in context.sources)
         papers = [label for label in PAPERS if label in found.labels]
-        environment = study.store.environment
+        environment = context.store.environment
         return Outcome(
-            f"{len(field.choices)} methods on {study.hand}, {frames:,} frames of "
-            f"{study.recordings}. DexPilot, Hybrid and SBR are as their authors run them "
+            f"{len(field.choices)} methods on {context.hand}, {frames:,} frames of "
+            f"{context.recordings}. DexPilot, Hybrid and SBR are as their authors run them "
             "(dexpilot:published, hybrid:published, sbr:paper); GeoRT is ours, with the model that "
             "comes with the hand; the others are as they come here. The first frame is shown "
             f"{LEAD} times before anything counts, so that no method is measured on its way from "
@@ -172,14 +172,18 @@ class BenchmarkTable:
         )
 
 
-def measure_benchmark(study: Study, field: Field) -> Benchmark:
+def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
     """Quality of all methods on all recordings, then their latency alone; what is missing of it."""
-    size = more_size(study)
+    size = more_size(context)
     cells = {
         (source.name, label): Cell(
-            _cut(source, size.table_frames), study.hand, choice.method, choice.preset, choice.config
+            _cut(source, size.table_frames),
+            context.hand,
+            choice.method,
+            choice.preset,
+            choice.config,
         )
-        for source in study.sources
+        for source in context.sources
         for label, choice in field.choices.items()
     }
     settings = Settings(output=Path())
@@ -194,7 +198,7 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
         for (name, label), cell in cells.items()
     ]
     values: dict[tuple[Definition, str, str], dict[str, float]] = {}
-    for (name, label), found in zip(cells, study.finish("the six metrics", jobs), strict=True):
+    for (name, label), found in zip(cells, context.finish("the six metrics", jobs), strict=True):
         for definition in ("paper", "sound"):
             metrics = json.loads(str(found[definition]))
             for metric in HEADLINES:
@@ -204,13 +208,13 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
 
     groups = {
         source.name: [cells[source.name, label] for label in field.choices]
-        for source in study.sources
+        for source in context.sources
     }
     jobs = [
         cell_job(
             f"latency on {name}",
             {"kind": "table-latency", "cells": [fingerprint(cell, settings) for cell in group],
-             "machine": study.store.machine, "frames": size.latency_frames},
+             "machine": context.store.machine, "frames": size.latency_frames},
             sum(effort_ms(label) for label in field.choices) * (size.latency_frames + 50.0),
             partial(_latency, group, size.latency_frames),
             benchmark_code(),
@@ -218,14 +222,14 @@ def measure_benchmark(study: Study, field: Field) -> Benchmark:
         for name, group in groups.items()
     ]  # fmt: skip
     shares = []
-    for name, found in zip(groups, study.finish("latency, alone", jobs), strict=True):
+    for name, found in zip(groups, context.finish("latency, alone", jobs), strict=True):
         shares.append(float(found["others"]))
         for label, p50 in zip(field.choices, found["p50"], strict=True):
             for definition in ("paper", "sound"):
                 if np.isfinite(p50):
                     values.setdefault((definition, label, LATENCY), {})[name] = float(p50)
     known = max((share for share in shares if np.isfinite(share)), default=None)
-    return Benchmark(list(field.choices), values, study.unit_of, known)
+    return Benchmark(list(field.choices), values, context.unit_of, known)
 
 
 def _cut(source: Source, frames: int) -> Source:

@@ -6,11 +6,11 @@ from typing import Any, Final
 
 from smooth_operator.lab.paper.comparison import Comparison, compare_solvers, setup_of
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
 from smooth_operator.lab.paper.figures import comparison_figure
 from smooth_operator.lab.paper.intervals import Estimate, contrast, mean_of, pooled
-from smooth_operator.lab.paper.lineup import NEWTON, SAMPLING
 from smooth_operator.lab.paper.solver import change, percent
-from smooth_operator.lab.paper.study import Study
+from smooth_operator.lab.paper.solver_grid import NEWTON, SAMPLING
 from smooth_operator.lab.paper.verdicts import Effect, Equality, Verdict, judge
 
 VELOCITY_WEIGHT: Final = 0.05
@@ -28,9 +28,9 @@ class VelocityTerm:
     title = "A velocity term added"
     claim = "w_v = 0.05 divides jitter by 7.18 for 0.0232 more loss; gradient solvers then compare"
 
-    def run(self, study: Study) -> Outcome:
+    def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        without, held = compare_solvers(study, 0.0), compare_solvers(study, VELOCITY_WEIGHT)
+        without, held = compare_solvers(context, 0.0), compare_solvers(context, VELOCITY_WEIGHT)
         paper = _of_the_paper(without)
         factor = pooled(
             [(without.samples(one, "jitter"), held.samples(one, "jitter")) for one in paper],
@@ -41,7 +41,7 @@ class VelocityTerm:
             "difference",
         )
         return Outcome(
-            setup_of(held, study.size),
+            setup_of(held, context.size),
             [_factor_verdict(factor, without, held), _loss_verdict(cost, without),
              _comparable_verdict(held)],
             [_table(without, held), held.table("Solvers with the velocity term")],
@@ -59,7 +59,7 @@ class VelocityTerm:
 
 def _of_the_paper(found: Comparison) -> list[str]:
     """The solvers that the paper's average is over: not our own, nor its sampler tuned by us."""
-    return [SAMPLING, found.lineup.batched("slsqp"), found.lineup.batched("rmsprop")]
+    return [SAMPLING, found.solver_grid.batched("slsqp"), found.solver_grid.batched("rmsprop")]
 
 
 def _common(without: Comparison, held: Comparison) -> list[str]:
@@ -107,7 +107,7 @@ def _loss_verdict(added: Estimate, without: Comparison) -> Verdict:
 
 
 def _comparable_verdict(found: Comparison) -> Verdict:
-    forms = found.lineup.of("slsqp")
+    forms = found.solver_grid.of("slsqp")
     ratios = [
         contrast(found.samples(other, "jitter"), found.samples(SAMPLING, "jitter"), "ratio")
         for other in forms

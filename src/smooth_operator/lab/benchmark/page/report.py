@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.lab.benchmark import figures, uses
+from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
 from smooth_operator.lab.benchmark.cells import file_name
 from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.comparison import Comparison
@@ -19,7 +20,6 @@ from smooth_operator.lab.benchmark.panels import Panel, make_panels
 from smooth_operator.lab.benchmark.ranking import Line, by_hand, by_panel, lines_of, overall
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.lab.benchmark.settings import Settings
-from smooth_operator.lab.benchmark.store import PLOTS, REPORT
 from smooth_operator.lab.benchmark.suite import Finished
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.lab.benchmark.benchmark_folder import check_folder
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
-from smooth_operator.lab.benchmark.store import check_folder
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.score import Bound, Scoring

@@ -23,11 +23,11 @@ LEAD: Final = 20
 it has settled, from its neutral pose, is not counted."""
 
 FEWEST: Final = 12
-"""A take of fewer frames has neither jitter nor lag worth the name."""
+"""A recording of fewer frames has neither jitter nor lag worth the name."""
 
 
 @dataclass(frozen=True, eq=False)
-class Take:
+class DegradedRecording:
     """A recording as seen, and as it was.
 
     Attributes:
@@ -75,7 +75,7 @@ def middle(recording: HandRecording, frames: int) -> HandRecording:
     return recording[start : start + frames]
 
 
-def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -> Take:
+def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -> DegradedRecording:
     """What a tracker with noise and losses makes of a recording.
 
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
@@ -91,14 +91,14 @@ def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -
         metacarpals = None if metacarpals is None else metacarpals + ticks.noise[:, 21:]
     gone = ~ticks.arrives[:, None] | ticks.lost
     landmarks[gone] = np.nan
-    return Take(
+    return DegradedRecording(
         source,
         clean,
         replace(seen, landmarks=landmarks, valid=valid & ~gone, metacarpals=metacarpals),
     )
 
 
-def at_rate(source: Source, rate_hz: float, seconds: float) -> Take | None:
+def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording | None:
     """The same motion at another frame rate.
 
     The built-in operator is recorded again, so that nothing is interpolated. Of another
@@ -120,12 +120,12 @@ def at_rate(source: Source, rate_hz: float, seconds: float) -> Take | None:
         whole = operator.record(SYNTHETIC_SECONDS)
         inside = np.flatnonzero((whole.stamps >= begin - 1e-9) & (whole.stamps < end + 1e-9))
         clean = whole[int(inside[0]) : int(inside[-1]) + 1]
-        return Take(source, replace(clean, meta={}), led(clean))
+        return DegradedRecording(source, replace(clean, meta={}), led(clean))
     if recording.rate_hz < 0.95 * rate_hz:
         return None
     chosen = nearest_frames(recording.stamps, np.arange(begin, end, 1 / rate_hz))
     clean = _chosen(recording, chosen)
-    return Take(source, clean, led(clean))
+    return DegradedRecording(source, clean, led(clean))
 
 
 def nearest_frames(

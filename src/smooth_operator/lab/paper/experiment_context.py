@@ -11,11 +11,11 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
-from smooth_operator.lab.paper.contestants import Contestant
+from smooth_operator.lab.paper.compared_solvers import Solver
+from smooth_operator.lab.paper.experiment_folder import ExperimentFolder, experiment_code
 from smooth_operator.lab.paper.problems import Problem, make_problems
-from smooth_operator.lab.paper.runs import Run, run_contestant
+from smooth_operator.lab.paper.runs import Run, run_solver
 from smooth_operator.lab.paper.sizes import Size
-from smooth_operator.lab.paper.store import Store, experiment_code
 from smooth_operator.methods.presets import DEXPILOT_PUBLISHED
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.parallel import TaskResult
@@ -70,7 +70,7 @@ def cell_job(
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class ExperimentContext:
     """The recordings, the size, the store and the display.
 
     Attributes:
@@ -84,7 +84,7 @@ class Study:
     sources: Sequence[Source]
     hand: str
     size: Size
-    store: Store
+    store: ExperimentFolder
     track: Track = silent
 
     @property
@@ -142,26 +142,26 @@ class Study:
         return problem
 
     def run_job(
-        self, problem: Problem, contestant: Contestant, velocity_weight: float, seed: int = 0
+        self, problem: Problem, solver: Solver, velocity_weight: float, seed: int = 0
     ) -> Job[Compute]:
         """A solver on a problem, as a cell."""
-        seed = seed if contestant.random else 0
+        seed = seed if solver.random else 0
 
         def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
-            return run_contestant(problem, contestant, velocity_weight, seed, advance).arrays()
+            return run_solver(problem, solver, velocity_weight, seed, advance).arrays()
 
         term = f", w_v {velocity_weight:g}" if velocity_weight else ""
-        more = f", seed {seed}" if contestant.random else ""
+        more = f", seed {seed}" if solver.random else ""
         return cell_job(
-            f"{contestant.label} on {problem.name}{term}{more}",
+            f"{solver.label} on {problem.name}{term}{more}",
             {
-                "kind": f"run-{contestant.family}",
+                "kind": f"run-{solver.family}",
                 "problem": problem.digest,
-                "solver": [type(contestant).__name__, contestant],
+                "solver": [type(solver).__name__, solver],
                 "velocity_weight": velocity_weight,
                 "seed": seed,
             },
-            contestant.effort * len(problem) + 2000.0,
+            solver.effort * len(problem) + 2000.0,
             compute,
         )
 

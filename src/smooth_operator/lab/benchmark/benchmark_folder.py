@@ -99,7 +99,7 @@ class MeasuredCache(ResultCache):
         )
 
 
-class Store:
+class BenchmarkFolder:
     """The folder of one benchmark.
 
     Args:

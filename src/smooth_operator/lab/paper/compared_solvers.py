@@ -66,7 +66,7 @@ class Starts:
         return "" if self.count == 1 else f" × {self.count}"
 
 
-class Contestant(Protocol):
+class Solver(Protocol):
     """A solver with its settings; frozen."""
 
     @property
@@ -87,7 +87,7 @@ class Contestant(Protocol):
 
 
 @runtime_checkable
-class CompiledContestant(Contestant, Protocol):
+class CompiledSolver(Solver, Protocol):
     """One whose frame is a compiled program."""
 
     @property
@@ -96,7 +96,7 @@ class CompiledContestant(Contestant, Protocol):
 
     def __hash__(self) -> int: ...
 
-    def program_key(self) -> CompiledContestant:
+    def program_key(self) -> CompiledSolver:
         """The same with its knobs at their defaults: those with one key share a program."""
 
     def solve(
@@ -156,7 +156,7 @@ class Sampling:
         key: UInt32[Array, "2"],
         knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
-        """See ``CompiledContestant``."""
+        """See ``CompiledSolver``."""
         config = SamplingConfig(self.samples, min(self.elites, self.samples), self.most_cycles)
         cycles = knobs[1].astype(jnp.int32)
         limits = objective.hand.limits
@@ -214,7 +214,7 @@ class Rmsprop(_FromStarts):
         key: UInt32[Array, "2"],
         knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
-        """See ``CompiledContestant``."""
+        """See ``CompiledSolver``."""
         limits, starts = objective.hand.limits, self.starts
         many = scattered_starts(last, limits, key, starts.count, starts.spread)
         both = _few_gradients if starts.count <= _FEW else _many_gradients
@@ -254,7 +254,7 @@ class Newton(_FromStarts):
         key: UInt32[Array, "2"],
         knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
-        """See ``CompiledContestant``."""
+        """See ``CompiledSolver``."""
         limits, starts = objective.hand.limits, self.starts
         many = scattered_starts(last, limits, key, starts.count, starts.spread)
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
 
-from smooth_operator.lab.paper.contestants import (
-    Contestant,
+from smooth_operator.lab.paper.compared_solvers import (
     Newton,
     Rmsprop,
     Sampling,
     Slsqp,
+    Solver,
     Starts,
 )
+from smooth_operator.lab.paper.experiment_context import ExperimentContext
 from smooth_operator.lab.paper.rmsprop import RmspropConfig
 from smooth_operator.lab.paper.runs import measure_run
 from smooth_operator.lab.paper.sizes import Size
-from smooth_operator.lab.paper.study import Study
 from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 
 SAMPLING: Final = "sampling"
@@ -45,15 +45,15 @@ class Tuned:
 
 
 @dataclass(frozen=True)
-class Lineup:
+class SolverGrid:
     """The solvers.
 
     Attributes:
-        contestants: label -> solver, in the order of tables.
+        solvers: label -> solver, in the order of tables.
         tuning: how the settings of some were found.
     """
 
-    contestants: dict[str, Contestant]
+    solvers: dict[str, Solver]
     tuning: tuple[Tuned, ...]
 
     @property
@@ -63,32 +63,32 @@ class Lineup:
 
     def of(self, family: str) -> list[str]:
         """Labels of all forms of a solver."""
-        return [label for label, one in self.contestants.items() if one.family == family]
+        return [label for label, one in self.solvers.items() if one.family == family]
 
     def batched(self, family: str) -> str:
         """Label of the batched form of a solver."""
         return next(
             label
-            for label, one in self.contestants.items()
+            for label, one in self.solvers.items()
             if one.family == family and isinstance(one, (Slsqp, Rmsprop, Newton))
             and one.starts.count > 1
         )  # fmt: skip
 
 
-def make_lineup(study: Study, velocity_weight: float) -> Lineup:
-    """The solvers at the study's size; those with a step size are tuned for the objective.
+def make_solver_grid(context: ExperimentContext, velocity_weight: float) -> SolverGrid:
+    """The solvers at some size; those with a step size are tuned for the objective.
 
     The cost that they are tuned for is the objective's own mean, never jitter.
     """
-    size = study.size
+    size = context.size
     tuned = [
-        _tune(study, velocity_weight, _candidates(one, size))
+        _tune(context, velocity_weight, _candidates(one, size))
         for one in (Sampling(size.samples, size.cycles, most_cycles=size.cycles, note=", tuned"),
                     Rmsprop(), Rmsprop(starts=Starts(size.rmsprop_starts)))
     ]  # fmt: skip
     (sampling, rmsprop, rmsprops), notes = zip(*tuned, strict=True)
     published = Sampling(size.samples, size.cycles, most_cycles=size.cycles)
-    contestants: list[Contestant] = [
+    solvers: list[Solver] = [
         published,
         # where the published deviation is the best of those tried, there is no second one
         *([sampling] if sampling.sigma != published.sigma else []),
@@ -100,10 +100,10 @@ def make_lineup(study: Study, velocity_weight: float) -> Lineup:
         Newton(),
         Newton(starts=Starts(size.newton_starts)),
     ]
-    return Lineup({one.label: one for one in contestants}, tuple(notes))
+    return SolverGrid({one.label: one for one in solvers}, tuple(notes))
 
 
-def _candidates(one: Sampling | Rmsprop, size: Size) -> list[tuple[dict[str, float], Contestant]]:
+def _candidates(one: Sampling | Rmsprop, size: Size) -> list[tuple[dict[str, float], Solver]]:
     if isinstance(one, Sampling):
         return [({"sigma": s}, dataclasses.replace(one, sigma=s)) for s in size.sigmas]
     return [
@@ -116,14 +116,14 @@ def _candidates(one: Sampling | Rmsprop, size: Size) -> list[tuple[dict[str, flo
 
 
 def _tune(
-    study: Study,
+    context: ExperimentContext,
     velocity_weight: float,
-    candidates: Sequence[tuple[dict[str, float], Contestant]],
+    candidates: Sequence[tuple[dict[str, float], Solver]],
 ) -> tuple[Any, Tuned]:
-    problem = study.tuning
-    jobs = [study.run_job(problem, one, velocity_weight) for _, one in candidates]
+    problem = context.tuning
+    jobs = [context.run_job(problem, one, velocity_weight) for _, one in candidates]
     label = candidates[0][1].label
-    runs = study.run_all(f"tuning {label}", jobs)
+    runs = context.run_all(f"tuning {label}", jobs)
     costs = [measure_run(problem, run, velocity_weight)["cost"] for run in runs]
     best = min(range(len(costs)), key=costs.__getitem__)
     values, winner = candidates[best]

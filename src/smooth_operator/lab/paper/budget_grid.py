@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from smooth_operator.lab.paper.contestants import Sampling
+from smooth_operator.lab.paper.compared_solvers import Sampling
 from smooth_operator.lab.paper.sizes import Size
 
 
@@ -29,7 +29,7 @@ class Point:
     def __str__(self) -> str:
         return f"N = {self.samples:,}, L = {self.cycles}"
 
-    def contestant(self, most_cycles: int) -> Sampling:
+    def solver(self, most_cycles: int) -> Sampling:
         """Algorithm 1 of this size, in the program that all L of this N share."""
         return Sampling(self.samples, self.cycles, most_cycles=most_cycles)
 

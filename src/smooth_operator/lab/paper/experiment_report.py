@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.io.documents import read_json
-from smooth_operator.lab.benchmark.store import write_json
-from smooth_operator.lab.paper.catalogue import EXPERIMENTS
+from smooth_operator.lab.benchmark.benchmark_folder import write_json
 from smooth_operator.lab.paper.experiment import Experiment, Outcome, Table
-from smooth_operator.lab.paper.store import RESULTS, Store
+from smooth_operator.lab.paper.experiment_folder import RESULTS, ExperimentFolder
+from smooth_operator.lab.paper.registry import EXPERIMENTS
 from smooth_operator.lab.paper.verdicts import RULES
 from smooth_operator.reporting.drawing import write_figure
 from smooth_operator.reporting.html import (
@@ -45,7 +45,7 @@ td.verdict { white-space: nowrap; }
 
 
 def write_outcome(
-    store: Store, name: str, made: Experiment, outcome: Outcome, warning: str = ""
+    store: ExperimentFolder, name: str, made: Experiment, outcome: Outcome, warning: str = ""
 ) -> Path:
     """Writes what an experiment comes to.
 
@@ -82,7 +82,7 @@ def write_outcome(
     return path
 
 
-def write_report(store: Store) -> Path:
+def write_report(store: ExperimentFolder) -> Path:
     """One page of all experiments whose results are in the folder; it needs no other file.
 
     Raises:

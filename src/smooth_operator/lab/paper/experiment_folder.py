@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from smooth_operator.io import output_error
 from smooth_operator.io.environment import environment
-from smooth_operator.lab.benchmark import store as benchmark_store
-from smooth_operator.lab.benchmark.store import write_json
+from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
+from smooth_operator.lab.benchmark.benchmark_folder import write_json
 from smooth_operator.lab.offline.finished import read_configuration
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import ArrayCache, Note, code_digest, no_note
@@ -34,7 +34,7 @@ def check_folder(folder: Path) -> None:
     benchmark_store.check_folder(folder, COMMAND, "earlier experiments")
 
 
-class Store:
+class ExperimentFolder:
     """The folder of some experiments.
 
     Args:
@@ -85,6 +85,6 @@ class Store:
 def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return code_digest(
-        "hands", "objective", "solvers", "lab/paper/contestants.py", "lab/paper/grid.py",
-        "lab/paper/rmsprop.py", "lab/paper/runs.py", "lab/paper/starts.py",
+        "hands", "objective", "solvers", "lab/paper/compared_solvers.py",
+        "lab/paper/budget_grid.py", "lab/paper/rmsprop.py", "lab/paper/runs.py", "lab/paper/starts.py",
     )  # fmt: skip
