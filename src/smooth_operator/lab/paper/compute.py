@@ -54,8 +54,8 @@ class Compute:
             f"{config.velocity_weight:g}, M = 128, σ = 0.2, λ = 0.1, fresh normals) on "
             f"{problems[0].hand.name}: {len(points)} cells of the grid, {frames:,} frames of "
             f"{context.recordings}, {counted(context.size.seeds, 'seed')} each, every cell over "
-            "the whole of every recording from its own last answers. L counts the last cycle, which "
-            "Algorithm 1 draws and does not use. The reference is DexPilot as published (its own "
+            "the whole of every recording from its own last answers. L counts the last cycle, "
+            "which Algorithm 1 draws and does not use. The reference is DexPilot as published (its own "
             "loss) "
             "on the same frames, its answers measured by the same loss as the grid's.",
             verdicts,

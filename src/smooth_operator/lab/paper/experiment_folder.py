@@ -86,5 +86,6 @@ def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return code_digest(
         "hands", "objective", "solvers", "lab/paper/compared_solvers.py",
-        "lab/paper/budget_grid.py", "lab/paper/rmsprop.py", "lab/paper/runs.py", "lab/paper/starts.py",
+        "lab/paper/budget_grid.py", "lab/paper/rmsprop.py", "lab/paper/runs.py",
+        "lab/paper/starts.py",
     )  # fmt: skip
