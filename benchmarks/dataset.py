@@ -50,7 +50,7 @@ class Settings:
         method: retargeting method.
         preset: of the method.
         output: JSON file; build/benchmarks/dataset.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     ways: tuple[str, ...] = ("one", "pool", "ray")

@@ -48,7 +48,7 @@ class Settings:
         frames: how many frames.
         hand: built-in robot hand.
         output: JSON file; build/benchmarks/gpu.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     samples: int = 8192

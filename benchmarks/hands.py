@@ -101,7 +101,7 @@ class Settings:
             built-in operators; 0 for none, so that GeoRT serves hands with a built-in model only.
         seed: of the methods and of the poses.
         output: JSON file; build/benchmarks/hands.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     recordings: Annotated[tuple[str, ...], tyro.conf.Positional] = ("synthetic@10hz",)

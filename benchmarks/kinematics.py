@@ -50,7 +50,7 @@ class Settings:
         side: right or left.
         seed: of the random poses.
         output: JSON file; build/benchmarks/kinematics.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     batches: tuple[int, ...] = (1, 16, 128, 1024, 2048, 8192)

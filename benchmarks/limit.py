@@ -39,7 +39,7 @@ class Settings:
         hand: robot hand.
         method: retargeting method.
         output: JSON file; build/benchmarks/limit.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     preset: str = "paper"

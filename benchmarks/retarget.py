@@ -57,7 +57,7 @@ class Settings:
         passes: how often each recording is gone through; latencies are pooled.
         seed: of the synthetic operator.
         output: JSON file; build/benchmarks/retarget.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()

@@ -170,18 +170,18 @@ def run(
         stderr=subprocess.PIPE,
         text=True,
     )  # fmt: skip
-    memory, pages, told = Memory(loop.pid), 0, []
+    memory, pages, printed = Memory(loop.pid), 0, []
 
     def listen() -> None:
         assert loop.stderr is not None
-        told.extend(iter(loop.stderr.readline, ""))
+        printed.extend(iter(loop.stderr.readline, ""))
 
     threading.Thread(target=listen, daemon=True).start()
     glove.start()
     robot.start()
     try:
         start = time.monotonic()
-        with visitor(options.page, told) as visit:
+        with visitor(options.page, printed) as visit:
             turn = 0
             while loop.poll() is None:
                 time.sleep(1.0)
@@ -202,13 +202,13 @@ def run(
             loop.send_signal(signal.SIGINT)
             loop.wait(30)
     if loop.returncode not in (0, 1):
-        raise SystemExit(f"teleop ended with {loop.returncode}: {''.join(told)[-2000:]}")
+        raise SystemExit(f"teleop ended with {loop.returncode}: {''.join(printed)[-2000:]}")
     counts = {"glove_starts": glove.starts, "robot_starts": robot.starts, "page_visits": pages}
     return json.loads(out), memory, counts
 
 
 @contextlib.contextmanager
-def visitor(wanted: bool, told: list[str]) -> Iterator[Any]:
+def visitor(wanted: bool, printed: list[str]) -> Iterator[Any]:
     """Something to call that opens the page, looks at it for a second, and closes it; in a soak run
     the first visit stays."""
     if not wanted:
@@ -223,7 +223,9 @@ def visitor(wanted: bool, told: list[str]) -> Iterator[Any]:
         try:
 
             def visit() -> bool:
-                urls = [word for line in told for word in line.split() if word.startswith("http")]
+                urls = [
+                    word for line in printed for word in line.split() if word.startswith("http")
+                ]
                 if not urls:
                     return False
                 tab = browser.new_page()

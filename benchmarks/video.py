@@ -60,7 +60,7 @@ class Settings:
         cutoffs: of the filter [Hz]; 0 is none.
         seed: of the built-in operator and its noise.
         output: JSON file; build/benchmarks/video.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     video: Annotated[Path, tyro.conf.Positional]

@@ -57,7 +57,7 @@ class Settings:
         width: of the emulated headset's view [px]; more pixels are more software rendering.
         height: of the same [px].
         output: JSON file; build/benchmarks/webxr.json unless given.
-        compare: an earlier JSON file to lay beside this run.
+        compare: an earlier JSON file to compare this run with.
     """
 
     seconds: float = 20.0

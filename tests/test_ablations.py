@@ -20,7 +20,7 @@ from smooth_operator.cli import main
 from smooth_operator.cli.ablate_options import ExperimentName
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.lab.benchmark.sources import load_sources, parse_request
-from smooth_operator.lab.paper import experiment_context as study_module
+from smooth_operator.lab.paper import experiment_context as context_module
 from smooth_operator.lab.paper import interval_coverage
 from smooth_operator.lab.paper.budget_grid import Point, contours
 from smooth_operator.lab.paper.compared_solvers import (
@@ -158,7 +158,7 @@ def test_a_finished_run_computes_nothing_again_and_says_the_same(
     def never(*_: object, **__: object) -> Run:
         raise AssertionError("a finished cell was computed again")
 
-    monkeypatch.setattr(study_module, "run_contestant", never)
+    monkeypatch.setattr(context_module, "run_solver", never)
     again = dict(run_experiments(settings, load_recordings(settings)))
     for name in OURS:
         assert again[name].verdicts == outcomes[name].verdicts
@@ -177,7 +177,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         q = problem.start + 1e-3 * rng.standard_normal((len(problem), len(problem.start)))
         return Run(q, np.ones(2), np.ones(len(problem)), 0.0)
 
-    monkeypatch.setattr(study_module, "run_contestant", fake)
+    monkeypatch.setattr(context_module, "run_solver", fake)
     return calls
 
 

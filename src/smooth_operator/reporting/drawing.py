@@ -28,7 +28,7 @@ _SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3
 """Colours of names that have none of their own, such as presets that are no default."""
 
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
-"""Shapes, so that nothing is told by colour alone."""
+"""Shapes, so that nothing depends on colour alone."""
 
 _DPI: Final = 150
 _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
@@ -196,7 +196,7 @@ def _series_group(found: re.Match[str]) -> str:
 
 
 def _for_page(text: str, prefix: str) -> str:
-    """An SVG that may stand in a page beside others: no size, no names that clash, no links."""
+    """An SVG that may stand in a page with others: no size, no names that clash, no links."""
     head = text.index(">")
     tag = re.sub(r'\s(?:width|height|version|xmlns(?::\w+)?)="[^"]*"', "", text[:head])
     body = re.sub(r'id="([^"]+)"', rf'id="{prefix}-\1"', text[head:])

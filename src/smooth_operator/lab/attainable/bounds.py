@@ -10,7 +10,7 @@ whose keyvectors point most like the human's: once those from the thumb to the o
 15. It must lie within the joint limits, and no two parts of the hand may be deeper than 2 mm in
 each other. The better the direction of a pinch, the wider its gap, so this is done for several
 limits of the gap: wherever the human's tips are under 15 mm apart (a pinch), the robot's may be at
-most ``--gaps`` millimetres further apart. How the methods do on the same frames stands beside it.
+most ``--gaps`` millimetres further apart. The tables have the methods on the same frames as well.
 
 A method may be above the bound of a limit, because it keeps its gaps wider, or its parts deeper in
 each other; it cannot be above the last line, that of no limit, unless it is too deep.
@@ -90,8 +90,8 @@ class Settings:
         rounds: at most, in which frames try what their neighbours found.
         seed: of random starts and of the methods' random numbers.
         workers: processes; one for each core, if left out, and none with 0.
-        output: JSON file; a Markdown file and a picture of the same name stand beside it.
-        compare: an earlier JSON file to lay beside this run.
+        output: JSON file; a Markdown file and a picture of the same name stand next to it.
+        compare: an earlier JSON file to compare this run with.
     """
 
     recordings: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
@@ -232,17 +232,17 @@ def tables(
             solved = chosen & (shown.excess[g] <= TOLERANCE)
             got = sums_of(one, robots[g], chosen)
             alone = sums_of(one, robots[g], solved) if solved.any() else Sums()
-            beside = sums_of(one, one.answers[method], solved) if solved.any() else Sums()
+            methods_sums = sums_of(one, one.answers[method], solved) if solved.any() else Sums()
             every = summary.mean(found["all"].value[g][chosen]) if "all" in found else got.every
             over = summary.scaled(summary.mean(shown.excess[g][chosen & ~solved]), 1e3)
             mean = None if human.gap_mm is None else human.gap_mm + 1e3 * gap
             rows.append([label(gap), f"{solved.sum()}/{chosen.sum()}", got.thumb, shared(mean),
-                         every, got.gap_mm, got.scale, alone.thumb, beside.thumb,
+                         every, got.gap_mm, got.scale, alone.thumb, methods_sums.thumb,
                          over])  # fmt: skip
             figures = {
                 "thumb_cosine": got.thumb, "all_cosine": every, "pinch_gap_mm": got.gap_mm,
                 "scale_ratio": got.scale, "solved_share": summary.mean(solved[chosen]),
-                "solved_thumb_cosine": alone.thumb, "solved_beside": beside.thumb,
+                "solved_thumb_cosine": alone.thumb, "solved_beside": methods_sums.thumb,
                 "mean_gap_thumb_cosine": shared(mean),
             }  # fmt: skip
             report.add(f"{one.name}/{title}/{label(gap)}", figures)

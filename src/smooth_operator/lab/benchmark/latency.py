@@ -38,7 +38,7 @@ class Latency:
         first_ms: time of the first frame of a fresh, compiled retargeter [ms]; not counted.
         warm_up: frames between the first and the counted ones.
         load: load average of the machine over the minute before the end; it remembers what ran
-            before. None where the system does not tell.
+            before. None where the system does not say.
         others: share of the machine's cores that other processes took meanwhile; None where the
             system does not tell.
         reason: why there are no samples; None where there are.

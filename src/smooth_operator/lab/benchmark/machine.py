@@ -23,7 +23,7 @@ class Watch:
     def others(self) -> float | None:
         """Share of all cores that other processes took meanwhile, 0 to 1.
 
-        None where the system does not tell, or too little time has passed for its clock ticks.
+        None where the system does not say, or too little time has passed for its clock ticks.
         """
         busy, elapsed = _busy_seconds(), time.monotonic() - self._started
         if busy is None or self._busy is None or elapsed < 0.1:

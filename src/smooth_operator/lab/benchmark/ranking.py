@@ -121,7 +121,7 @@ def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
     """What failed: recording and hand, methods, reason; methods that share a reason together."""
-    told: list[tuple[str, str, str]] = []
+    grouped: list[tuple[str, str, str]] = []
     for (recording, hand, side), own in by_panel(rows).items():
         reasons: dict[str, list[str]] = {}
         for row in own:
@@ -130,8 +130,8 @@ def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
         for reason, methods in reasons.items():
             every = len(methods) == len(own) > 1
             named = f"all {len(own)} methods" if every else ", ".join(methods)
-            told.append((f"{recording} on {hand} {side}", named, reason))
-    return told
+            grouped.append((f"{recording} on {hand} {side}", named, reason))
+    return grouped
 
 
 def best(lines: Sequence[Line], metric: Metric) -> set[int]:

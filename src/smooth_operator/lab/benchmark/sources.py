@@ -219,7 +219,7 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
 
 
 def unique_names(named: Sequence[tuple[str, Path | None]]) -> list[str]:
-    """Names that tell files apart: those that clash get as many folders in front as it takes."""
+    """Names that distinguish files: those that clash get as many folders in front as it takes."""
     paths = [None if path is None else path.absolute() for _, path in named]
 
     def at(depth: int, i: int) -> str:

@@ -1,4 +1,4 @@
-"""Doing a benchmark: quality of all cells at once, then their latency alone."""
+"""Running a benchmark: quality of all cells in workers, then latency with nothing else running."""
 
 from __future__ import annotations
 
@@ -85,8 +85,8 @@ def run_suite(
 ) -> list[Finished]:
     """Measures all cells; those that an earlier run in the folder has finished are taken from it.
 
-    Each finished cell is written at once, so that a run that is stopped loses those only that it
-    was at. A cell that fails has a reason in place of figures, and the rest goes on.
+    Each finished cell is written before the next, so that a run that is stopped loses only those
+    that it was at. A cell that fails has a reason in place of figures, and the rest goes on.
 
     Args:
         settings: what was asked for.

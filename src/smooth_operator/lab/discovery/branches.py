@@ -189,10 +189,10 @@ class Branches:
             return True
         if len(mine) < 2 or len(theirs) < 2:
             return False
-        axis, beside = self._rest.axes[mine[-1]], self._rest.axes[theirs[-1]]
+        axis, their_axis = self._rest.axes[mine[-1]], self._rest.axes[theirs[-1]]
         offset = self._rest.anchors[mine[-1]] - self._rest.anchors[theirs[-1]]
         in_one_plane = abs(offset @ axis) < 0.08 * max(chain.length, other.length)
-        return not (abs(axis @ beside) > 0.95 and in_one_plane)
+        return not (abs(axis @ their_axis) > 0.95 and in_one_plane)
 
     def _fault(self, hand: HandTree) -> str | None:
         """Why this is no hand; None if it may be one."""

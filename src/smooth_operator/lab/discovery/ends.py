@@ -64,17 +64,17 @@ def far_end(
     tip = far = np.zeros(3)
     nail = False
     for _ in range(_ROUNDS):
-        beside = axis - (axis @ along) * along
-        if np.linalg.norm(beside) < 1e-6:
+        lateral = axis - (axis @ along) * along
+        if np.linalg.norm(lateral) < 1e-6:
             return None  # a link along its own axis: it twists, and has no bending plane
-        beside = beside / np.linalg.norm(beside)
-        across = np.cross(along, beside)
+        lateral = lateral / np.linalg.norm(lateral)
+        across = np.cross(along, lateral)
         run = points @ along
         top = _top(run)
         if top < min(0.15 * scale, 0.008):
             return None
         share = run / top
-        flat = points @ np.stack([across, beside], axis=1)
+        flat = points @ np.stack([across, lateral], axis=1)
         upper = (
             _section(flat, share, 0.6, 0.92)
             or _section(flat, share, 0.5, 1.0)
@@ -83,14 +83,14 @@ def far_end(
         if upper is None:
             return None
         centre, half = upper
-        far = top * along + centre[0] * across + centre[1] * beside
+        far = top * along + centre[0] * across + centre[1] * lateral
         nail = _has_nail(flat[(share > 0.975) & (share <= 1.0)][:, 0], float(centre[0]), half)
         tip = far - (_PAD * half * along if nail else 0.0)
         lower = _section(flat, share, 0.1, 0.4)
         if lower is None:
             break
-        start = 0.25 * top * along + lower[0][0] * across + lower[0][1] * beside
-        end = 0.76 * top * along + centre[0] * across + centre[1] * beside
+        start = 0.25 * top * along + lower[0][0] * across + lower[0][1] * lateral
+        end = 0.76 * top * along + centre[0] * across + centre[1] * lateral
         along = (end - start) / np.linalg.norm(end - start)
     return End(anchor + tip, anchor + far, nail)
 

@@ -82,12 +82,12 @@ def find_layout(
     middle = reach.tips.mean(axis=0)  # of all that each finger reaches
     by_base = float((bases[thumb] - bases[others].mean(axis=0)) @ lateral) / length
     by_reach = float((middle[thumb] - middle[others].mean(axis=0)) @ lateral) / length
-    beside = 0.5 * by_base + 0.5 * by_reach
-    side: Side = "right" if beside >= 0 else "left"
-    clear = min(abs(beside) / _CLEAR, 1.0)
+    sideways = 0.5 * by_base + 0.5 * by_reach
+    side: Side = "right" if sideways >= 0 else "left"
+    clear = min(abs(sideways) / _CLEAR, 1.0)
     evidence = [
         "seen with the fingers up and the palm towards you, the thumb is "
-        f"{abs(beside) * length * 1e3:.0f} mm to the {side}: its base "
+        f"{abs(sideways) * length * 1e3:.0f} mm to the {side}: its base "
         f"{by_base * length * 1e3:+.0f} mm, its reach {by_reach * length * 1e3:+.0f} mm"
     ]
     if by_base * by_reach < 0 and min(abs(by_base), abs(by_reach)) > 0.03:
@@ -119,7 +119,7 @@ def find_layout(
         side = side_given
 
     # An unclear thumb has no side of its own: the side of the hand then says where the index is.
-    towards = 1.0 if (beside >= 0 if clear >= 0.3 else side == "right") else -1.0
+    towards = 1.0 if (sideways >= 0 if clear >= 0.3 else side == "right") else -1.0
     place = {i: towards * float((0.7 * bases[i] + 0.3 * middle[i]) @ lateral) for i in others}
     ranked = sorted(others, key=lambda i: place[i], reverse=True)
     gaps = [place[a] - place[b] for a, b in pairwise(ranked)]
@@ -160,9 +160,9 @@ def find_layout(
 def _names(said: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
     """Human fingers for the robot's, in their order; names of the model only if they fit."""
     count = len(said)
-    told = _spoken(said)
-    if told and list(told) == sorted(told, key=FINGERS.index):
-        return told, 0.95, ["named as the model's own names say"]
+    named = _spoken(said)
+    if named and list(named) == sorted(named, key=FINGERS.index):
+        return named, 0.95, ["named as the model's own names say"]
     names = FINGERS[1 : 1 + count]
     if count == 4:
         return names, 0.95, []
@@ -172,8 +172,8 @@ def _names(said: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
 
 def _spoken(said: list[str | None]) -> tuple[str, ...]:
     """What names say of fingers other than the thumb; nothing unless each has one of its own."""
-    told = tuple(name for name in said if name is not None and name != "thumb")
-    return told if len(set(told)) == len(said) else ()
+    named = tuple(name for name in said if name is not None and name != "thumb")
+    return named if len(set(named)) == len(said) else ()
 
 
 def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:

@@ -103,8 +103,8 @@ def table(
             for w in some
             for name in faults
         ]
-        told = sum(d is not None for d in said)
-        row(f"{noise:g}", "each of these layouts, when it is said", len(said), told, "")
+        noticed = sum(d is not None for d in said)
+        row(f"{noise:g}", "each of these layouts, when it is said", len(said), noticed, "")
 
 
 def row(*cells: object) -> None:

@@ -72,8 +72,8 @@ class Settings:
         stale: use kept figures of other methods though their code has changed since.
         seed: of the methods' random numbers.
         cache: folder of kept figures.
-        output: JSON file; a Markdown file of the same name stands beside it.
-        compare: an earlier JSON file to lay beside this run.
+        output: JSON file; a Markdown file of the same name stands next to it.
+        compare: an earlier JSON file to compare this run with.
     """
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional]
@@ -132,7 +132,7 @@ def main(settings: Settings) -> None:
 
 
 def warn(note: str) -> None:
-    """Shows a note beside the progress."""
+    """Shows a note on standard error."""
     print(note, file=sys.stderr)
 
 
@@ -188,7 +188,7 @@ def measure(
 def time_alone(
     settings: Settings, sources: Sequence[Source], candidates: Sequence[Choice]
 ) -> dict[tuple[str, str], dict[str, float | None]]:
-    """(recording, label) -> latency, those to be judged taking turns and nothing beside them."""
+    """(recording, label) -> latency, those to be judged taking turns and nothing else running."""
     found: dict[tuple[str, str], dict[str, float | None]] = {}
     for source in sources if settings.latency else ():
         cells = cells_of(settings, [source], candidates)

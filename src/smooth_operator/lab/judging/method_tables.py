@@ -84,12 +84,12 @@ class Settings:
             first.
         hand: robot hand of all but ``hands``.
         hands: robot hands of ``hands``.
-        others: methods that the picture shows beside the fronts.
+        others: methods that the picture shows with the fronts.
         workers: processes; 0 for none.
         seed: of the methods' random numbers.
         cache: folder of what was measured before.
-        output: JSON file; Markdown and picture of the fronts stand beside it.
-        compare: an earlier JSON file to lay beside this run.
+        output: JSON file; Markdown and picture of the fronts stand next to it.
+        compare: an earlier JSON file to compare this run with.
     """
 
     parts: Annotated[tuple[Part, ...], tyro.conf.Positional] = get_args(Part)
@@ -217,14 +217,14 @@ def draw_fronts(
             own = [one[i] for key, one in found.items() if key[0] == front.title]
             own += [chosen, found["fronts", front.without][i] if front.without else None]
             tried = [metrics for metrics in own if metrics is not None]
-            beside = {
+            compared = {
                 label: one.metrics
                 for (name, _, label), one in measured.items()
                 if name == source.name and one.metrics is not None
             }
             marked = {} if chosen is None else {"as chosen": chosen}
             title, called = f"{recording}: {front.setting}", f"settings of {METHOD}"
-            row.append(TradeOff(title, front.x, front.y, tried, marked, beside, called))
+            row.append(TradeOff(title, front.x, front.y, tried, marked, compared, called))
         grid.append(row)
     picture = settings.output.with_name(f"{settings.output.stem}-fronts.png")
     save_trade_offs(picture, grid)

@@ -112,7 +112,7 @@ class Comparison:
             else f" Other processes took up to {100 * share:.0f} % of the cores."
         )
         return (
-            "Times are medians of calls for 20 frames at once (SLSQP: single frames on the host)."
+            "Times are medians of calls for 20 frames each (SLSQP: single frames on the host)."
             + busy
         )
 

@@ -55,9 +55,8 @@ class Compute:
             f"{problems[0].hand.name}: {len(points)} cells of the grid, {frames:,} frames of "
             f"{context.recordings}, {counted(context.size.seeds, 'seed')} each, every cell over "
             "the whole of every recording from its own last answers. L counts the last cycle, "
-            "which Algorithm 1 draws and does not use. The reference is DexPilot as published (its own "
-            "loss) "
-            "on the same frames, its answers measured by the same loss as the grid's.",
+            "which Algorithm 1 draws and does not use. The reference is DexPilot as published "
+            "(its own loss) on the same frames, its answers measured by the grid's loss.",
             verdicts,
             [_table(means), _contour_table(losses, lines)],
             [

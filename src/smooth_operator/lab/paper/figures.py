@@ -18,10 +18,10 @@ FAMILY_COLORS: Final = {
     "rmsprop": "#009e73",
     "newton": "#cc79a7",
 }
-"""Of Okabe and Ito's palette, which colour-blind readers tell apart."""
+"""Of Okabe and Ito's palette, which colour-blind readers can distinguish."""
 
 FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton": "D"}
-"""Shapes, so that nothing is told by colour alone."""
+"""Shapes, so that nothing depends on colour alone."""
 
 _PANELS: Final = (
     ("loss", 1.0, "tracking loss [–]"),
@@ -65,12 +65,12 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
         from matplotlib.lines import Line2D
 
         empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
-        told = [("without velocity term", "white"),
+        entries = [("without velocity term", "white"),
                 (f"with w_v = {several[-1].velocity_weight:g}", INK)]  # fmt: skip
         figure.legend(
             handles=[
                 Line2D([], [], markerfacecolor=face, label=text, **empty)
-                for text, face in told
+                for text, face in entries
             ],
             loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8,
         )  # fmt: skip

@@ -67,9 +67,9 @@ def _heat(
     image = ax.imshow(table, origin="lower", aspect="auto", cmap="viridis_r", norm=norm)
     for point, mean in means.items():
         x, y = samples.index(point.samples), cycles.index(point.cycles)
-        told = f"{_excess(mean, best):.2g}" if mean.value > best else "best"
+        shown = f"{_excess(mean, best):.2g}" if mean.value > best else "best"
         ax.text(
-            x, y, told, ha="center", va="center", fontsize=7.5, zorder=3,
+            x, y, shown, ha="center", va="center", fontsize=7.5, zorder=3,
             color="white" if norm(_excess(mean, best)) > 0.5 else "black",
         )  # fmt: skip
         if mean.value < reference:

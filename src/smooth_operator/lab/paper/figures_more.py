@@ -290,11 +290,11 @@ def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
         ax.grid(visible=False, axis="y")
         for y in range(1, len(labels), 2):
             ax.axhspan(y - 0.5, y + 0.5, color=INK, alpha=0.045, linewidth=0)
-    told = [
+    keys = [
         Line2D([], [], color=INK, linestyle="", marker="o", label="here, mean of recordings"),
         Line2D([], [], color=INK, linestyle="", marker="|", label="here, each recording"),
         Line2D([], [], color=INK, linestyle="", marker="D", markerfacecolor="none",
                label="in the paper, on other data"),
     ]  # fmt: skip
-    figure.legend(handles=told, loc="upper left", bbox_to_anchor=(0.12, 1.0), ncols=3, fontsize=8)
+    figure.legend(handles=keys, loc="upper left", bbox_to_anchor=(0.12, 1.0), ncols=3, fontsize=8)
     return figure

@@ -100,8 +100,8 @@ class FkLibraries:
             "written from the compiled one. Before the clock starts each must agree with MuJoCo's "
             f"own kinematics on {CHECKED} poses to {1e6 * AGREEMENT:g} µm. Warm; libraries take "
             f"turns, {more_size(context).fk_rounds} rounds, and are compared round by round; a "
-            f"round is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the rounds "
-            "of this run on this machine, and say nothing of another. Ours, MJX and PyTorch "
+            f"round is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the "
+            "rounds of this run on this machine, and say nothing of another. Ours, MJX and PyTorch "
             f"Kinematics compute in float32 and on as many threads as they like ({device}); "
             "Pinocchio and MuJoCo C in float64, a pose at a time in a Python loop, since they have "
             "no batch."
@@ -232,11 +232,11 @@ def _paper_verdict(found: Timing) -> Verdict:
     largest = found.batches[-1]
     rivals = [name for name in (PINOCCHIO, PYTORCH) if name in found.per_pose]
     absent = [name for name in (MJX, PINOCCHIO, PYTORCH) if name not in found.per_pose]
-    told = f"MJX is the fastest of the three at large batches ({largest:,} here)"
+    claimed = f"MJX is the fastest of the three at large batches ({largest:,} here)"
     if MJX not in found.per_pose or not rivals:
         named = "; ".join(f"{name}: {found.gaps[name]}" for name in absent)
         return Verdict(
-            told, "fastest, no figure", "not measured", "not shown",
+            claimed, "fastest, no figure", "not measured", "not shown",
             f"The paper: of Pinocchio, PyTorch Kinematics and MJX only the last has the speed that "
             f"is needed at large batches. Here that can't be said: {named}. "
             f"`{install_command('fk')}` brings them. Verdict: not shown.",
@@ -247,7 +247,7 @@ def _paper_verdict(found: Timing) -> Verdict:
     crossing = _crossing(found, MJX, rivals)
     gap = "".join(f" {name} is missing here ({found.gaps[name]})." for name in absent)
     return Verdict(
-        told,
+        claimed,
         "fastest, no figure",
         f"time over MJX's: {shown}",
         held,
@@ -271,11 +271,11 @@ def _crossing(found: Timing, name: str, rivals: Sequence[str]) -> str:
 def _own_verdict(found: Timing) -> Verdict:
     rivals = [name for name in (MJX, PINOCCHIO, PYTORCH, MUJOCO) if name in found.per_pose]
     batches = [batch for batch in found.batches if batch >= 64]
-    told = "ours: the unrolled walk is faster than any of them from a batch of 64 on"
+    claimed = "ours: the unrolled walk is faster than any of them from a batch of 64 on"
     if WALK not in found.per_pose or not rivals or not batches:
         why = found.gaps.get(WALK, "there is nothing to compare it with")
         return Verdict(
-            told, "no claim", "not measured", "not shown",
+            claimed, "no claim", "not measured", "not shown",
             f"Not compared: {why}. Verdict: not shown.",
         )  # fmt: skip
     ratios = {(batch, name): found.over(name, WALK, batch) for batch in batches for name in rivals}
@@ -289,7 +289,7 @@ def _own_verdict(found: Timing) -> Verdict:
         if BOUNDED in found.per_pose else ""
     )  # fmt: skip
     return Verdict(
-        told,
+        claimed,
         "no claim",
         f"at {largest:,}: {each}",
         held,

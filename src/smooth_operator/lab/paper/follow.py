@@ -62,7 +62,7 @@ class Field:
     choices: Mapping[str, Choice]
     gaps: Mapping[str, str]
 
-    def told(self) -> str:
+    def note(self) -> str:
         """The gaps as a sentence, empty where there are none."""
         return "".join(f" {label} is missing: {why}." for label, why in self.gaps.items())
 
@@ -111,13 +111,13 @@ def follow_job(
         todo = Plan(degraded.seen, hand, choice.method, choice.preset, choice.config, 0)
         retargeter, _ = built_for(todo)
 
-        def told(frames: Iterable[int]) -> Iterator[int]:
+        def tracked(frames: Iterable[int]) -> Iterator[int]:
             for i in frames:
                 yield i
                 if i % 20 == 19:
                     advance(20 / len(degraded.seen))
 
-        commands, _ = retargeter.run(degraded.seen, seed=seed, track=told)
+        commands, _ = retargeter.run(degraded.seen, seed=seed, track=tracked)
         return {"q": commands.joint_positions[LEAD:], "status": commands.status[LEAD:]}
 
     return cell_job(

@@ -81,7 +81,7 @@ class TrackerNoise:
             f"in both. The first frame is shown {LEAD} times before anything counts. Those of "
             "the paper's table are as their authors run them (sbr:paper, dexpilot:published, "
             "hybrid:published), but for GeoRT, which has our model; the others are as they come "
-            f"here, sbr being our preset realtime.{field.told()}",
+            f"here, sbr being our preset realtime.{field.note()}",
             [_smooth_verdict(sweep, noises), _step_verdict(sweep, losses),
              _price_verdict(sweep, noises)],
             [
@@ -170,12 +170,12 @@ def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
 
 
 def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
-    told = "SBR is a low-pass filter: behind a noisy tracker it is smoother than the baselines"
+    claimed = "SBR is a low-pass filter: behind a noisy tracker it is smoother than the baselines"
     paper = "7.17e-7 m² against 3.01e-6 and more, no noise added"
     at = _at(noises, NOISE)
     ratios = compared(sweep, at, "flatness")
     if not ratios:
-        return not_compared(told, paper, sweep)
+        return not_compared(claimed, paper, sweep)
     held = judge(Direction(1.0, upwards=False), list(ratios.values()))
     worst = noises[-1]
     most = compared(sweep, worst, "flatness")
@@ -188,7 +188,7 @@ def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
         else f" The fingertips that the methods see have {seen.shown(3, 1e6, ' mm²')}."
     )  # fmt: skip
     return Verdict(
-        told,
+        claimed,
         paper,
         f"flatness at {at}: {listed(ratios)}",
         held,
@@ -200,11 +200,13 @@ def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
 
 
 def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
-    told = "ours: after frames that were lost SBR comes back with smaller steps than the baselines"
+    claimed = (
+        "ours: after frames that were lost SBR comes back with smaller steps than the baselines"
+    )
     at = losses[-1]
     ratios = compared(sweep, at, "step")
     if not ratios:
-        return not_compared(told, "no claim", sweep)
+        return not_compared(claimed, "no claim", sweep)
     held = judge(Direction(1.0, upwards=False), list(ratios.values()))
     order = ranking(sweep, at, "step")
     clean, lost = (sweep.mean(PUBLISHED_SBR, c, "jitter") for c in (losses[0], at))
@@ -213,7 +215,7 @@ def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
         f"{lost.shown(3, 1e3, ' mrad')}."
     )  # fmt: skip
     return Verdict(
-        told,
+        claimed,
         "no claim",
         f"largest step at {at}: {listed(ratios)}",
         held,
@@ -224,16 +226,16 @@ def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
 
 
 def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
-    told = "behind a noisy tracker SBR keeps more of the human's motion than the baselines"
+    claimed = "behind a noisy tracker SBR keeps more of the human's motion than the baselines"
     paper = "0.776 against 0.675 to 0.727, no noise added"
     at = _at(noises, NOISE)
     found = compared(sweep, at, "motion_preservation", "difference")
     if not found:
-        return not_compared(told, paper, sweep)
+        return not_compared(claimed, paper, sweep)
     held = judge(Direction(0.0, upwards=True), list(found.values()))
     order = ranking(sweep, at, "motion_preservation", "up")
     return Verdict(
-        told,
+        claimed,
         paper,
         f"motion preservation at {at}: {listed_changes(found)}",
         held,

@@ -57,9 +57,9 @@ class FrameRate:
             "Accelerations are by the real stamps. Lag is the shift of cubic splines through the "
             "commands against those through the human's motion that best aligns their velocities, "
             "finer than a frame; the time of computing (latency) and of holding a command until "
-            "the next, half a period in the mean, come on top. No method is told the rate: weights "
+            "the next, half a period in the mean, come on top. No method knows the rate: weights "
             f"of velocity terms are per frame, as published. The first frame is shown {LEAD} times "
-            f"before anything counts.{gap}{field.told()}",
+            f"before anything counts.{gap}{field.note()}",
             [_smooth_verdict(sweep), _lag_verdict(sweep), _filter_verdict(sweep)],
             [_table(sweep)],
             [
@@ -87,12 +87,12 @@ _ROWS: Final = (
 
 
 def _smooth_verdict(sweep: Sweep) -> Verdict:
-    told = "SBR is smoother than the baselines, at any frame rate"
+    claimed = "SBR is smoother than the baselines, at any frame rate"
     paper = "7.17e-7 m² against 3.01e-6 and more, at about 100 Hz only"
     by_rate = {rate: compared(sweep, rate, "tip_acceleration") for rate in sweep.conditions}
     ratios = [one for found in by_rate.values() for one in found.values()]
     if not ratios:
-        return not_compared(told, paper, sweep)
+        return not_compared(claimed, paper, sweep)
     held = judge(Direction(1.0, upwards=False), ratios)
     low, high = sweep.conditions[0], sweep.conditions[-1]
     each = "; ".join(f"{rate:g} Hz: {listed(found)}" for rate, found in by_rate.items())
@@ -106,7 +106,7 @@ def _smooth_verdict(sweep: Sweep) -> Verdict:
     joints = {rate: compared(sweep, rate, "acceleration") for rate in (low, high)}
     also = "; ".join(f"{rate:g} Hz: {listed(found)}" for rate, found in joints.items())
     return Verdict(
-        told,
+        claimed,
         paper,
         f"fingertip acceleration at {_near(sweep, 100.0):g} Hz: "
         f"{listed(by_rate[_near(sweep, 100.0)])}",
@@ -118,12 +118,12 @@ def _smooth_verdict(sweep: Sweep) -> Verdict:
 
 
 def _lag_verdict(sweep: Sweep) -> Verdict:
-    told = "SBR is responsive: its lag stays below one frame, at any frame rate"
+    claimed = "SBR is responsive: its lag stays below one frame, at any frame rate"
     paper = "participants called it responsive; no figure"
     lags = {rate: sweep.mean(PUBLISHED_SBR, rate, "lag_ms") for rate in sweep.conditions}
     known = {rate: lag for rate, lag in lags.items() if lag is not None}
     if not known:
-        return not_compared(told, paper, sweep)
+        return not_compared(claimed, paper, sweep)
     # in frames, so that one margin serves all rates
     frames = [Estimate(tuple(1e-3 * rate * ms for ms in lag.points)) for rate, lag in known.items()]
     held = judge(Equality(-1.0, 1.0), frames)
@@ -133,7 +133,7 @@ def _lag_verdict(sweep: Sweep) -> Verdict:
     own = sweep.mean("sbr", at, "lag_ms")
     ours = "" if own is None else f" Our preset realtime lags by {own.shown(3, 1.0, ' ms')} there."
     return Verdict(
-        told,
+        claimed,
         paper,
         each,
         held,
@@ -145,18 +145,18 @@ def _lag_verdict(sweep: Sweep) -> Verdict:
 
 
 def _filter_verdict(sweep: Sweep) -> Verdict:
-    told = "ours: a velocity term per frame makes SBR's lag grow as the rate falls"
+    claimed = "ours: a velocity term per frame makes SBR's lag grow as the rate falls"
     low, high = sweep.conditions[0], sweep.conditions[-1]
     slow, fast = (sweep.mean(PUBLISHED_SBR, rate, "lag_ms") for rate in (low, high))
     if low == high or slow is None or fast is None:
-        return not_compared(told, "no claim", sweep)
+        return not_compared(claimed, "no claim", sweep)
     change = _difference(sweep, low, high)
     if change is None:
-        return not_compared(told, "no claim", sweep)
+        return not_compared(claimed, "no claim", sweep)
     held = judge(Direction(0.0, upwards=True), [change])
     frames = slow.value * low / 1e3, fast.value * high / 1e3
     return Verdict(
-        told,
+        claimed,
         "no claim",
         f"{low:g} Hz over {high:g} Hz: {signed(change, ' ms')}",
         held,
@@ -184,11 +184,11 @@ def _yardstick(sweep: Sweep, rate: float) -> str:
         f" Where velocities hardly correlate, a lag says little: {', '.join(doubt)}."
         if doubt else ""
     )  # fmt: skip
-    told = (
+    claimed = (
         f"Methods without a memory can't lag, so theirs is the error of the measure, by which "
         f"motion of another shape looks early or late: {each}." if each else ""
     )  # fmt: skip
-    return told + jumps
+    return claimed + jumps
 
 
 def _difference(sweep: Sweep, low: float, high: float) -> Estimate | None:

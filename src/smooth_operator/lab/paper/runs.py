@@ -103,7 +103,7 @@ def run_solver(
         solver: the solver.
         velocity_weight: w_v; the objective's own is not looked at.
         seed: of its random numbers, where it has any.
-        advance: told of the progress.
+        advance: called with the share that was done.
     """
     watch = Watch()
     if isinstance(solver, Slsqp):

@@ -149,7 +149,7 @@ class BenchmarkTable:
             f"saw it, still frames masked). Latency is p50 over {size.latency_frames} frames of "
             f"each recording, alone, methods taking turns, on {environment['cpu']}, "
             f"{environment['cpu_cores']} cores, {environment['device']}. "
-            f"{PAPER_NOTE}{field.told()}",
+            f"{PAPER_NOTE}{field.note()}",
             [_verdict(found, metric, papers) for metric in HEADLINES],
             [_paper_table(found, papers), _table(found, "sound"), _table(found, "paper")],
             [
@@ -267,7 +267,7 @@ def settled(outcome: Execution) -> Execution:
 def _latency(
     cells: Sequence[Cell], frames: int, advance: Callable[[float], None]
 ) -> dict[str, np.ndarray]:
-    for cell in cells:  # compiled before the machine is watched, and told of
+    for cell in cells:  # compiled before the machine is watched
         built_for(_plan(cell))
     found = measure_latency(cells, frames, 0, lambda cell: advance(1 / len(cells)))
     p50 = [one.summary["p50"] for one in found]

@@ -76,7 +76,9 @@ def _recordings(
 ) -> tuple[HandRecording, ...]:
     sources = load_sources(requests)
     if tuple(source.digest for source in sources) != digests:
-        raise RecordingError("a recording has changed since the search began; begin it anew")
+        raise RecordingError(
+            "a recording has changed since the search began; begin the search again"
+        )
     return tuple(source.recording for source in sources if source.recording is not None)
 
 
@@ -107,10 +109,10 @@ def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -
             return traced.run(recording, task.values)
         except UNTRACEABLE:
             _traced[key] = None
-    return _anew(task, config, recording)
+    return _compiled(task, config, recording)
 
 
-def _anew(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
+def _compiled(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
     """Compiled for these values."""
     retargeter = Retargeter(task.hand, side=recording.side, config=config, seed=task.seed)
     if retargeter.method.host is not None:

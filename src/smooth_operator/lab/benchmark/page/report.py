@@ -1,4 +1,4 @@
-"""``report.html`` and the plots beside it."""
+"""``report.html`` and its plots."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def write_report(
         comparison: with another benchmark.
 
     Returns:
-        The page. It needs nothing beside it, and nothing from the network.
+        The page. It needs no other file, and nothing from the network.
 
     Raises:
         OutputError: a file can't be written.
@@ -198,7 +198,7 @@ class _Page:
         groups = {
             key: rows
             for key, rows in by_panel(self._rows).items()
-            if any(row["status"] == "ok" for row in rows)  # the others are told under failures
+            if any(row["status"] == "ok" for row in rows)  # the others stand under failures
         }
         parts = []
         for i, (key, rows) in enumerate(groups.items()):

@@ -53,7 +53,7 @@ def headline_table(
     Args:
         lines: one a method.
         colors: method -> colour.
-        paper: lay the paper's own figures below.
+        paper: put the paper's own figures below.
     """
     foot = Html("")
     if paper:
@@ -94,9 +94,9 @@ def full_table(rows: Sequence[Row], colors: Mapping[str, str]) -> Html:
     body = []
     for metric in numbers():
         top = best(lines, metric)
-        told = element("span", escape(metric.name), title=metric.meaning)
+        title = element("span", escape(metric.name), title=metric.meaning)
         unit = element("small", escape(" ".join(filter(None, (metric.unit, metric.sign)))))
-        named = element("th", Html(f"{told} {unit}"), scope="row")
+        named = element("th", Html(f"{title} {unit}"), scope="row")
         body.append(
             [
                 named,
@@ -253,8 +253,8 @@ def _change(change: Change | None) -> Html:
     sign = "+" if change.difference > 0 else "−"
     text = escape(f"{sign}{abs(change.difference):.3g}")
     css = {"better": "best", "worse": "worse", "same": ""}[change.verdict]
-    told = {"better": " ▲", "worse": " ▼", "same": ""}[change.verdict]  # not by colour alone
-    return element("td", Html(f"{text}{told}"), **({"class_": css} if css else {}))
+    mark = {"better": " ▲", "worse": " ▼", "same": ""}[change.verdict]  # not by colour alone
+    return element("td", Html(f"{text}{mark}"), **({"class_": css} if css else {}))
 
 
 def _said(key: Sequence[str]) -> str:
