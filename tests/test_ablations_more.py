@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError, RecordingError, install_command
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.ranking import HEADLINES
 from smooth_operator.lab.benchmark.settings import Choice
@@ -192,7 +192,7 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
     assert "Pinocchio: not installed, so there is a gap" in outcome.setup
     paper, ours = outcome.verdicts
     assert paper.held == "not shown"
-    assert "smooth-retargeting[fk]" in paper.paragraph
+    assert install_command("fk") in paper.paragraph
     assert MUJOCO in ours.ours
     legend = [text.get_text() for text in outcome.drawings[0].figure.legends[0].get_texts()]
     assert "Pinocchio: not installed" in legend
@@ -381,7 +381,7 @@ def test_a_method_that_cannot_serve_the_hand_is_a_gap(context: ExperimentContext
     other = dataclasses.replace(context, hand="allegro_hand")  # no GeoRT model comes with it
     found = field_of(other, ("joint_angle", "geort"))
     assert list(found.choices) == ["joint_angle"]
-    assert "geort is missing: there is no built-in GeoRT model" in found.told()
+    assert "geort is missing: there is no built-in GeoRT model" in found.note()
     with pytest.raises(ConfigError, match="no method can serve"):
         field_of(other, ("geort",))
 
