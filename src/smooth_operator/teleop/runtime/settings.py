@@ -13,31 +13,24 @@ class SafetyConfig:
     """What happens when the tracker fails, and how the operator comes back.
 
     Attributes:
-        stale_s: a hand whose last usable frame is older than this is held [s].
-        lost_s: after this long it goes to its safe pose [s].
-        on_loss: ``ease`` to the neutral pose, or ``hold`` the last command for ever.
-        ease_velocity: speed of the fastest joint on the way to the safe pose [rad/s].
-        blend_s: time to go over to the operator after a loss or a pause [s]; after a gap that is
+        stale_s: A hand whose last usable frame is older than this is held [s].
+        lost_s: After this long without one it goes to its safe pose [s].
+        on_loss: What then: ease to the neutral pose, or hold the last command for ever.
+        ease_velocity: Speed of the fastest joint on the way to the safe pose [rad/s].
+        blend_s: Time to go over to the operator after a loss or a pause [s]; after a gap that is
             shorter than this, as long as the gap.
-        restart_s: stamps that go back by more than this are a tracker that was started again; by
+        restart_s: Stamps that go back by more than this are a tracker that was started again; by
             less, frames out of order, which are refused [s].
-        watchdog_s: silence of the loop after which sinks are notified [s].
+        watchdog_s: Silence of the loop after which sinks are notified [s].
     """
 
     stale_s: float = 0.1
-    """A hand whose last usable frame is older than this is held [s]."""
     lost_s: float = 2.0
-    """After this long without one it goes to its safe pose [s]."""
     on_loss: Literal["ease", "hold"] = "ease"
-    """What then: ease to the neutral pose, or hold the last command for ever."""
     ease_velocity: float = 1.0
-    """Speed of the fastest joint on the way to the safe pose [rad/s]."""
     blend_s: float = 0.5
-    """Time to go over to the operator after a loss or pause [s]; at most as long as the gap."""
     restart_s: float = 1.0
-    """Stamps that go back by more are a tracker that was started again; by less, refused [s]."""
     watchdog_s: float = 0.2
-    """Silence of the loop after which sinks are notified [s]."""
 
     def __post_init__(self) -> None:
         for name in ("stale_s", "ease_velocity", "watchdog_s"):
@@ -57,17 +50,14 @@ class LimitsConfig:
     """Limits of what leaves the loop, whatever the method asks for.
 
     Attributes:
-        velocity: of every joint, coupled ones included [rad/s].
-        acceleration: of every joint [rad/s^2].
-        margin: kept clear of each end of a joint's range [rad].
+        velocity: Largest velocity of any joint, coupled ones included [rad/s].
+        acceleration: Largest acceleration of any joint [rad/s^2].
+        margin: Kept clear of each end of a joint's range [rad].
     """
 
     velocity: float = 15.0
-    """Largest velocity of any joint [rad/s]."""
     acceleration: float = 1500.0
-    """Largest acceleration of any joint [rad/s^2]."""
     margin: float = 0.0
-    """Kept clear of both ends of every joint's range [rad]."""
 
     def __post_init__(self) -> None:
         if not (self.velocity > 0 and self.acceleration > 0 and self.margin >= 0):

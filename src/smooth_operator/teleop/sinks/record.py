@@ -44,11 +44,8 @@ class RecordSink(Sink):
 
     path: Path
     overwrite: bool = False
-    """Replace a named file that stands there already."""
     flush_s: float = 0.5
-    """How long a tick may wait for the disk [s]."""
     buffer: int = 4000
-    """Ticks that wait while the disk is slow; those beyond are dropped, and counted."""
 
     observes: ClassVar[bool] = True
     """It moves nothing, and gets its ticks after the sinks that do."""

@@ -36,9 +36,7 @@ class Ros2Sink(ThreadedSink):
     """
 
     topic: str = "/{hand}/{side}/joint_commands"
-    """Name of the topic; ``{hand}`` and ``{side}`` stand for the hand's."""
     node: str = "smooth_operator"
-    """Name of the node."""
 
     def __post_init__(self) -> None:
         for side in ("right", "left"):

@@ -51,13 +51,9 @@ class Simulation(Sink):
     """
 
     rate: float = 500.0
-    """Steps of the physics per second [Hz]."""
     bandwidth: float = 20.0
-    """Bandwidth of the servos [Hz]; higher follows faster and pushes harder."""
     gravity: bool = False
-    """Pull along -z of the model's world, wherever that points in it."""
     task: Literal["none", "card", "cube", "screwdriver"] = "none"
-    """What the hands work on, each on its own: a task of the study, or nothing."""
     _world: _World | None = field(default=None, init=False, repr=False, compare=False)
     _task: str | None = field(default=None, init=False, repr=False, compare=False)
     _swapping: threading.Lock = field(

@@ -40,7 +40,6 @@ class TableSink(Sink):
     """
 
     rate: float = 5.0
-    """How often it is drawn [Hz]."""
     observes: ClassVar[bool] = True
     """It moves nothing, and gets its ticks after the sinks that do."""
 

@@ -38,9 +38,7 @@ class ZmqSink(ThreadedSink):
     """
 
     address: str = "tcp://127.0.0.1:5556"
-    """Where to listen for subscribers; the default is reached from this machine only."""
     valid_for_s: float = 0.2
-    """How long a command may be acted upon [s]."""
 
     def __post_init__(self) -> None:
         if "://" not in self.address:
