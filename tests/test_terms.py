@@ -20,7 +20,7 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 from smooth_operator.objective.terms.term import JointTerm
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "custom_term.py"
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "06_custom_term.py"
 
 
 @dataclass(frozen=True)

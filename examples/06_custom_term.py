@@ -1,7 +1,4 @@
-"""A term of your own in the objective: two fingertips of the robot keep a distance.
-
-python examples/custom_term.py
-"""
+"""A term of your own in the objective: two fingertips of the robot keep a distance."""
 
 from __future__ import annotations
 
