@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from trees import float64, random_rotations
 
-from smooth_operator.geometry import Similarity, namespace, umeyama
+from smooth_operator.geometry import Similarity, array_namespace, umeyama
 
 COUNTS = [3, 4, 14]
 
@@ -254,5 +254,5 @@ def test_gradients_are_finite_and_right() -> None:
 
 
 def test_namespace_follows_the_arrays() -> None:
-    assert namespace(np.zeros(1), 2.0) is np
-    assert namespace(np.zeros(1), jnp.zeros(1)) is jnp
+    assert array_namespace(np.zeros(1), 2.0) is np
+    assert array_namespace(np.zeros(1), jnp.zeros(1)) is jnp

@@ -87,7 +87,7 @@ def test_polynomials_within_limits_are_accurate(seed: int) -> None:
     ends = np.stack([tree.limits[:, 0], tree.limits[:, 1]])
     q = np.concatenate([q, ends])  # where Chebyshev polynomials are at their worst
     rows = [jnp.asarray(row, jnp.float32) for row in q.T]
-    fast = jax.jit(lambda rows: tree.walk(rows, tree.names, within_limits=True))(rows)
+    fast = jax.jit(lambda rows: tree.forward_kinematics(rows, tree.names, within_limits=True))(rows)
     got = np.stack([np.stack([np.broadcast_to(c, len(q)) for c in p], -1) for p in fast], -2)
     assert abs(got - tree.positions(q)).max() < 1e-6
 
@@ -102,7 +102,7 @@ def test_polynomials_of_a_joint_that_turns_round_and_round() -> None:
     tree = build_tree(model, model.body("palm").id, {"p": (2, np.array([0.1, 0.0, 0.0]))})
     q = np.linspace(-12, 12, 2001)[:, None]
     rows = [jnp.asarray(q[:, 0], jnp.float32)]
-    x, y, _ = tree.walk(rows, ("p",), within_limits=True)[0]
+    x, y, _ = tree.forward_kinematics(rows, ("p",), within_limits=True)[0]
     assert np.hypot(x - 0.1 * np.cos(q[:, 0]), y - 0.1 * np.sin(q[:, 0])).max() < 1e-6
 
 
@@ -136,7 +136,7 @@ def test_gradients_by_finite_differences(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [1, 5, 8])
 def test_points_with_derivatives(seed: int) -> None:
-    """Points, velocities and curvature against the walk and against differences of it."""
+    """Points, Jacobian and curvature against forward kinematics and against differences of it."""
     _, _, _, tree = random_tree(seed)
     rng = np.random.default_rng(seed)
     names = tree.names[:2] + tree.names[-3:]  # the first is on the palm: nothing moves it
@@ -151,14 +151,14 @@ def test_points_with_derivatives(seed: int) -> None:
         program = jax.jit(motion_of.__call__)
         motion = program(q)
         bend = motion_of.curvature(motion, jnp.asarray(force))
-        slopes = np.array([np.einsum("fc,fjc->j", force, program(p).velocities) for p in around])
+        slopes = np.array([np.einsum("fc,fjc->j", force, program(p).jacobian) for p in around])
     points = tree.positions(np.stack(around))[:, at]
     np.testing.assert_allclose(motion.points, tree.positions(q)[at], atol=1e-12)
     velocities = (points[0::2] - points[1::2]) / (2 * step)
-    np.testing.assert_allclose(motion.velocities, np.moveaxis(velocities, 0, 1), atol=1e-8)
+    np.testing.assert_allclose(motion.jacobian, np.moveaxis(velocities, 0, 1), atol=1e-8)
     hessian = (slopes[0::2] - slopes[1::2]) / (2 * step)
     np.testing.assert_allclose(bend, hessian, atol=1e-8)
-    assert not np.asarray(motion.velocities[0]).any()
+    assert not np.asarray(motion.jacobian[0]).any()
     assert abs(hessian).max() > 1e-3
 
 

@@ -16,8 +16,8 @@ AnyKind = TypeVar("AnyKind", Array, np.ndarray)
 """NumPy in, NumPy out; JAX in, JAX out."""
 
 
-def namespace(*arrays: Any) -> ModuleType:
-    """``jax.numpy`` if any array is JAX's, else ``numpy``."""
+def array_namespace(*arrays: Any) -> ModuleType:
+    """Array-API namespace ``xp`` of some arrays: ``jax.numpy`` if one is JAX's, else ``numpy``."""
     return jnp if any(isinstance(a, Array) for a in arrays) else np
 
 
@@ -42,7 +42,7 @@ class Similarity(NamedTuple, Generic[_Held]):
 
     def apply(self, points: _Held) -> _Held:
         """Transform (..., n, 3) points."""
-        xp = namespace(points, self.scale)
+        xp = array_namespace(points, self.scale)
         turned = xp.einsum("...ij,...nj->...ni", self.rotation, points)
         moved: _Held = self.scale[..., None, None] * turned + self.translation[..., None, :]
         return moved
@@ -72,7 +72,7 @@ def umeyama(
         the transform. Check ``condition`` before using it: degenerate sets give a finite but
         meaningless rotation.
     """
-    xp = namespace(source, target)
+    xp = array_namespace(source, target)
     if weights is None:
         centre_s, centre_t = source.mean(axis=-2), target.mean(axis=-2)
         root: AnyArray | float = 1.0

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.geometry import AnyKind, namespace
+from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.hands.collision import PALM, colliding_shapes, owners, solid_shapes
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
@@ -136,7 +136,7 @@ def segment_parameters(
     Returns:
         (...) shares s, t in [0, 1].
     """
-    xp = namespace(first[0])
+    xp = array_namespace(first[0])
     along, across = first[1] - first[0], second[1] - second[0]
     between = first[0] - second[0]
     a = xp.maximum((along * along).sum(-1), _TINY)

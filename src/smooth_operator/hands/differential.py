@@ -1,9 +1,9 @@
 """Fingertips with their first and second derivatives, for one hand at a time.
 
-The unrolled walk of ``smooth_operator.hands.kinematics`` is made for thousands of candidates. A
-Newton step asks for one pose, with derivatives, and wants a small program: here the tree is swept
-level by level in batched 3 x 3 products, and the derivatives come from the geometry of a hinge
-rather than from differentiating code. With axis a_j and lever r_fj from joint j to point f:
+The unrolled ``KinematicTree.forward_kinematics`` is made for thousands of candidates. A Newton step
+asks for one pose, with derivatives, and wants a small program: here the tree is swept level by
+level in batched 3 x 3 products, and the Jacobian and second derivatives come from the geometry of a
+hinge rather than from differentiating code. With axis a_j and arm r_fj from joint j to point f:
 
     dp_f / dq_j           = a_j x r_fj                     (a_j for a slide)
     d2p_f / (dq_i dq_j)   = a_i x (a_j x r_fj)             for hinge i above or equal to j
@@ -28,13 +28,13 @@ class PointMotion(NamedTuple):
 
     Attributes:
         points: (F, 3) positions in the palm frame [m].
-        velocities: (F, J, 3) dp_f/dq_j, zero where joint j does not move point f.
-        turns: (J, 3) hinge axes, zero for slides.
+        jacobian: (F, J, 3) dp_f/dq_j [m/rad], zero where joint j does not move point f.
+        hinge_axes: (J, 3) hinge axes, zero for slides.
     """
 
     points: Float[Array, "F 3"]
-    velocities: Float[Array, "F J 3"]
-    turns: Float[Array, "J 3"]
+    jacobian: Float[Array, "F J 3"]
+    hinge_axes: Float[Array, "J 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,21 +125,21 @@ class PointKinematics:
 
         axes = all_rotations[:-1, :, 2]
         hinge = jnp.asarray([not joints[i].slide for i in flat])[:, None]
-        lever = points[:, None, :] - all_origins[None, :-1, :]
-        velocities = jnp.where(hinge, _cross(axes[None], lever), axes[None])
-        velocities = jnp.where(jnp.asarray(self.moves)[:, :, None], velocities, 0.0)
-        return PointMotion(points, velocities, jnp.where(hinge, axes, 0.0))
+        arm = points[:, None, :] - all_origins[None, :-1, :]
+        jacobian = jnp.where(hinge, _cross(axes[None], arm), axes[None])
+        jacobian = jnp.where(jnp.asarray(self.moves)[:, :, None], jacobian, 0.0)
+        return PointMotion(points, jacobian, jnp.where(hinge, axes, 0.0))
 
-    def curvature(self, motion: PointMotion, force: Float[Array, "F 3"]) -> Float[Array, "J J"]:
-        """Second derivative of sum_f force_f . p_f with respect to the J joints.
+    def curvature(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "J J"]:
+        """Second derivative of sum_f gradient_f . p_f with respect to the J joints.
 
         Args:
             motion: at the pose.
-            force: (F, 3), held fixed.
+            gradient: (F, 3) of a cost with respect to the points, held fixed.
         """
-        # f . (a_i x w_fj) = (f x a_i) . w_fj, for i above j
-        torque = _cross(force[:, None, :], motion.turns[None])
-        upper = jnp.einsum("fic,fjc->ij", torque, motion.velocities)
+        # g . (a_i x w_fj) = (g x a_i) . w_fj, for i above j
+        torque = _cross(gradient[:, None, :], motion.hinge_axes[None])
+        upper = jnp.einsum("fic,fjc->ij", torque, motion.jacobian)
         return jnp.where(
             jnp.asarray(self.above), upper, jnp.where(jnp.asarray(self.above.T), upper.T, 0.0)
         )

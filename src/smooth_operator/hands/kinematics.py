@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.geometry import AnyArray, AnyKind, namespace
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 
 Number: TypeAlias = AnyArray | float
 """An array over the batch, or a plain number where no joint has touched it."""
@@ -95,20 +95,20 @@ class KinematicTree:
         Returns:
             (..., k, 3) positions [m], in the order of ``names``; differentiable in q.
         """
-        xp = namespace(q)
+        xp = array_namespace(q)
         batch = q.shape[:-1]
         flat = q.reshape(-1, self.num_joints).T
-        points = self.walk(list(flat), self.names)
+        points = self.forward_kinematics(list(flat), self.names)
         stacked = xp.stack(
             [xp.stack([xp.broadcast_to(c, flat.shape[1:]) for c in p], axis=-1) for p in points],
             axis=-2,
         )
         return stacked.reshape(*batch, len(points), 3)  # type: ignore[no-any-return]
 
-    def walk(
+    def forward_kinematics(
         self, q: Sequence[AnyArray], names: Sequence[str], *, within_limits: bool = False
     ) -> list[Vector]:
-        """The unrolled kernel: positions of some keypoints, batch last.
+        """Forward kinematics, unrolled: positions of some keypoints, batch last.
 
         Args:
             q: n arrays of one common shape, the positions of all joints [rad].
@@ -120,7 +120,7 @@ class KinematicTree:
         Returns:
             one (x, y, z) per name; a coordinate that no joint moves is a plain float.
         """
-        xp = namespace(*q)
+        xp = array_namespace(*q)
         trig: dict[int, tuple[AnyArray, AnyArray]] = {}
 
         def sin_cos(i: int) -> tuple[AnyArray, AnyArray]:

@@ -37,7 +37,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.geometry import AnyArray, AnyKind, namespace
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
@@ -87,7 +87,7 @@ def palm_axes(landmarks: AnyKind, side: Side) -> PalmAxes[AnyKind]:
         landmarks: (..., 21, 3) [m].
         side: which hand it is; the mirror image of a hand has the mirror image of its axes.
     """
-    xp = namespace(landmarks)
+    xp = array_namespace(landmarks)
     distal = _unit(landmarks[..., 9, :] - landmarks[..., 0, :], xp)
     across = landmarks[..., 5, :] - landmarks[..., 17, :]
     handed = 1.0 if side == "right" else -1.0
@@ -108,7 +108,7 @@ def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*ba
         (..., 20) angles [rad], in (-pi, pi], finite wherever the landmarks are, coincident ones
         included.
     """
-    xp = namespace(landmarks)
+    xp = array_namespace(landmarks)
     batch = landmarks.shape[:-2]
     fingers = landmarks[..., 1:, :].reshape(*batch, 5, 4, 3)
     basis = xp.stack([xp.asarray(axis, landmarks.dtype) for axis in axes], axis=-1)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.geometry import AnyArray, AnyKind, namespace
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.joint_angles import PalmAxes
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
@@ -210,7 +210,7 @@ class OperatorProfile:
         Returns:
             (..., 21, 3) [m]. The palm's own landmarks move by ``palm`` only.
         """
-        xp = namespace(aligned)
+        xp = array_namespace(aligned)
         out: Any = aligned
         if self.has("palm"):
             pivot = hand.align_points.mean(axis=0).astype(aligned.dtype)
@@ -316,7 +316,7 @@ def tip_frames(
     Returns:
         two (..., F, 3) of unit vectors.
     """
-    xp = namespace(points)
+    xp = array_namespace(points)
     distal, radial, palmar = (np.asarray(axis, points.dtype) for axis in axes)
     tips = [TIPS[i] for i in fingers]
     along = _unit(points[..., tips, :] - points[..., [t - 1 for t in tips], :], xp)

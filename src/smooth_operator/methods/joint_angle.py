@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.geometry import AnyKind, namespace
+from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import AlignmentConfig
@@ -66,7 +66,7 @@ class JointAngleMap:
         Returns:
             (..., m) positions of the actuated joints [rad], within their limits.
         """
-        xp = namespace(aligned)
+        xp = array_namespace(aligned)
         angles = joint_angles(aligned, self.axes)
         # What is not needed may be NaN, and zero times NaN is not zero.
         angles = xp.where(xp.isfinite(angles), angles, 0)

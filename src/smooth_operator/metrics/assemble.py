@@ -95,7 +95,7 @@ def sample_reach(
     q = np.random.default_rng(seed).uniform(low, high, (samples, len(low)))
     columns = list(np.ascontiguousarray(hand.expand(q).T))
     reach = np.empty((samples, len(hand.tip_names), 3))
-    for finger, point in enumerate(hand.tree.walk(columns, hand.tip_names)):
+    for finger, point in enumerate(hand.tree.forward_kinematics(columns, hand.tip_names)):
         for axis, values in enumerate(point):
             reach[:, finger, axis] = values  # a coordinate that no joint moves is one number
     return reach

@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import combinations
 from typing import cast
 
-from smooth_operator.geometry import AnyArray, AnyKind, namespace
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 
 
@@ -49,7 +49,7 @@ class VectorLayout(ABC):
         Returns:
             (..., K, 3) [m].
         """
-        xp = namespace(points[0])
+        xp = array_namespace(points[0])
         stacked = xp.stack([*points, xp.zeros_like(points[0])], axis=-2)  # the last: the origin
         at = {landmark: i for i, landmark in enumerate(self.landmarks)}
         start = [len(points) if i is None else at[i] for i, _ in self.vectors]
@@ -123,7 +123,7 @@ class KeyvectorLayout(VectorLayout):
         Returns:
             (..., K, 3) [m].
         """
-        xp = namespace(tips)
+        xp = array_namespace(tips)
         base = xp.broadcast_to(wrist, (*tips.shape[:-2], 3))
         points = [base, *(tips[..., i, :] for i in range(len(self.fingers)))]
         vectors: AnyKind = self.among(cast(list[AnyKind], points))

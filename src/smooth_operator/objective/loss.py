@@ -195,7 +195,9 @@ class Objective:
     ) -> Array:
         names = tuple(dict.fromkeys(name for term in terms for name in term.points()))
         tree = self.hand.tree if all(n in self.hand.tree.keypoints for n in names) else self.tree
-        points = tree.walk(self.hand.expand_rows(q), names, within_limits=within_limits)
+        points = tree.forward_kinematics(
+            self.hand.expand_rows(q), names, within_limits=within_limits
+        )
         at = dict(zip(names, points, strict=True))
         costs = [term.cost([at[name] for name in term.points()], goal) for term in terms]
         return functools.reduce(operator.add, costs)
@@ -251,7 +253,7 @@ class Objective:
         motion = self.kinematics(matrix @ q + offset)
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
-            term.expand(at.take(motion.points), at.take(motion.velocities), goal)
+            term.expand(at.take(motion.points), at.take(motion.jacobian), goal)
             for term, at in zip(self.point_terms, chosen, strict=True)
         ]
         cost = functools.reduce(operator.add, [one.cost for one in near])
@@ -263,7 +265,7 @@ class Objective:
         first, second = self.regularisation_derivatives(q, goal)
         return (
             cost + self.regularisation(q, goal),
-            jnp.einsum("fc,fjc->j", gradient, motion.velocities) @ joints + first,
+            jnp.einsum("fc,fjc->j", gradient, motion.jacobian) @ joints + first,
             joints.T @ hessian @ joints + second * jnp.eye(len(q), dtype=q.dtype),
         )
 

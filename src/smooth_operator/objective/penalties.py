@@ -8,7 +8,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smooth_operator.geometry import AnyKind, namespace
+from smooth_operator.geometry import AnyKind, array_namespace
 
 Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
 """``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
@@ -32,7 +32,7 @@ class PenaltySlopes(NamedTuple):
 
 def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
     """x^2 / (2 transition) up to the transition, |x| - transition / 2 beyond; NumPy or JAX."""
-    xp = namespace(x)
+    xp = array_namespace(x)
     size = xp.abs(x)
     near = xp.minimum(size, transition)
     cost: AnyKind = near * (size - 0.5 * near) * (1 / transition)

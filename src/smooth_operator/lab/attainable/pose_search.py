@@ -187,7 +187,9 @@ class Search:
 
     def _look(self, q: Float[Array, "m B"]) -> tuple[Float[Array, "K 3 B"], Float[Array, "P B"]]:
         """Keyvectors, and how deep each pair is in each other, of many poses [m]."""
-        rows = self.pairs.tree.walk(self.hand.expand_rows(list(q)), self.names, within_limits=True)
+        rows = self.pairs.tree.forward_kinematics(
+            self.hand.expand_rows(list(q)), self.names, within_limits=True
+        )
         points = jnp.stack([
             jnp.stack([jnp.broadcast_to(jnp.asarray(c, q.dtype), q[0].shape) for c in point])
             for point in rows
@@ -233,11 +235,11 @@ class Search:
             matrix, offset = (jnp.asarray(a, q.dtype) for a in self.hand.expansion)
             motion = self._kinematics(matrix @ q + offset)
             spread = matrix[np.array(self._kinematics.order)]
-            levers = jnp.einsum("fjc,jm->fcm", motion.velocities, spread)
+            jacobian = jnp.einsum("fjc,jm->fcm", motion.jacobian, spread)
             wrist = jnp.asarray(self.hand.wrist, q.dtype)
             vectors = self.layout.among([wrist, *motion.points[:fingers]])
             moved = self.layout.among(
-                [jnp.zeros((3, len(q))).T, *jnp.swapaxes(levers[:fingers], 1, 2)]
+                [jnp.zeros((3, len(q))).T, *jnp.swapaxes(jacobian[:fingers], 1, 2)]
             )
             (loss, length), back = jax.vjp(lambda v: self._loss(v, human, weights, -1), vectors)
             (slope,) = back((jnp.ones_like(loss), jnp.zeros_like(length)))
@@ -245,7 +247,7 @@ class Search:
             unit = vectors / length[:, None]
             longer = jnp.einsum("kc,mkc->km", unit, moved)[self.thumb]
             depths, direction, (s, t) = self._depths(motion.points[fingers:])
-            ends = levers[fingers:]
+            ends = jacobian[fingers:]
             s, t = s[:, None, None], t[:, None, None]
             apart = (
                 (1 - s) * ends[2 * first] + s * ends[2 * first + 1]

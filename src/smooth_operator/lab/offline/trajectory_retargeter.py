@@ -100,9 +100,9 @@ class TrajectoryRetargeter:
             )
 
         def points(q: Array) -> tuple[Array, Array]:
-            at, levers = jax.vmap(lambda one: fingertips(method.hand, one))(q)
+            at, jacobian = jax.vmap(lambda one: fingertips(method.hand, one))(q)
             count = at.shape[1] * 3
-            return at.reshape(len(q), count), levers.reshape(len(q), count, -1)
+            return at.reshape(len(q), count), jacobian.reshape(len(q), count, -1)
 
         self._aligned, self._follow = compiled(aligned), compiled(follow)
         self._costs, self._points = compiled(costs), compiled(points)
@@ -260,11 +260,11 @@ class TrajectoryRetargeter:
                 self._points(_filled(q[at : at + CHUNK].astype(np.float32)))
                 for at in range(0, len(q), CHUNK)
             ]
-            at, levers = (
+            at, jacobian = (
                 np.concatenate([np.asarray(p, np.float64) for p in column])[: len(q)]
                 for column in zip(*parts, strict=True)
             )
-            return at, levers
+            return at, jacobian
 
         return Led(points, steps.reshape(len(steps), -1), np.repeat(weights, 3, axis=1))
 
@@ -315,7 +315,7 @@ def fingertips(
     kinematics = PointKinematics(hand.tree, hand.tip_names)
     motion = kinematics(matrix @ q + offset)
     spread = matrix[np.array(kinematics.order)]
-    return motion.points, jnp.einsum("fjc,jm->fcm", motion.velocities, spread)
+    return motion.points, jnp.einsum("fjc,jm->fcm", motion.jacobian, spread)
 
 
 def _stacked(goals: list[FrameGoal]) -> FrameGoal:

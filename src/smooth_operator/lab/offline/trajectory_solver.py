@@ -105,18 +105,18 @@ def smooth_trajectory(
         value = float(costs.sum(dtype=np.float64) + motion)
         if led is None:
             return value, gradient, hessian, None
-        points, levers = led.points(q)
-        astray = np.diff(points, axis=0) - led.steps
-        force = led.weights * astray
+        points, jacobian = led.points(q)
+        error = np.diff(points, axis=0) - led.steps
+        slopes = led.weights * error
         gradient = gradient.copy()
-        pulls = [np.einsum("tp,tpj->tj", force, levers[i : len(q) - 1 + i]) for i in (0, 1)]
-        gradient[:-1] -= pulls[0]
-        gradient[1:] += pulls[1]
+        sides = [np.einsum("tp,tpj->tj", slopes, jacobian[i : len(q) - 1 + i]) for i in (0, 1)]
+        gradient[:-1] -= sides[0]
+        gradient[1:] += sides[1]
         weighted = led.weights[:, :, None]
-        hessian[:-1] += np.swapaxes(levers[:-1], 1, 2) @ (weighted * levers[:-1])
-        hessian[1:] += np.swapaxes(levers[1:], 1, 2) @ (weighted * levers[1:])
-        coupling = -np.swapaxes(levers[1:], 1, 2) @ (weighted * levers[:-1])
-        return value + 0.5 * float((force * astray).sum()), gradient, hessian, coupling
+        hessian[:-1] += np.swapaxes(jacobian[:-1], 1, 2) @ (weighted * jacobian[:-1])
+        hessian[1:] += np.swapaxes(jacobian[1:], 1, 2) @ (weighted * jacobian[1:])
+        coupling = -np.swapaxes(jacobian[1:], 1, 2) @ (weighted * jacobian[:-1])
+        return value + 0.5 * float((slopes * error).sum()), gradient, hessian, coupling
 
     value, gradient, hessian, coupling = look(q)
     damping = 0.0

@@ -121,7 +121,7 @@ def _walk(hand: Hand, name: str) -> Library:
     bounded, tips = name == BOUNDED, len(hand.tip_names)
 
     def walk(q: Array) -> Array:
-        points = hand.tree.walk(list(q), hand.tip_names, within_limits=bounded)
+        points = hand.tree.forward_kinematics(list(q), hand.tip_names, within_limits=bounded)
         return jnp.stack([jnp.broadcast_to(c, q.shape[1:]) for p in points for c in p])
 
     compiled = jax.jit(walk)

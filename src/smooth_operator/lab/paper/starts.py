@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.geometry import AnyKind, namespace
+from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.solvers.normals import counter_normal_matrix
 
 
@@ -39,7 +39,7 @@ def soft_mean(
 
     An output whose cost is not finite has no weight; where none is finite, the answer is not.
     """
-    xp = namespace(costs)
+    xp = array_namespace(costs)
     known = xp.isfinite(costs)
     costs = xp.where(known, costs, xp.inf)
     weights = xp.where(known, xp.exp(-(costs - costs.min()) / temperature), 0.0)

@@ -33,7 +33,9 @@ class FingertipMotion(PointTerm):
     def tips(self, q: Float[Array, " m"]) -> Float[Array, "F 3"]:
         """Fingertips at a pose within the limits [m]."""
         tree = self.hand.tree
-        points = tree.walk(self.hand.expand_rows(list(q)), self.points(), within_limits=True)
+        points = tree.forward_kinematics(
+            self.hand.expand_rows(list(q)), self.points(), within_limits=True
+        )
         return jnp.stack([jnp.stack([jnp.asarray(c, q.dtype) for c in point]) for point in points])
 
     def expand(
