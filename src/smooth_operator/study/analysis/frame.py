@@ -155,11 +155,11 @@ def check_frame(frame: Frame) -> None:
             "and no variance can be estimated"
         )
     design, names = frame.design()
-    told = dependent_columns(design)
-    if told:
+    dependent = dependent_columns(design)
+    if dependent:
         raise StudyError(
-            f"{', '.join(names[j] for j in told)}: not independent of the other terms: methods, "
-            "tasks and trials were not crossed in these rows"
+            f"{', '.join(names[j] for j in dependent)}: not independent of the other terms: "
+            "methods, tasks and trials were not crossed in these rows"
         )
     if len(frame) <= len(names):
         raise StudyError(f"{len(frame)} rows are too few for {len(names)} coefficients")

@@ -19,13 +19,22 @@ from jaxtyping import Float, Int
 
 from smooth_operator.errors import MissingExtraError, StudyError
 
-_STEPS: Final = 500
+_ROUNDS: Final = 10
+_STEPS: Final = 50
+"""Of a round; after each, the fit is looked at."""
 _TOLERANCE: Final = 1e-12
 """Norm of the estimating equations at which a fit has converged, over that of sum |x|."""
+_STILL: Final = 1e-10
+"""Last step, over 1 + |beta|, at which a fit has converged as well: where the working correlation
+is nearly the lowest that there is, rounding keeps the equations off by more than the tolerance."""
 _RUNAWAY: Final = 20.0
 """Log-odds beyond which a fit is on its way to infinity: 2e-9 is no probability of a trial."""
 _ALONE: Final = 1 - 1e-10
 """Leverage from which on an operator alone determines a coefficient."""
+_INFINITE: Final = (
+    "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine success "
+    "without error"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,28 +105,35 @@ def fit_gee(
         # A fit that leaves the numbers is refused below, in words of its own.
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fit = estimating_equations.GEE(
+            model = estimating_equations.GEE(
                 success, design, groups=groups, family=Binomial(), cov_struct=Exchangeable()
-            ).fit(
-                maxiter=_STEPS,
-                ctol=_TOLERANCE * float(np.linalg.norm(np.abs(design).sum(axis=0))),
-                cov_type="bias_reduced" if correctable else "robust",
-                ddof_scale=0,
-                scale="X2",
             )
-    except np.linalg.LinAlgError:  # what numpy says of a matrix with infinite odds
-        fit = None
-    if fit is None or not np.max(np.abs(design @ fit.params)) <= _RUNAWAY:
-        raise StudyError(
-            "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine "
-            "success without error"
-        )
+            start = None
+            for _ in range(_ROUNDS):
+                fit = model.fit(
+                    maxiter=_STEPS,
+                    ctol=_TOLERANCE * float(np.linalg.norm(np.abs(design).sum(axis=0))),
+                    start_params=start,
+                    cov_type="bias_reduced" if correctable else "robust",
+                    ddof_scale=0,
+                    scale="X2",
+                )
+                if fit is None or not np.max(np.abs(design @ fit.params)) <= _RUNAWAY:
+                    raise StudyError(_INFINITE)
+                start = fit.params
+                history = np.array(fit.fit_history["params"])
+                step = float(np.max(np.abs(np.diff(history[-2:], axis=0)), initial=0.0))
+                still = len(history) > 1 and step <= _STILL * (1 + np.max(np.abs(start)))
+                converged = fit.converged or still
+                if converged:
+                    break
+    except np.linalg.LinAlgError as error:  # what numpy says of a matrix with infinite odds
+        raise StudyError(_INFINITE) from error
     alpha = float(fit.cov_struct.dep_params)
-    if not fit.converged:
+    if not converged:
         raise StudyError(
-            f"the GEE did not converge in {_STEPS} steps (estimating equations off by "
-            f"{fit.score_norm:.1e}, working correlation {alpha:.3f}); its figures would mean "
-            "nothing"
+            f"the GEE did not converge in {_ROUNDS * _STEPS} steps (last step {step:.1e}, working "
+            f"correlation {alpha:.3f}); its figures would mean nothing"
         )
     largest = int(sizes.max())
     lowest = -1 / (largest - 1) if largest > 1 else -1.0

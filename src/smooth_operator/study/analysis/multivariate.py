@@ -93,8 +93,8 @@ def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
         spread = []
         for j in left:
             cross = correlation[j, chosen]
-            told = float(cross @ np.linalg.solve(known, cross)) if chosen else 0.0
-            spread.append(1 - told)
+            explained = float(cross @ np.linalg.solve(known, cross)) if chosen else 0.0
+            spread.append(1 - explained)
         chosen.append(left.pop(int(np.argmax(spread))))
     return correlation[np.ix_(chosen, chosen)]
 

@@ -91,17 +91,17 @@ class MessageReceiver:
         self._running.mailbox.post(reading.frame, received=received, session=session)
 
     def _detail(self) -> str:
-        told = []
+        facts = []
         if self.unreadable:
-            told.append(
+            facts.append(
                 f"{self.unreadable} of {self.messages} messages could not be read: {self._reason}"
             )
         if self._other_side and not self._accepted:
-            told.append(
+            facts.append(
                 f"{self._other_side} frames were of the other hand, this source takes the "
                 f"{' and '.join(sorted(self._sides))}"
             )
-        return "; ".join(told) or f"receiving on {self._where}"
+        return "; ".join(facts) or f"receiving on {self._where}"
 
 
 class _Tracker:
