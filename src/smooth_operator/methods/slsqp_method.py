@@ -215,6 +215,6 @@ class SlsqpMethod(HostMethod):
         )
         regular = float(self.objective.regularisation(x, before))
         after = SlsqpMethodState(q, problem.targets)
-        if not np.isfinite(value):  # finite nowhere: say so, rather than stand still unseen
+        if not np.isfinite(value):  # finite nowhere: the frame gets the status SOLVER_FAILED
             q = np.full_like(q, np.nan)
         return after, MethodOutput(q, np.float32(value - regular))

@@ -208,8 +208,8 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         """Latches at the operator's distances.
 
         Once tips are corrected, thumb and finger read nearly nothing in every pinch, so one pair of
-        distances serves all fingers. DexPilot's own (30 and 50 mm) allow for an operator that
-        nobody measured, and close the neighbours of a pinching finger with it.
+        distances serves all fingers. DexPilot's own (30 and 50 mm) allow for an operator without a
+        calibration, and also latch the neighbours of a pinching finger.
         """
         project, escape = operator.project, operator.escape
         if not operator.has("pinch") or project is None or escape is None:

@@ -106,14 +106,14 @@ def foreign(output: Path) -> str | None:
     Args:
         output: ``OUT.npz``.
     """
-    beside = config_path(output)
-    for taken in (output, beside):
+    config_file = config_path(output)
+    for taken in (output, config_file):
         if taken.exists() and not taken.is_file():
             return f"can't write {str(taken)!r}: it is not a plain file; remove it first"
-    if read_configuration(beside) is not None:
+    if read_configuration(config_file) is not None:
         return None  # and the other file is its result, complete or cut off
-    if beside.exists():
-        return f"can't write {str(beside)!r}: it holds something else; remove it first"
+    if config_file.exists():
+        return f"can't write {str(config_file)!r}: it holds something else; remove it first"
     if output.exists():
         try:
             read_commands(output)

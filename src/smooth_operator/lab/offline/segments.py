@@ -55,10 +55,10 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
         points: (T, N, 3) [m].
         seen: (T,) frames that count; of those, three in a row tell something.
     """
-    told = seen[2:] & seen[1:-1] & seen[:-2]
-    if not told.any():
+    usable = seen[2:] & seen[1:-1] & seen[:-2]
+    if not usable.any():
         return 0.0
-    bend = np.linalg.norm(points[2:] - 2 * points[1:-1] + points[:-2], axis=-1)[told]
+    bend = np.linalg.norm(points[2:] - 2 * points[1:-1] + points[:-2], axis=-1)[usable]
     return float(np.sqrt(np.median(bend, axis=1)).mean() ** 2)
 
 

@@ -195,10 +195,10 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     middle = [samples.tips[:, hand.fingers.index(name)].mean(axis=0) for name in axes.names]
     by_base = (samples.bases[:, thumb].mean(axis=0) - axes.bases.mean(axis=0)) @ across
     by_reach = (samples.tips[:, thumb].mean(axis=0) - np.mean(middle, axis=0)) @ across
-    beside = float(by_base + by_reach) / 2
+    thumb_offset = float(by_base + by_reach) / 2
     order = float((axes.bases[0] - axes.bases[-1]) @ across) if len(axes.names) > 1 else 0.0
     figures = {
-        "thumb_mm": round(1e3 * beside * axes.length, 1),
+        "thumb_mm": round(1e3 * thumb_offset * axes.length, 1),
         "first_finger_mm": round(1e3 * order * axes.length, 1),
     }
     first, last = axes.names[0], axes.names[-1]
@@ -207,7 +207,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     )
     said += f" to where they are on a {hand.spec.side} hand"
     other = "left" if hand.spec.side == "right" else "right"
-    if (order < -_CLEAR and beside < _CLEAR) or (beside < -_CLEAR and order <= _CLEAR):
+    if (order < -_CLEAR and thumb_offset < _CLEAR) or (thumb_offset < -_CLEAR and order <= _CLEAR):
         return Check(
             "side",
             "failed",
@@ -224,7 +224,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
             f"the fingers are named in the wrong order: {first} should be next to the thumb",
             figures,
         )
-    if beside < -_CLEAR:
+    if thumb_offset < -_CLEAR:
         return Check(
             "side",
             "warning",
@@ -232,7 +232,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
             "the thumb is on the little finger's side: is it the thumb?",
             figures,
         )
-    if max(beside, order) < _CLEAR:
+    if max(thumb_offset, order) < _CLEAR:
         return Check("side", "ok", f"{said}: it may serve as either", "", figures)
     return Check("side", "ok", said, "", figures)
 

@@ -25,7 +25,7 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
         the check, and the fingers whose tips can be relied upon.
     """
     faults: dict[str, str] = {}
-    beside: dict[str, float] = {}
+    distant: dict[str, float] = {}
     figures: dict[str, dict[str, float]] = {}
     ends: dict[int, str] = {}
     for finger, landmark in zip(hand.spec.fingers, hand.tip_names, strict=True):
@@ -47,15 +47,15 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
         elif stretch > _LONG:
             faults[finger.name] = f"makes a last phalanx {stretch:.1f} times as long as the others"
         elif away > _BESIDE:
-            beside[finger.name] = 1e3 * away
+            distant[finger.name] = 1e3 * away
     sound = tuple(name for name in hand.fingers if name not in faults)
     advice = "give the tip as a body of the finger's last link, with an offset in metres to its pad"
     if faults:
         said = "; ".join(f"{name} tip {text}" for name, text in faults.items())
         return Check("fingertips", "failed", said, advice, figures), sound
-    if beside:
+    if distant:
         said = (
-            f"{', '.join(beside)}: up to {max(beside.values()):.0f} mm away from the shapes of "
+            f"{', '.join(distant)}: up to {max(distant.values()):.0f} mm away from the shapes of "
             "the link"
         )
         advice = f"if the model doesn't just lack the fingertips' shapes, {advice}"
