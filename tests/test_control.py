@@ -21,8 +21,8 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.rate_limiter import EXTRA
 from smooth_operator.teleop.runtime.remote import remote
+from smooth_operator.teleop.runtime.rpc_server import RpcServer
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.runtime.switchboard import Switchboard
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Mailbox, SourceHealth
@@ -184,7 +184,7 @@ def test_asking_for_the_status_sends_no_commands(running: Running) -> None:
 
 def test_a_stop_overtakes_what_waits(running: Running) -> None:
     # no thread and no socket: what has been heard by the time of the stop is certain
-    board = Switchboard(running.loop)
+    board = RpcServer(running.loop)
     answers: list[tuple[str, dict[str, Any]]] = []
 
     def say(word: str) -> None:
@@ -232,7 +232,7 @@ def test_a_stop_ends_what_was_released_a_moment_before(running: Running) -> None
 
 
 def test_too_many_messages_are_refused_and_a_stop_is_not(running: Running) -> None:
-    board, answers = Switchboard(running.loop), []
+    board, answers = RpcServer(running.loop), []
     for _ in range(5000):
         board.hear(b"status", lambda text: answers.append(json.loads(text)))
     assert answers

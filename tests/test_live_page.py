@@ -367,7 +367,7 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
     eventually(lambda: stage.loop.pipelines["right"].retargeter is not before)
     eventually(lambda: Mode.BLENDING in {tick.mode for tick in stage.ticks[first:]})
     eventually(lambda: stage.ticks[-1].mode is Mode.TRACKING)
-    eventually(lambda: stage.session.workshop.used.method == "geort")
+    eventually(lambda: stage.session.switcher.used.method == "geort")
     ticks = stage.ticks[first:]
     # the old one went on until the new one was there
     assert {tick.mode for tick in ticks} <= {Mode.TRACKING, Mode.BLENDING}
@@ -378,10 +378,10 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
     assert "no-such-file" in stage.see()["controls"]["message"]
     stage.session.do("set", "model", "no-such-model.npz")  # can be asked for, but not built
     eventually(lambda: "no-such-model" in stage.see()["controls"]["message"])
-    assert stage.session.workshop.used.shown.model is None  # type: ignore[attr-defined]
-    assert stage.session.workshop.wanted is stage.session.workshop.used
+    assert stage.session.switcher.used.shown.model is None  # type: ignore[attr-defined]
+    assert stage.session.switcher.wanted is stage.session.switcher.used
     stage.session.do("method", "joint_angle")
-    eventually(lambda: stage.session.workshop.used.method == "joint_angle")
+    eventually(lambda: stage.session.switcher.used.method == "joint_angle")
 
 
 def test_a_setting_that_cannot_be_is_said_and_shown_as_before(stage: Stage) -> None:
@@ -660,10 +660,10 @@ def test_the_page_shows_the_loop_and_stops_it(
     page.locator(f'[id="{chooser}"]').click()
     page.get_by_role("option", name="geort").click()
     eventually(lambda: stage.loop.pipelines["right"].retargeter is not before)
-    assert stage.session.workshop.used.method == "geort"
+    assert stage.session.switcher.used.method == "geort"
     page.close()
     stage.session.do("method", "joint_angle")
-    eventually(lambda: stage.session.workshop.used.method == "joint_angle")
+    eventually(lambda: stage.session.switcher.used.method == "joint_angle")
 
 
 @pytest.mark.browser

@@ -34,9 +34,9 @@ from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial
 from smooth_operator.simulation.tasks.trial_runner import TrialRunner
-from smooth_operator.teleop.control import workshop as workshop_module
-from smooth_operator.teleop.control.orders import Orders
-from smooth_operator.teleop.control.workshop import Workshop
+from smooth_operator.teleop.control import method_switcher as switcher_module
+from smooth_operator.teleop.control.method_switcher import MethodSwitcher
+from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
@@ -65,10 +65,10 @@ class Stage:
     """A running loop that listens, and who talks to it."""
 
     loop: TeleopLoop
-    workshop: Workshop
+    switcher: MethodSwitcher
     simulation: Simulation
     runner: TrialRunner
-    orders: Orders
+    handlers: RpcHandlers
     session: LiveSession
     folder: Path
     teleop: RemoteTeleop
@@ -96,10 +96,10 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
         SinkRunner((simulation, record)),
         config,
     )
-    workshop = Workshop(loop, asked)
+    switcher = MethodSwitcher(loop, asked)
     opened: list[TrialRunner] = []
-    orders = Orders(loop, workshop, lambda: opened[0] if opened else None, blind=True)
-    session = LiveSession(loop, asked, (simulation,), folder, workshop=workshop, blind=True)
+    handlers = RpcHandlers(loop, switcher, lambda: opened[0] if opened else None, blind=True)
+    session = LiveSession(loop, asked, (simulation,), folder, switcher=switcher, blind=True)
     ticks: list[Tick] = []
 
     def watch(tick: Tick) -> None:
@@ -109,20 +109,20 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     loop.watch = watch
 
     def started() -> None:
-        about = lambda: {"method": workshop.used.method}  # noqa: E731
+        about = lambda: {"method": switcher.used.method}  # noqa: E731
         note = lambda side, text: loop.controls.change(lambda hand: hand.note(text))  # noqa: E731
         runner = TrialRunner(simulation, ("right",), folder / "trials", about, note=note)
         opened.append(runner)
 
     turn = sys.getswitchinterval()
     sys.setswitchinterval(5e-4)  # as the command does
-    with remote(loop, "tcp://127.0.0.1:*", orders.words, orders.status) as address:
+    with remote(loop, "tcp://127.0.0.1:*", handlers.by_command, handlers.status) as address:
         thread = threading.Thread(target=lambda: loop.run(started=started))
         thread.start()
         until(lambda: ticks and ticks[-1].mode is Mode.TRACKING, LONG)
         teleop = RemoteTeleop(address, 20.0)
         yield Stage(
-            loop, workshop, simulation, opened[0], orders, session, folder, teleop, ticks
+            loop, switcher, simulation, opened[0], handlers, session, folder, teleop, ticks
         )  # fmt: skip
         loop.controls.quit()
         thread.join(LONG)
@@ -212,19 +212,19 @@ def test_a_method_that_is_none_is_refused_and_the_old_one_goes_on(
 def test_a_stop_is_answered_while_a_method_is_compiled(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    go, build = threading.Event(), workshop_module.build_retargeter
+    go, build = threading.Event(), switcher_module.build_retargeter
 
     def slow(*args: Any) -> Any:
         assert go.wait(LONG)
         return build(*args)
 
-    monkeypatch.setattr(workshop_module, "build_retargeter", slow)
-    stage.do("method", method=stage.workshop.used.method)
+    monkeypatch.setattr(switcher_module, "build_retargeter", slow)
+    stage.do("method", method=stage.switcher.used.method)
     hasty = RemoteTeleop(stage.teleop.address, 0.4)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(hasty.request, "method", method="joint_angle")
         until(lambda: stage.do("status")["busy"] == ["method"], LONG)
-        until(lambda: stage.workshop.building, LONG)
+        until(lambda: stage.switcher.building, LONG)
         assert stage.do("status")["building"] == "compiling joint_angle default"
         assert stage.do("stop")["modes"] == {"right": "stopped"}
         assert stage.do("release")["ok"]
@@ -247,7 +247,7 @@ def test_a_method_that_cannot_be_built_is_said(
     used = stage.do("status")["method"]
     other = "joint_angle" if used == "geort" else "geort"
     with monkeypatch.context() as patched:
-        patched.setattr(workshop_module, "build_retargeter", broken)
+        patched.setattr(switcher_module, "build_retargeter", broken)
         with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
             stage.do("method", method=other)
     assert stage.do("status")["method"] == used
@@ -313,7 +313,7 @@ def test_blind_nothing_that_is_shown_names_the_method(stage: Stage) -> None:
     shown = json.dumps(stage.session.look(text=True, fields=0))
     assert not [name for name in method_names() if name in shown]
     assert '"default"' not in shown  # nor the preset
-    open_eyed = LiveSession(stage.loop, make_request(), workshop=stage.workshop)
+    open_eyed = LiveSession(stage.loop, make_request(), switcher=stage.switcher)
     assert "joint_angle" in json.dumps(open_eyed.look(text=True, fields=0))
     assert not stage.session.configuration()
     assert stage.do("status")["method"] == "joint_angle"  # whom the page asked in vain
@@ -504,11 +504,11 @@ def test_scripted_motion_is_scored_and_told(stage: Stage) -> None:
 
 
 def test_without_a_simulation_there_is_no_task(stage: Stage) -> None:
-    orders = Orders(stage.loop, stage.workshop)
-    assert orders.status()["task"] is None
+    handlers = RpcHandlers(stage.loop, stage.switcher)
+    assert handlers.status()["task"] is None
     for word in ("task", "trial", "reset"):
         with pytest.raises(ConfigError, match="--task card or with --sink mujoco"):
-            orders.words[word]({})
+            handlers.by_command[word]({})
     closed = Simulation()
     with pytest.raises(SinkError, match="not open"):
         closed.change_task("card")

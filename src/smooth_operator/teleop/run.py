@@ -22,11 +22,11 @@ from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import RetargetRequest, live_configuration, make_request, resolve
 from smooth_operator.teleop.control.keyboard import keyboard
-from smooth_operator.teleop.control.orders import Orders
+from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
+from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.control.summary import summarise
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
-from smooth_operator.teleop.control.workshop import Workshop
 from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -170,9 +170,9 @@ def teleoperate(
             for side, made in retargeters.items()
         }
         loop = TeleopLoop(pipelines, source, runner, config)
-        workshop = Workshop(loop, asked)
+        switcher = MethodSwitcher(loop, asked)
         if begun is not None and page is not None:
-            _show_page(begun, page, loop, asked, acting, workshop, blind, said)
+            _show_page(begun, page, loop, asked, acting, switcher, blind, said)
         recorded = live_configuration(
             "teleop",
             asked,
@@ -186,7 +186,7 @@ def teleoperate(
             loop.controls.change(lambda hand: hand.note(text) if hand.side == side else None)
 
         def about() -> dict[str, Any]:
-            used = workshop.used
+            used = switcher.used
             return {"method": used.method, "preset": used.preset, "source": source.label}
 
         attended = keys and bool(sys.stdin) and sys.stdin.isatty()
@@ -201,19 +201,19 @@ def teleoperate(
             about=about,
             record=record,
         )
-        orders = Orders(loop, workshop, lambda: tried.runner, blind=blind)
+        handlers = RpcHandlers(loop, switcher, lambda: tried.runner, blind=blind)
         granted = "normal"
         begin = time.perf_counter()
         where = ", ".join(sink.label for sink in runner.health()) or "no sink"
         said.note(f"from {source.label} to {where}")
         with (
-            contextlib.closing(workshop),
+            contextlib.closing(switcher),
             low_jitter(),
             _signals(loop.controls) as interrupted,
             keyboard(loop, said, tried.keys, tried.key_help)
             if attended
             else contextlib.nullcontext(),
-            _remote(loop, control, orders, said),
+            _remote(loop, control, handlers, said),
             contextlib.ExitStack() as first,
         ):
 
@@ -321,7 +321,7 @@ def _show_page(
     loop: TeleopLoop,
     asked: RetargetRequest,
     acting: Sequence[Sink],
-    workshop: Workshop,
+    switcher: MethodSwitcher,
     blind: bool,
     said: Reporter,
 ) -> None:
@@ -332,7 +332,7 @@ def _show_page(
     """
     from smooth_operator.teleop.pages.live.live_session import LiveSession
 
-    session = LiveSession(loop, asked, acting, workshop=workshop, blind=blind)
+    session = LiveSession(loop, asked, acting, switcher=switcher, blind=blind)
     loop.watch = session.watch
     url = begun.serve(session)
     said.note(f"page: {url}", matters=True)
@@ -374,7 +374,7 @@ def _signals(controls: Controls) -> Iterator[threading.Event]:
 
 @contextlib.contextmanager
 def _remote(
-    loop: TeleopLoop, address: str | None, orders: Orders, said: Reporter
+    loop: TeleopLoop, address: str | None, handlers: RpcHandlers, said: Reporter
 ) -> Iterator[None]:
     """Commands of other programs, where they are to be listened to."""
     if address is None:
@@ -382,6 +382,6 @@ def _remote(
         return
     from smooth_operator.teleop.runtime.remote import remote
 
-    with remote(loop, address, orders.words, orders.status) as bound:
+    with remote(loop, address, handlers.by_command, handlers.status) as bound:
         said.note(f"switches at {bound}")
         yield

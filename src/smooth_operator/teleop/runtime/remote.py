@@ -1,6 +1,6 @@
 """Switches of a running loop for other programs: a pedal, a red button, a study's console.
 
-A ZeroMQ socket (extra ``zmq``) takes one word as text or as JSON and answers with JSON; a REQ
+A ZeroMQ socket (extra ``zmq``) takes one command as text or as JSON and answers with JSON; a REQ
 socket is all that the other end needs (``RemoteTeleop``
 is one):
 
@@ -14,10 +14,10 @@ is one):
 A stop is done before whatever else waits, and a release that waited is refused then: it was meant
 for an earlier stop. A status does not reach the loop, so that it may be asked for at any rate.
 
-Who starts the loop may add words; those of ``smooth-operator teleop`` are in
-``smooth_operator.teleop.control.orders``. An added word may take long, as compiling a method
-does: each is done on a thread of its own, so that a stop is answered meanwhile, and ``busy`` in
-the status says what is under way.
+Who starts the loop may add commands; those of ``smooth-operator teleop`` are in
+``smooth_operator.teleop.control.rpc_handlers``. An added command may take long, as compiling a
+method does: each is done on a thread of its own, so that a stop is answered meanwhile, and
+``busy`` in the status says what is under way.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from typing import Any, Final
 
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.runtime.switchboard import Reply, Switchboard, Word
+from smooth_operator.teleop.runtime.rpc_server import Reply, RpcHandler, RpcServer
 from smooth_operator.terminal import print_note
 
 _TURN_MS: Final = 20
 _SOON_MS: Final = 1  # while an answer waits for the loop
 _LARGEST: Final = 1 << 16  # [bytes]
 _FRAMES: Final = 8
-"""Most parts of a message: an address for each relay, an empty one, the word."""
+"""Most parts of a message: an address for each relay, an empty one, the command."""
 _GULP: Final = 256
 """Messages that are heard before the next one is done."""
 _END_S: Final = 2.0
@@ -47,16 +47,17 @@ _END_S: Final = 2.0
 def remote(
     loop: TeleopLoop,
     address: str,
-    words: Mapping[str, Word] = {},
+    handlers: Mapping[str, RpcHandler] = {},
     status: Callable[[], Mapping[str, Any]] = dict,
 ) -> Iterator[str]:
-    """Listen for words while the loop runs.
+    """Listen for commands of other programs while the loop runs.
 
     Args:
         loop: what they are said to.
         address: where to listen, such as ``tcp://127.0.0.1:5558``; ``tcp://127.0.0.1:*`` takes any
             free port.
-        words: more words than the loop's own, each done on a thread of its own.
+        handlers: more commands than the loop's own -> what is done for each, on a thread of its
+            own.
         status: more fields of the status; must be quick.
 
     Yields:
@@ -68,7 +69,7 @@ def remote(
     """
     context, socket = _listening(address)
     bound = str(socket.last_endpoint.decode()).rstrip("\0")
-    board = Switchboard(loop, words, status)
+    server = RpcServer(loop, handlers, status)
     answers: queue.SimpleQueue[list[bytes]] = queue.SimpleQueue()
     done = threading.Event()
 
@@ -88,22 +89,22 @@ def remote(
             frames = socket.recv_multipart()
             if len(frames) <= _FRAMES:
                 *envelope, message = frames
-                board.hear(message, reply_to(envelope))
+                server.hear(message, reply_to(envelope))
 
     def listen() -> None:
         try:
             while not done.is_set():
-                if board.idle:
+                if server.idle:
                     socket.poll(_TURN_MS)
-                elif not board.queued:
+                elif not server.queued:
                     socket.poll(_SOON_MS)
                 try:
                     hear()
-                    board.turn()
+                    server.turn()
                     send_all()
                 except Exception as error:  # nothing that is sent may end the listening
                     print_note(f"note: {address}: {type(error).__name__}: {error}")
-            board.finish()
+            server.finish()
             send_all()
         finally:
             socket.close()

@@ -14,7 +14,7 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.io import to_json
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
-from smooth_operator.teleop.control.workshop import Workshop, checked
+from smooth_operator.teleop.control.method_switcher import MethodSwitcher, checked
 from smooth_operator.teleop.pages.live.camera import CameraFeed
 from smooth_operator.teleop.pages.live.coach import Coach
 from smooth_operator.teleop.pages.live.fields import changed, config_fields
@@ -48,7 +48,7 @@ class LiveSession:
         sinks: those that it was begun with; of a simulated hand among them the state is shown, and
             what it works on.
         folder: where recordings and calibrations go.
-        workshop: builds methods; one of its own if left out.
+        switcher: builds methods; one of its own if left out.
         blind: nothing that is shown tells which method drives the hands, and none can be chosen.
     """
 
@@ -59,12 +59,12 @@ class LiveSession:
         sinks: Sequence[Sink] = (),
         folder: Path = Path(),
         *,
-        workshop: Workshop | None = None,
+        switcher: MethodSwitcher | None = None,
         blind: bool = False,
     ) -> None:
         self.loop = loop
         self.coach = Coach()
-        self.workshop = Workshop(loop, asked) if workshop is None else workshop
+        self.switcher = MethodSwitcher(loop, asked) if switcher is None else switcher
         self.blind = blind
         self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
         self._asked, self._folder = asked, folder
@@ -148,24 +148,24 @@ class LiveSession:
     @property
     def fields_number(self) -> int:
         """Changes when the page has to update the fields: another method, a value refused."""
-        shown = self.workshop.wanted
-        return hash((shown.method, shown.preset, self.workshop.refused, self._fields_changed))
+        shown = self.switcher.wanted
+        return hash((shown.method, shown.preset, self.switcher.refused, self._fields_changed))
 
     def configuration(self) -> str:
         """The configuration as it is now, as JSON text; empty where it is not to be known."""
         if self.blind:
             return ""
-        used = self.workshop.used
+        used = self.switcher.used
         content = live_configuration("teleop", self._asked, used.configs, loop=self.loop.config,
                                      source=self.loop.source)  # fmt: skip
         return to_json({**content, **self._configuration()}, indent=2) + "\n"
 
     def close(self) -> None:
         """End what runs in the background."""
-        self.workshop.close()
+        self.switcher.close()
 
     def _configuration(self) -> Mapping[str, Any]:
-        used = self.workshop.used
+        used = self.switcher.used
         return {
             "method": used.method,
             "preset": used.preset,
@@ -216,20 +216,20 @@ class LiveSession:
         }
 
     def _controls(self, known: int) -> dict[str, Any]:
-        workshop = self.workshop
+        switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
-        shown, number = workshop.wanted, self.fields_number
+        shown, number = switcher.wanted, self.fields_number
         controls: dict[str, Any] = {
-            "building": self._told(workshop.building, "getting ready"),
+            "building": self._told(switcher.building, "getting ready"),
             "message": self._message
-            or self._told(workshop.error, "that could not be done; the experimenter knows why")
+            or self._told(switcher.error, "that could not be done; the experimenter knows why")
             or self.takes.error,
             "stopped": any(supervisor.stopped for supervisor in supervisors),
             "paused": any(supervisor.paused for supervisor in supervisors),
             "recording": self.takes.recording,
             "operators": {
                 side: None if operator is None else asdict(operator)
-                for side, operator in workshop.operators.items()
+                for side, operator in switcher.operators.items()
             },
             "fields_number": number,
         }
@@ -248,10 +248,10 @@ class LiveSession:
         return blind if words and self.blind else words
 
     def _choose(self, method: str, preset: str | None = None) -> None:
-        self.workshop.choose(method, preset)
+        self.switcher.choose(method, preset)
 
     def _set(self, path: str, value: Any) -> None:
-        self.workshop.adjust(lambda config: changed(config, path, value))
+        self.switcher.adjust(lambda config: changed(config, path, value))
 
     def _set_loop(self, path: str, value: Any) -> None:
         try:
@@ -267,11 +267,11 @@ class LiveSession:
 
     def _use_operator(self) -> None:
         operator = checked(self.coach.operator)
-        self.workshop.operate({operator.side: operator})
+        self.switcher.operate({operator.side: operator})
         self._fields_changed += 1
 
     def _drop_operator(self, side: Side) -> None:
-        self.workshop.operate({side: None})
+        self.switcher.operate({side: None})
         self._fields_changed += 1
 
     def _save_operator(self) -> None:

@@ -28,7 +28,7 @@ _DEBOUNCE_S: Final = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class DriverSpec:
     """What the hands are, or should be, driven by.
 
     Attributes:
@@ -53,7 +53,7 @@ class Choice:
         return Driver(self.method, self.preset, self.configs[side])
 
 
-class Workshop:
+class MethodSwitcher:
     """Builds retargeters on a thread of its own; the loop goes on with the old ones until then.
 
     What is asked for while one is built replaces it: only the newest is handed over.
@@ -65,8 +65,8 @@ class Workshop:
     Attributes:
         used: what drives the hands.
         wanted: what was asked for last; ``used`` if nothing is under way.
-        error: why the last wish failed; empty if it did not.
-        refused: how many wishes failed, so that a page knows to show the old values again.
+        error: why the last request failed; empty if it did not.
+        refused: how many requests failed, so that a page knows to show the old values again.
     """
 
     def __init__(self, loop: TeleopLoop, asked: RetargetRequest) -> None:
@@ -76,19 +76,19 @@ class Workshop:
             self._hands, asked.operator
         )
         configs = {side: p.retargeter.config for side, p in loop.pipelines.items()}
-        self.used = self.wanted = Choice(asked.method, asked.preset, asked.config, configs)
+        self.used = self.wanted = DriverSpec(asked.method, asked.preset, asked.config, configs)
         self.error = ""
         self.refused = 0
         self.building = ""
         self._due = 0.0
-        self._wish: Future[Choice] = Future()
-        self._wish.set_result(self.used)
+        self._request: Future[DriverSpec] = Future()
+        self._request.set_result(self.used)
         self._changed = threading.Condition()
         self._ending = False
-        self._thread = threading.Thread(target=self._run, name="workshop", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="switcher", daemon=True)
         self._thread.start()
 
-    def choose(self, method: str, preset: str | None = None) -> Future[Choice]:
+    def choose(self, method: str, preset: str | None = None) -> Future[DriverSpec]:
         """Ask for a method; its default preset if none is named.
 
         Returns:
@@ -102,7 +102,7 @@ class Workshop:
         with self._changed:
             return self._want(self._settled(method, preset), 0.0)
 
-    def adjust(self, change: Callable[[MethodConfig], MethodConfig]) -> Future[Choice]:
+    def adjust(self, change: Callable[[MethodConfig], MethodConfig]) -> Future[DriverSpec]:
         """Ask for the same change of every hand's configuration; see ``choose``.
 
         Raises:
@@ -117,7 +117,7 @@ class Workshop:
                 raise
             return self._want(replace(wanted, configs=configs), _DEBOUNCE_S)
 
-    def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[Choice]:
+    def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
         """Ask for calibrations to be used; see ``choose``.
 
         Changed settings go back to the preset's. Hands that are not named keep theirs.
@@ -144,7 +144,7 @@ class Workshop:
             self._settle(ConfigError("the run has ended"))
             self._changed.notify_all()
 
-    def _settled(self, method: str, preset: str | None) -> Choice:
+    def _settled(self, method: str, preset: str | None) -> DriverSpec:
         base = method_config(method, preset)
         preset = preset or default_preset(method)
         asked = replace(self._asked, method=method, preset=preset, config=base)
@@ -152,19 +152,19 @@ class Workshop:
             side: resolve_config(replace(asked, operator=self.operators[side]), hand)
             for side, hand in self._hands.items()
         }
-        return Choice(method, preset, base, configs)
+        return DriverSpec(method, preset, base, configs)
 
-    def _want(self, choice: Choice, after: float) -> Future[Choice]:
+    def _want(self, spec: DriverSpec, after: float) -> Future[DriverSpec]:
         self._settle(ConfigError("something else was asked for meanwhile"))
-        self._wish = Future()
-        self.wanted, self.error = choice, ""
+        self._request = Future()
+        self.wanted, self.error = spec, ""
         self._due = time.monotonic() + after
         self._changed.notify_all()
-        return self._wish
+        return self._request
 
-    def _settle(self, outcome: Choice | Exception) -> None:
-        """Tell who waits; a wish that is settled stays so."""
-        _tell(self._wish, outcome)
+    def _settle(self, outcome: DriverSpec | Exception) -> None:
+        """Tell who waits; a request that is settled stays so."""
+        _tell(self._request, outcome)
 
     def _run(self) -> None:
         while True:
@@ -174,42 +174,42 @@ class Workshop:
                     self._changed.wait(rest)
                 if self._ending:
                     return
-                choice, used = self.wanted, self.used
-                self.building = f"compiling {choice.method} {choice.preset}"
+                spec, used = self.wanted, self.used
+                self.building = f"compiling {spec.method} {spec.preset}"
             try:
-                built = self._build(choice, used)
+                built = self._build(spec, used)
             except Exception as error:  # whatever it is, the old one goes on
                 known = isinstance(error, SmoothOperatorError)
-                self._fail(choice, error if known else ConfigError(_words(error)))
+                self._fail(spec, error if known else ConfigError(_words(error)))
             else:
-                self._hand_over(choice, built)
+                self._hand_over(spec, built)
 
-    def _build(self, choice: Choice, used: Choice) -> dict[Side, Retargeter]:
+    def _build(self, spec: DriverSpec, used: DriverSpec) -> dict[Side, Retargeter]:
         with _uncollected():
             return {
                 side: build_retargeter(self._hands[side], config, self._asked.seed)[0]
-                for side, config in choice.configs.items()
+                for side, config in spec.configs.items()
                 if config != used.configs[side]
             }
 
-    def _hand_over(self, choice: Choice, built: Mapping[Side, Retargeter]) -> None:
+    def _hand_over(self, spec: DriverSpec, built: Mapping[Side, Retargeter]) -> None:
         def switch(hand: HandPipeline) -> None:
             if hand.side in built:
-                hand.switch(built[hand.side], choice.driver(hand.side))
+                hand.switch(built[hand.side], spec.driver(hand.side))
 
         with self._changed:
             self.building = ""
-            if choice is not self.wanted or self._ending:
+            if spec is not self.wanted or self._ending:
                 return
-            self.used, wish = choice, self._wish
+            self.used, request = spec, self._request
             self._loop.controls.change(switch)
             # behind it in the queue: when this is done, that is
-            self._loop.controls.change(lambda hand: _tell(wish, choice))
+            self._loop.controls.change(lambda hand: _tell(request, spec))
 
-    def _fail(self, choice: Choice, error: Exception) -> None:
+    def _fail(self, spec: DriverSpec, error: Exception) -> None:
         with self._changed:
             self.building = ""
-            if choice is self.wanted:
+            if spec is self.wanted:
                 self.wanted, self.error = self.used, str(error)
                 self.refused += 1
                 self._settle(error)
@@ -237,12 +237,12 @@ def _words(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _tell(wish: Future[Choice], outcome: Choice | Exception) -> None:
+def _tell(request: Future[DriverSpec], outcome: DriverSpec | Exception) -> None:
     with contextlib.suppress(InvalidStateError):  # it is settled already
-        if isinstance(outcome, Choice):
-            wish.set_result(outcome)
+        if isinstance(outcome, DriverSpec):
+            request.set_result(outcome)
         else:
-            wish.set_exception(outcome)
+            request.set_exception(outcome)
 
 
 def checked(operator: OperatorProfile | None) -> OperatorProfile:

@@ -1,4 +1,4 @@
-"""The words of ``teleop --control`` that change what the hands are driven by, and what they do.
+"""RPC handlers of ``teleop --control``: the commands that change what the hands are driven by.
 
 In addition to those of ``smooth_operator.teleop.runtime.remote``:
 
@@ -42,9 +42,9 @@ from typing import TYPE_CHECKING, Any, Final
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.operator_file import read_operator
-from smooth_operator.teleop.control.workshop import Choice, Workshop
+from smooth_operator.teleop.control.method_switcher import DriverSpec, MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.runtime.switchboard import Word
+from smooth_operator.teleop.runtime.rpc_server import RpcHandler
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # physics, which a run without a task need not have
@@ -54,12 +54,12 @@ _LOOK_S: Final = 0.5
 """How often it is looked whether a run still goes on in which something is waited for [s]."""
 
 
-class Orders:
+class RpcHandlers:
     """What other programs may have done to a running loop.
 
     Args:
         loop: the loop.
-        workshop: builds its methods.
+        switcher: builds its methods.
         runner: the simulation's, or None where there is none; asked again each time.
         blind: the operator is not to know the method; for the status.
     """
@@ -67,16 +67,16 @@ class Orders:
     def __init__(
         self,
         loop: TeleopLoop,
-        workshop: Workshop,
+        switcher: MethodSwitcher,
         runner: Callable[[], TrialRunner | None] = lambda: None,
         *,
         blind: bool = False,
     ) -> None:
-        self._loop, self._workshop, self._runner, self._blind = loop, workshop, runner, blind
+        self._loop, self._switcher, self._runner, self._blind = loop, switcher, runner, blind
 
     @property
-    def words(self) -> dict[str, Word]:
-        """Word -> what is done for it."""
+    def by_command(self) -> dict[str, RpcHandler]:
+        """Command -> what is done for it."""
         return {
             "method": self._method,
             "calibration": self._calibration,
@@ -88,8 +88,8 @@ class Orders:
 
     def status(self) -> dict[str, Any]:
         """What is known of the run without asking the loop."""
-        loop, workshop, runner = self._loop, self._workshop, self._runner()
-        used = workshop.used
+        loop, switcher, runner = self._loop, self._switcher, self._runner()
+        used = switcher.used
         task = None if runner is None else runner.task
         trial = None
         if runner is not None and task is not None:
@@ -101,7 +101,7 @@ class Orders:
             "method": used.method,
             "preset": used.preset,
             "rate": loop.config.rate,
-            "building": workshop.building,
+            "building": switcher.building,
             "blind": self._blind,
             "sides": list(loop.pipelines),
             "hand": next(iter(loop.pipelines.values())).retargeter.hand.name,
@@ -109,7 +109,7 @@ class Orders:
             "sinks": [asdict(health) for health in loop.sinks.health()],
             "operators": {
                 side: None if operator is None else operator.source
-                for side, operator in workshop.operators.items()
+                for side, operator in switcher.operators.items()
             },
             "task": None if task is None else task.name,
             "trial": trial,
@@ -119,16 +119,16 @@ class Orders:
         method, preset = _text(fields, "method"), _text(fields, "preset")
         if method is None:
             raise ConfigError('which method? {"do": "method", "method": "dexpilot"}')
-        return _driven(self._await(self._workshop.choose(method, preset)))
+        return _driven(self._await(self._switcher.choose(method, preset)))
 
     def _calibration(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         path = _text(fields, "path")
         if path is None:
             nobody: dict[Side, OperatorProfile | None] = dict.fromkeys(self._loop.pipelines)
-            return _driven(self._await(self._workshop.operate(nobody)))
+            return _driven(self._await(self._switcher.operate(nobody)))
         operator = read_operator(Path(path))
-        choice = self._await(self._workshop.operate({operator.side: operator}))
-        return {**_driven(choice), "side": operator.side, "hand": operator.hand}
+        spec = self._await(self._switcher.operate({operator.side: operator}))
+        return {**_driven(spec), "side": operator.side, "hand": operator.hand}
 
     def _rate(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         rate = fields.get("rate")
@@ -177,18 +177,18 @@ class Orders:
             )
         return runner
 
-    def _await(self, wish: Future[Choice]) -> Choice:
+    def _await(self, request: Future[DriverSpec]) -> DriverSpec:
         """What was asked for, once the hands are driven by it."""
         while True:
             try:
-                return wish.result(_LOOK_S)
+                return request.result(_LOOK_S)
             except TimeoutError:
                 if self._loop.controls.quitting:
                     raise ConfigError("the run has ended") from None
 
 
-def _driven(choice: Choice) -> dict[str, Any]:
-    return {"method": choice.method, "preset": choice.preset}
+def _driven(spec: DriverSpec) -> dict[str, Any]:
+    return {"method": spec.method, "preset": spec.preset}
 
 
 def _text(fields: Mapping[str, Any], name: str) -> str | None:

@@ -1,5 +1,7 @@
-"""What messages of other programs do to a running loop; the words are those of
-``smooth_operator.teleop.runtime.remote``, which hears them."""
+"""RPC server of a running loop: what messages of other programs do to it.
+
+The commands are those of ``smooth_operator.teleop.runtime.remote``, which receives them.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,8 @@ from smooth_operator.io.documents import json_object
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
-Word: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""What is done for a word: from the message's fields to the answer's; errors of the family are
+RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+"""What is done for a command: from the message's fields to the answer's; errors of the family are
 answered, too."""
 Reply: TypeAlias = Callable[[bytes], None]
 """Takes an answer, from any thread."""
@@ -25,7 +27,7 @@ Reply: TypeAlias = Callable[[bytes], None]
 _PATIENCE_S: Final = 0.5
 """How long an answer waits for the loop to have done what it was asked for [s]."""
 _AT_ONCE: Final = 16
-"""Words that may be under way; more are refused."""
+"""Commands that may be under way; more are refused."""
 _QUEUED: Final = 4096
 """Messages that may wait; more are refused."""
 _SILENT: Final = {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
@@ -38,7 +40,7 @@ _OVERTAKEN: Final = {"ok": False, "error": "an emergency stop came meanwhile; re
 class _Message:
     """A message that waits for its turn."""
 
-    word: str
+    command: str
     fields: Mapping[str, Any]
     reply: Reply
 
@@ -52,7 +54,7 @@ class _Switched:
     reply: Reply
 
 
-class Switchboard:
+class RpcServer:
     """Does what messages say. For one thread; replies may come from others.
 
     A stop is done as soon as it is heard, before all messages that wait; a release that waits
@@ -60,18 +62,18 @@ class Switchboard:
 
     Args:
         loop: what is switched.
-        words: more words than the loop's own.
+        handlers: more commands than the loop's own -> what is done for each.
         status: more fields of the status; must be quick.
     """
 
     def __init__(
         self,
         loop: TeleopLoop,
-        words: Mapping[str, Word] = {},
+        handlers: Mapping[str, RpcHandler] = {},
         status: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         controls = loop.controls
-        self._loop, self._more, self._status = loop, dict(words), status
+        self._loop, self._handlers, self._status = loop, dict(handlers), status
         self._switches: dict[str, Callable[[], None]] = {
             "stop": controls.stop,
             "release": controls.release,
@@ -83,9 +85,9 @@ class Switchboard:
         self._under_way: list[str] = []
 
     @property
-    def words(self) -> tuple[str, ...]:
-        """All words that it answers."""
-        return (*self._switches, "quit", "status", *self._more)
+    def commands(self) -> tuple[str, ...]:
+        """All commands that it answers."""
+        return (*self._switches, "quit", "status", *self._handlers)
 
     @property
     def queued(self) -> bool:
@@ -101,19 +103,19 @@ class Switchboard:
         """Take a message: a stop is done now, others wait for ``turn``.
 
         Args:
-            message: a word, or a JSON object with ``do``.
+            message: a command, or a JSON object with ``do``.
             reply: called once with the answer, from this thread or from another, now or later.
         """
         read = _read(message)
-        if read is None or read[0] not in self.words:
+        if read is None or read[0] not in self.commands:
             shown = message[:60].decode(errors="replace")
-            error = f"can't do {shown!r}; expected one of {', '.join(self.words)}"
+            error = f"can't do {shown!r}; expected one of {', '.join(self.commands)}"
             reply(_encoded({"ok": False, "error": error}))
             return
         heard = _Message(*read, reply)
-        if heard.word == "stop":
+        if heard.command == "stop":
             self._switch(heard)
-            for late in [waiting for waiting in self._waiting if waiting.word == "release"]:
+            for late in [waiting for waiting in self._waiting if waiting.command == "release"]:
                 self._waiting.remove(late)
                 late.reply(_encoded(_OVERTAKEN))
         elif len(self._waiting) >= _QUEUED:
@@ -128,7 +130,7 @@ class Switchboard:
             try:
                 self._do(message)
             except Exception as error:  # whatever it was, the next message may be a stop
-                message.reply(_encoded(_failed(message.word, error)))
+                message.reply(_encoded(_failed(message.command, error)))
         self._confirm(time.monotonic())
 
     def finish(self) -> None:
@@ -144,28 +146,28 @@ class Switchboard:
                 switched.reply(_encoded(self._modes() if switched.done.is_set() else _SILENT))
 
     def _do(self, message: _Message) -> None:
-        if message.word in self._switches:
+        if message.command in self._switches:
             self._switch(message)
-        elif message.word == "quit":
+        elif message.command == "quit":
             self._loop.controls.quit()
             message.reply(_encoded(self._modes()))
-        elif message.word == "status":
+        elif message.command == "status":
             # The loop is not asked: each question would make it send a command.
             silent = self._loop.silent_s > max(_PATIENCE_S, 3 * self._loop.config.period)
             message.reply(_encoded(_SILENT if silent else self._whole_status()))
         elif len(self._under_way) >= _AT_ONCE:
             message.reply(_encoded(_TOO_MUCH))
         else:
-            self._under_way.append(message.word)
+            self._under_way.append(message.command)
             threading.Thread(
                 target=lambda: message.reply(self._done(message)),
-                name=f"remote {message.word}",
+                name=f"remote {message.command}",
                 daemon=True,
             ).start()
 
     def _switch(self, message: _Message) -> None:
         """One of the switches, which the loop does first in, first out, but for a stop."""
-        self._switches[message.word]()
+        self._switches[message.command]()
         done = threading.Event()
         self._loop.controls.change(lambda hand: done.set())
         until = time.monotonic() + _PATIENCE_S
@@ -181,29 +183,29 @@ class Switchboard:
     def _done(self, message: _Message) -> bytes:
         """One of the others, on a thread of its own."""
         try:
-            return _encoded({"ok": True, **self._more[message.word](message.fields)})
+            return _encoded({"ok": True, **self._handlers[message.command](message.fields)})
         except SmoothOperatorError as error:
             return _encoded({"ok": False, "error": str(error)})
-        except Exception as error:  # a word that goes wrong must not leave its caller waiting
-            return _encoded(_failed(message.word, error))
+        except Exception as error:  # a command that goes wrong must not leave its caller waiting
+            return _encoded(_failed(message.command, error))
         finally:
-            self._under_way.remove(message.word)
+            self._under_way.remove(message.command)
 
 
 def _read(message: bytes) -> tuple[str, Mapping[str, Any]] | None:
-    """(word, fields) of a message; None if it can't be read."""
+    """(command, fields) of a message; None if it can't be read."""
     try:
         text = message.decode().strip()
     except UnicodeDecodeError:
         return None
     fields = json_object(text) if text.startswith("{") else {"do": text}
-    if fields is None or not isinstance(word := fields.get("do"), str):
+    if fields is None or not isinstance(command := fields.get("do"), str):
         return None
-    return word, fields
+    return command, fields
 
 
-def _failed(word: str, error: Exception) -> dict[str, Any]:
-    return {"ok": False, "error": f"{word}: {type(error).__name__}: {error}"}
+def _failed(command: str, error: Exception) -> dict[str, Any]:
+    return {"ok": False, "error": f"{command}: {type(error).__name__}: {error}"}
 
 
 def _encoded(answer: Mapping[str, Any]) -> bytes:
