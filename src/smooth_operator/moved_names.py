@@ -37,6 +37,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "sinks": ("teleop.sinks", "teleop", "simulation"),
     "solvers.damped": ("solvers.newton",),
     "sources": ("teleop.sources", "teleop", "synthetic"),
+    "study.analysis.report.tables": ("study.analysis.report.report_tables",),
     "study.console.desk": ("study.console.session_service",),
     "study.console.gate": ("study.console.access", "web.auth"),
     "study.console.hand": ("study.console.session_teleop",),
@@ -64,7 +65,10 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "tuning": ("lab.tuning",),
     "ui": ("teleop.pages",),
 }
-"""Old module -> the modules that hold its content now; both below ``smooth_operator``."""
+"""Old module -> the modules that hold its content now; both below ``smooth_operator``.
+
+A module below another old one needs no row: Python imports the outer one first, which is refused.
+"""
 
 
 class MovedNames:
