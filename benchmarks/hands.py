@@ -33,7 +33,7 @@ from rich.progress import (
 
 from smooth_operator import HandRecording, SmoothOperatorError, hand_names, load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.offline import build, execute
 from smooth_operator.lab.training import (
     GeortTrainer,

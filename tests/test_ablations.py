@@ -19,7 +19,7 @@ from trees import float64
 from smooth_operator.cli import main
 from smooth_operator.cli.ablate_options import ExperimentName
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
-from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.paper import experiment_context as context_module
 from smooth_operator.lab.paper import interval_coverage
 from smooth_operator.lab.paper.budget_grid import Point, contours

@@ -15,8 +15,8 @@ import pytest
 from smooth_operator.errors import ConfigError, RecordingError, install_command
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.ranking import HEADLINES
+from smooth_operator.lab.benchmark.recordings import Request, Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Choice
-from smooth_operator.lab.benchmark.sources import Request, Source, load_sources, parse_request
 from smooth_operator.lab.paper import fk, fk_libraries, follow, more_sizes, noise, rate, table
 from smooth_operator.lab.paper.degraded_recordings import (
     LEAD,

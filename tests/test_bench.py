@@ -30,9 +30,9 @@ from smooth_operator.lab.benchmark.panels import Panel, Run, view_basis
 from smooth_operator.lab.benchmark.per_finger import finger_metrics
 from smooth_operator.lab.benchmark.quality import Task, measure_cell
 from smooth_operator.lab.benchmark.ranking import HEADLINES, Line, best, failures, overall
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.lab.benchmark.results import Row
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
-from smooth_operator.lab.benchmark.sources import load_sources, parse_request, unique_names
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS

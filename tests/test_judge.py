@@ -12,7 +12,7 @@ import pytest
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.benchmark.cells import Cell
-from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.judging import judge as judge_program
 from smooth_operator.lab.judging import kept_figures
 from smooth_operator.lab.judging.targets import (

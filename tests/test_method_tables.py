@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.lab.benchmark.sources import load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.judging import method_tables, setting_rows
 from smooth_operator.lab.tuning.pareto import (
     COLLISION,

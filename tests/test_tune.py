@@ -12,7 +12,7 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
-from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.pareto import front

@@ -15,6 +15,7 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.io import reading_notes
+from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark import (
     Settings,
     compare,
@@ -23,7 +24,7 @@ from smooth_operator.lab.benchmark import (
     read_results,
     run_suite,
 )
-from smooth_operator.lab.benchmark.benchmark_folder import REPORT, RESULTS, write_json
+from smooth_operator.lab.benchmark.benchmark_folder import REPORT, RESULTS
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.suite import Advance
 from smooth_operator.lab.offline.finished import claimed

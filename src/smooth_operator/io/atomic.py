@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from smooth_operator.errors import OutputError
+from smooth_operator.io.jsonable import to_json
 
 # What a person can do about it, by errno; strerror alone names the trouble but not the way out.
 _REMEDIES = {
@@ -102,3 +103,20 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
+
+
+def write_json(path: Path, content: object, indent: int | None = None) -> None:
+    """Writes JSON, whole or not at all.
+
+    Args:
+        path: where the file shall stand; its folder must exist.
+        content: anything that ``to_json`` takes.
+        indent: spaces a level; None for one line.
+
+    Raises:
+        OutputError: it can't be written.
+        ConfigError: the content has no JSON form.
+    """
+    text = to_json(content, indent=indent)
+    with atomic_write(path) as file:
+        file.write(text.encode() + b"\n")

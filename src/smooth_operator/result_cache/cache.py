@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import DocumentError, SmoothOperatorError
 from smooth_operator.io import atomic_write, output_error, to_json
+from smooth_operator.io.atomic import write_json
 from smooth_operator.io.documents import check_plain_file, read_json
 
 Note: TypeAlias = Callable[[str], None]
@@ -131,8 +132,7 @@ class ResultCache:
         return content, content["value"]
 
     def _write(self, path: Path, record: Mapping[str, str], value: Any) -> None:
-        with atomic_write(path) as file:
-            file.write(to_json({**record, "value": value}).encode() + b"\n")
+        write_json(path, {**record, "value": value})
 
 
 class ArrayCache(ResultCache):

@@ -56,8 +56,8 @@ from smooth_operator.lab.attainable.samples import (
     sums_of,
 )
 from smooth_operator.lab.attainable.search import TOLERANCE, Attained, Frames, attain
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import method_label, select_methods
-from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.lab.judging.judge import FILES, GLOVE
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE

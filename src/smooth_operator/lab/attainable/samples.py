@@ -14,8 +14,8 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.attainable.search import TOLERANCE, Attained
 from smooth_operator.lab.benchmark.built import built_for
+from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.benchmark.settings import Choice, method_label
-from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline import execute
 from smooth_operator.metrics import accuracy, summary
 from smooth_operator.metrics.assemble import assemble_trace

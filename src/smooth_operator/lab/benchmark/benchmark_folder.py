@@ -16,12 +16,11 @@ import numpy as np
 
 from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.io import (
-    atomic_write,
     output_error,
     read_commands,
-    to_json,
     write_commands,
 )
+from smooth_operator.io.atomic import write_json
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
@@ -155,16 +154,6 @@ class BenchmarkFolder:
         machine = [self.environment[key] for key in ("cpu", "cpu_cores", "device", "versions")]
         key = [fingerprint(cell, self.settings), self.settings.latency_frames, machine]
         return f"{cell.slug}.latency", key, benchmark_code()
-
-
-def write_json(path: Path, content: object, indent: int | None = None) -> None:
-    """Writes JSON, whole or not at all.
-
-    Raises:
-        OutputError: it can't be written.
-    """
-    with atomic_write(path) as file:
-        file.write(to_json(content, indent=indent).encode() + b"\n")
 
 
 def _digest(commands: CommandTrajectory) -> str:

@@ -17,8 +17,8 @@ import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.io import to_json
+from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label
-from smooth_operator.lab.benchmark.sources import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.metrics.registry import plugin_metrics

@@ -28,7 +28,7 @@ class Settings:
 
     Attributes:
         output: folder of the results.
-        recordings: files, folders, or ``synthetic``; see ``smooth_operator.lab.benchmark.sources``.
+        recordings: files, folders, or ``synthetic``; see ``lab.benchmark.recordings``.
         hands: names of robot hands.
         methods: names as ``select_methods`` takes them.
         frames: ``A:B``, of each recording that brings no range of its own.

@@ -12,8 +12,8 @@ from smooth_operator.lab.benchmark.benchmark_folder import BenchmarkFolder, chec
 from smooth_operator.lab.benchmark.cells import Cell, cells_of
 from smooth_operator.lab.benchmark.latency import Latency, measure_latency
 from smooth_operator.lab.benchmark.quality import Measured, Task, measure_cell
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
-from smooth_operator.lab.benchmark.sources import load_sources, parse_request
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import (
     Job,

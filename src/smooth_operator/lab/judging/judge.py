@@ -28,8 +28,8 @@ from smooth_operator import SmoothOperatorError
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.latency import measure_latency
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
-from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
 from smooth_operator.lab.judging.kept_figures import CellFigures, measure_cells
 from smooth_operator.lab.judging.targets import SBR, TargetLine, judge, judge_hand
 from smooth_operator.methods.presets import PRESETS

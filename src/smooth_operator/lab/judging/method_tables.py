@@ -28,8 +28,8 @@ import tyro
 from smooth_operator import SmoothOperatorError
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.lab.benchmark.cells import Cell
+from smooth_operator.lab.benchmark.recordings import SYNTHETIC, Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
-from smooth_operator.lab.benchmark.sources import SYNTHETIC, Source, load_sources, parse_request
 from smooth_operator.lab.judging.judge import OTHERS, warn
 from smooth_operator.lab.judging.kept_figures import CellFigures, measure_cells
 from smooth_operator.lab.judging.setting_rows import (

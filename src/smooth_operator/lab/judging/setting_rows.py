@@ -11,7 +11,7 @@ from typing import Any
 from smooth_operator import SmoothOperatorError
 from smooth_operator.io import to_json
 from smooth_operator.lab.benchmark.cells import hand_identity
-from smooth_operator.lab.benchmark.sources import Source
+from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.judging.kept_figures import code_of
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.benchmark.sources import SYNTHETIC_SECONDS, Source
+from smooth_operator.lab.benchmark.recordings import SYNTHETIC_SECONDS, Source
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator.types import HandRecording
 

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.paper.compared_solvers import Solver
 from smooth_operator.lab.paper.experiment_folder import ExperimentFolder, experiment_code
 from smooth_operator.lab.paper.problems import Problem, make_problems

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.io import output_error
+from smooth_operator.io.atomic import write_json
 from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
-from smooth_operator.lab.benchmark.benchmark_folder import write_json
 from smooth_operator.lab.offline.finished import read_configuration
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import ArrayCache, Note, code_digest, no_note

@@ -20,7 +20,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
-from smooth_operator.lab.benchmark.sources import Source
+from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.paper.compared_solvers import NEWTON_CONFIG
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.program import compiled

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import RecordingError, UnknownNameError
-from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.paper.experiment import Outcome
 from smooth_operator.lab.paper.experiment_context import ExperimentContext, Track, silent
 from smooth_operator.lab.paper.experiment_folder import ExperimentFolder
@@ -28,7 +28,7 @@ class Settings:
     Attributes:
         output: folder of the results.
         experiments: names.
-        recordings: as ``smooth_operator.lab.benchmark.sources`` takes them; the built-in operator
+        recordings: as ``lab.benchmark.recordings`` takes them; the built-in operator
             where there are none.
         hand: name of the robot hand.
         frames: ``A:B`` of each recording that brings no range of its own.

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.lab.benchmark.sources import Source
+from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.types import HandRecording
 

@@ -11,7 +11,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.lab.benchmark.benchmark_folder import check_folder
 from smooth_operator.lab.benchmark.cells import hand_identity
-from smooth_operator.lab.benchmark.sources import Source, load_sources, parse_request
+from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.score import Bound, Scoring
@@ -33,7 +33,7 @@ class TuningSettings:
         output: folder of the results.
         method: name of the method.
         preset: name of the preset, or preset file, that the search begins at; None for the default.
-        recordings: to tune on, named as in ``smooth_operator.lab.benchmark.sources``.
+        recordings: to tune on, named as in ``smooth_operator.lab.benchmark.recordings``.
         held_out: not to be tuned on, named alike.
         vary: ``NAME=LOW:HIGH[:log]`` each.
         fix: setting -> another value for it, constant.

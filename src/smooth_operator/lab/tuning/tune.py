@@ -11,8 +11,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.io.atomic import write_json
 from smooth_operator.io.environment import environment
-from smooth_operator.lab.benchmark.benchmark_folder import write_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
 from smooth_operator.lab.tuning.score import figure
