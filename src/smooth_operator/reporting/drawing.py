@@ -103,7 +103,7 @@ def name_points(
     avoid: Iterable[tuple[float, float]] = (),
     size: float = 9.0,
 ) -> None:
-    """A name beside each point, where nothing stands yet; limits and layout are to be final.
+    """A name next to each point, in free space; limits and layout must be final.
 
     Args:
         ax: axes that the points are in.

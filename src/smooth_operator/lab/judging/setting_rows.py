@@ -155,7 +155,7 @@ def _changed(values: Values, preset: Values) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Column:
-    """A figure in the tables: how it is written beside others in a cell, and alone in one."""
+    """A figure in the tables: how it is written with others in a cell, and alone."""
 
     name: str
     metric: str

@@ -101,7 +101,7 @@ class Row:
         factor: to the unit of the axis.
         title: of the axis.
         log: is it logarithmic?
-        human: name -> figure of the human that is drawn beside the methods.
+        human: name -> figure of the human that is drawn with the methods.
     """
 
     metric: str

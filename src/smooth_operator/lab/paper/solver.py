@@ -131,7 +131,7 @@ def _printed_verdict(found: Comparison) -> Verdict:
         against(changes),
         held,
         "The supplement prints the loss with a squared norm; the released code and the paper's "
-        "figures have smooth-L1. Squared metres are smaller beside SLSQP's tolerance of 1e-6 and "
+        "figures have smooth-L1. Squared metres are smaller against SLSQP's tolerance of 1e-6 and "
         "the sampler's temperature of 0.1. Here the jitter of sampling differs by "
         f"{against(changes)}; its tracking loss by {percent(loss)} from SLSQP's, which stands "
         "still on "

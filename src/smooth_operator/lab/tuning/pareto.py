@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Axis:
-    """A figure as a coordinate of which less is better.
+    """A figure as a coordinate; less is better.
 
     Attributes:
         metric: its name, see ``figure``.
