@@ -30,7 +30,7 @@ from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.live import live_texts
-from smooth_operator.teleop.pages.live.coach import Coach
+from smooth_operator.teleop.pages.live.calibration_wizard import CalibrationWizard
 from smooth_operator.teleop.pages.live.config_controls import ConfigControls
 from smooth_operator.teleop.pages.live.fields import changed, config_fields, field_docs
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
@@ -440,13 +440,13 @@ def recorded(path: Path) -> int:
 def test_takes_are_begun_and_ended(stage: Stage) -> None:
     for number in (1, 2):
         stage.session.do("record")
-        eventually(lambda: stage.session.takes.recording)
+        eventually(lambda: stage.session.recordings.recording)
         assert stage.see()["controls"]["recording"] == f"take-00{number}.mcap"
         first = len(stage.ticks)
         eventually(lambda first=first: len(stage.ticks) > first + 25)
         stage.session.do("record")
-        eventually(lambda: not stage.session.takes.recording and not stage.loop.sinks.health())
-        path = stage.session.takes.folder / f"take-00{number}.mcap"
+        eventually(lambda: not stage.session.recordings.recording and not stage.loop.sinks.health())
+        path = stage.session.recordings.folder / f"take-00{number}.mcap"
         eventually(lambda path=path: recorded(path) >= 20)
 
 
@@ -459,36 +459,36 @@ def test_the_page_cannot_ask_for_what_is_not_there(stage: Stage) -> None:
 # -- calibration ------------------------------------------------------------------------------
 
 
-def calibrated(coach: Coach, hand: Any, frames: list[HandFrame]) -> None:
+def calibrated(wizard: CalibrationWizard, hand: Any, frames: list[HandFrame]) -> None:
     """Runs a calibration in no time: its clock is ours."""
-    coach.begin(hand)
+    wizard.begin(hand)
     now, asked, count = 100.0, set(), 0
-    while (state := coach.look(now))["phase"] in ("settle", "hold", "wait"):
+    while (state := wizard.look(now))["phase"] in ("settle", "hold", "wait"):
         asked.add(state["text"])
-        coach.see(Arrival(frames[count % len(frames)], now))
+        wizard.see(Arrival(frames[count % len(frames)], now))
         count, now = count + 1, now + 1 / RATE
     assert len(asked) == state.get("count", len(asked))
     assert 45 < now - 100 < 80
-    eventually(lambda: coach.look(now)["phase"] == "idle")
+    eventually(lambda: wizard.look(now)["phase"] == "idle")
 
 
 def test_a_calibration_is_prompted_used_and_saved(
     stage: Stage, frames: list[HandFrame], tmp_path: Path
 ) -> None:
     hand = stage.loop.pipelines["right"].retargeter.hand
-    coach = stage.session.coach
+    wizard = stage.session.wizard
     stage.session.do("use_operator")
     assert "calibrate first" in stage.see()["controls"]["message"]
-    calibrated(coach, hand, frames)
-    figures = coach.look(0.0)["figures"]
+    calibrated(wizard, hand, frames)
+    figures = wizard.look(0.0)["figures"]
     assert figures["hand"] == "mimic_p050"
     assert 0.5 < figures["palm_scale"] < 2
     assert set(figures["fingers"]) == set(hand.fingers)
     stage.session.do("save_operator")
     message = stage.see()["controls"]["message"]
     assert "operator-mimic_p050-right.json" in message
-    (path,) = stage.session.takes.folder.parent.glob("operator-*.json")
-    assert read_operator(path) == coach.operator
+    (path,) = stage.session.recordings.folder.parent.glob("operator-*.json")
+    assert read_operator(path) == wizard.operator
     stage.session.do("use_operator")
     eventually(
         lambda: isinstance(
@@ -501,12 +501,12 @@ def test_a_calibration_is_prompted_used_and_saved(
 
 
 def test_a_calibration_without_a_hand_says_so() -> None:
-    coach = Coach()
-    coach.begin(load_hand("mimic_p050"))
+    wizard = CalibrationWizard()
+    wizard.begin(load_hand("mimic_p050"))
     for second in range(200):
-        assert coach.look(float(second))["phase"] == "wait"  # time stands still
-    coach.cancel()
-    assert coach.look(201.0)["phase"] == "idle"
+        assert wizard.look(float(second))["phase"] == "wait"  # time stands still
+    wizard.cancel()
+    assert wizard.look(201.0)["phase"] == "idle"
 
 
 # -- authentication ---------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from smooth_operator.teleop.pages.markup import plain
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, geom_mesh
 from smooth_operator.teleop.pages.page_layout import FOV, plan, view_axes
 from smooth_operator.teleop.pages.palette import FINGER_COLORS, HIGHLIGHT, linear
-from smooth_operator.teleop.pages.readout import metrics_table, status_line
+from smooth_operator.teleop.pages.status_panel import metrics_table, status_line
 from smooth_operator.teleop.pages.timeline import GapCurves
 from smooth_operator.types import Status
 from smooth_operator.web import browser

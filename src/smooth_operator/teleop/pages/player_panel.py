@@ -9,7 +9,7 @@ import viser
 
 from smooth_operator.teleop.pages.callbacks import asked
 from smooth_operator.teleop.pages.playback import Playback
-from smooth_operator.teleop.pages.readout import legend, metrics_table, status_line
+from smooth_operator.teleop.pages.status_panel import legend, metrics_table, status_line
 from smooth_operator.teleop.pages.timeline import Timeline
 
 SPEEDS = (0.1, 4.0)

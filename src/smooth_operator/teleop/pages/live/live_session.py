@@ -15,12 +15,12 @@ from smooth_operator.io import to_json
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher, checked
+from smooth_operator.teleop.pages.live.calibration_wizard import CalibrationWizard
 from smooth_operator.teleop.pages.live.camera import CameraFeed
-from smooth_operator.teleop.pages.live.coach import Coach
 from smooth_operator.teleop.pages.live.fields import changed, config_fields
 from smooth_operator.teleop.pages.live.rates import RateMeter
+from smooth_operator.teleop.pages.live.recordings import Recordings
 from smooth_operator.teleop.pages.live.scenery import Scenery
-from smooth_operator.teleop.pages.live.takes import Takes
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
@@ -63,10 +63,10 @@ class LiveSession:
         blind: bool = False,
     ) -> None:
         self.loop = loop
-        self.coach = Coach()
+        self.wizard = CalibrationWizard()
         self.switcher = MethodSwitcher(loop, asked) if switcher is None else switcher
         self.blind = blind
-        self.takes = Takes(loop.sinks, folder / "takes", self._configuration)
+        self.recordings = Recordings(loop.sinks, folder / "takes", self._configuration)
         self._asked, self._folder = asked, folder
         self._simulation = simulated_hands(sinks)
         self._scenery = None if self._simulation is None else Scenery(self._simulation)
@@ -84,12 +84,12 @@ class LiveSession:
             "release": loop.controls.release,
             "pause": loop.controls.pause,
             "resume": loop.controls.resume,
-            "record": self.takes.toggle,
+            "record": self.recordings.toggle,
             "method": self._choose,
             "set": self._set,
             "set_loop": self._set_loop,
             "calibrate": self._calibrate,
-            "cancel_calibration": self.coach.cancel,
+            "cancel_calibration": self.wizard.cancel,
             "use_operator": self._use_operator,
             "drop_operator": self._drop_operator,
             "save_operator": self._save_operator,
@@ -104,7 +104,7 @@ class LiveSession:
         seen = self.loop.pipelines[tick.side].seen
         if seen is not None and seen is not self._arrivals.get(tick.side):
             self._arrivals[tick.side] = seen
-            self.coach.see(seen)
+            self.wizard.see(seen)
         if tick.events:
             self._note(tick)
 
@@ -134,7 +134,7 @@ class LiveSession:
         now = self.loop.mailbox.clock()
         shown: dict[str, Any] = {
             "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
-            "calibration": self.coach.look(now),
+            "calibration": self.wizard.look(now),
         }
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
@@ -223,10 +223,10 @@ class LiveSession:
             "building": self._told(switcher.building, "getting ready"),
             "message": self._message
             or self._told(switcher.error, "that could not be done; the experimenter knows why")
-            or self.takes.error,
+            or self.recordings.error,
             "stopped": any(supervisor.stopped for supervisor in supervisors),
             "paused": any(supervisor.paused for supervisor in supervisors),
-            "recording": self.takes.recording,
+            "recording": self.recordings.recording,
             "operators": {
                 side: None if operator is None else asdict(operator)
                 for side, operator in switcher.operators.items()
@@ -263,10 +263,10 @@ class LiveSession:
     def _calibrate(self, side: Side) -> None:
         if side not in self.loop.pipelines:
             raise ConfigError(f"there is no {side} hand in this run")
-        self.coach.begin(self.loop.pipelines[side].retargeter.hand)
+        self.wizard.begin(self.loop.pipelines[side].retargeter.hand)
 
     def _use_operator(self) -> None:
-        operator = checked(self.coach.operator)
+        operator = checked(self.wizard.operator)
         self.switcher.operate({operator.side: operator})
         self._fields_changed += 1
 
@@ -275,7 +275,7 @@ class LiveSession:
         self._fields_changed += 1
 
     def _save_operator(self) -> None:
-        path = self.coach.save(self._folder)
+        path = self.wizard.save(self._folder)
         self._message = f"wrote {path.resolve()}; next time: --operator {path}"
 
     def _note(self, tick: Tick) -> None:

@@ -17,7 +17,7 @@ from smooth_operator.teleop.runtime.calibration_session import CalibrationSessio
 from smooth_operator.teleop.sources.live import Arrival
 
 
-class Coach:
+class CalibrationWizard:
     """Calibrates the operator of one hand at a time.
 
     Attributes:

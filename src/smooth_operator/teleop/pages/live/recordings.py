@@ -26,7 +26,7 @@ class _Take(RecordSink):
         super().open(hands, {**config, **self.configuration()})
 
 
-class Takes:
+class Recordings:
     """Begins and ends recordings; creating and ending files may take a while, and is waited for by
     nobody.
 
