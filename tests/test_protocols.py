@@ -31,7 +31,7 @@ from smooth_operator.types import HandFrame, Status
 
 SOURCE = Path(smooth_operator.__file__).parent
 BASES = {"Method", "MethodConfig", "TargetPolicy", "Sink"}
-"""Bases of what must not be asked for its class."""
+"""Bases of what must not be asked for its class. Whether it is one at all may be asked."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Family:
                 continue
             where, asked = f"{path.name}:{node.lineno}: {node.func.id}", node.args[1:2]
             if node.func.id in ("isinstance", "issubclass"):
-                names = {name_of(n) for n in ast.walk(asked[0])} & self.homes.keys()
+                names = {name_of(n) for n in ast.walk(asked[0])} & self.homes.keys() - BASES
                 yield from (f"{where} of {n}" for n in sorted(names) if self.homes[n] != path)
             elif node.func.id in ("getattr", "hasattr"):
                 name = getattr(asked[0], "value", None)

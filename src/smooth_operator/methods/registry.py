@@ -28,8 +28,6 @@ METHODS: Final = Registry(
         "ako": Entry(f"{_HERE}:AKO_PRESETS", "default, slsqp or published"),
         "geort": Entry(f"{_HERE}:GEORT", "default, or the file of a model that you trained"),
     },
-    needs=("alignment", "build", "trajectory"),
-    advice="derive its settings from smooth_operator.methods.MethodConfig",
 )
 """Name -> presets. The summaries list the presets, the default one first."""
 
