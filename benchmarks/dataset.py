@@ -200,7 +200,7 @@ class Batch:
         """Commands of the last recording, (T, n)."""
         q = np.asarray(self._program(self._state, self._landmarks, self._valid), float)[:, -1]
         limits = self._hand.limits
-        expanded: np.ndarray = self._hand.expand(np.clip(q, limits[:, 0], limits[:, 1]))
+        expanded: np.ndarray = self._hand.full_configuration(np.clip(q, limits[:, 0], limits[:, 1]))
         return expanded
 
 

@@ -148,7 +148,9 @@ def plain(hand: Hand, config: SbrConfig) -> tuple[Any, Step]:
 
     layout = KeyvectorLayout(hand.fingers)
     start, end = (np.array(side) for side in zip(*layout.pairs, strict=True))
-    matrix, offset = (jnp.asarray(part, jnp.float32) for part in hand.expansion)
+    matrix, offset = (
+        jnp.asarray(part, jnp.float32) for part in (hand.coupling_matrix, hand.coupling_offset)
+    )
     low, high = (jnp.asarray(hand.limits[:, i], jnp.float32) for i in (0, 1))
     neutral = jnp.asarray(hand.neutral, jnp.float32)
     sampling, objective = config.sampling, config.objective
@@ -200,7 +202,7 @@ def plain(hand: Hand, config: SbrConfig) -> tuple[Any, Step]:
 
     def step(state: Any, frame: HandFrame) -> tuple[Any, np.ndarray, float]:
         state, q, loss = program(state, frame.landmarks.astype(np.float32))
-        return state, hand.expand(np.asarray(q, float)), float(loss)
+        return state, hand.full_configuration(np.asarray(q, float)), float(loss)
 
     return (neutral, objective.targets.init(layout), jax.random.key(0)), step
 

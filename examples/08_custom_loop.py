@@ -16,7 +16,7 @@ retargeter = Retargeter("mimic_p050", method="smooth")
 retargeter.warm_up()  # compiles, so that the first frame is not late
 hand = retargeter.hand
 state = retargeter.init(seed=0)
-neutral = hand.expand(hand.neutral)
+neutral = hand.full_configuration(hand.neutral)
 command, lost, held = neutral, 0, 0
 fastest = 0.0
 

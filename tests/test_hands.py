@@ -110,7 +110,7 @@ def test_coupled_joints_of_the_mimic_hand() -> None:
 def test_rows_and_vectors_expand_alike(tmp_path: Path) -> None:
     hand = load_hand(pincer(tmp_path, equality=LINE))
     q = limited_poses(np.random.default_rng(4), hand.limits, 7)
-    rows = hand.expand_rows([np.asarray(row) for row in q.T])
+    rows = hand.full_configuration_rows([np.asarray(row) for row in q.T])
     np.testing.assert_allclose(np.stack(rows, axis=-1), hand.expand(q), atol=1e-12)
     np.testing.assert_array_equal(hand.expand(q[0]), hand.expand(q)[0])
 

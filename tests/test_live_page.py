@@ -426,7 +426,7 @@ def test_a_wider_margin_brings_a_hand_in_without_a_jump() -> None:
     before = narrow.q
     for _ in range(60):
         q = narrow.step(low, 0.01)
-        assert np.abs(hand.expansion[0] @ (q - before)).max() <= 2.0 * 0.01 + 1e-9
+        assert np.abs(hand.coupling_matrix @ (q - before)).max() <= 2.0 * 0.01 + 1e-9
         before = q
     np.testing.assert_allclose(before, low + 0.1, atol=1e-6)
 

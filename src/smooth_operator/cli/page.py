@@ -35,7 +35,7 @@ def playback(
     """
     drawn = drawn or hand
     model = drawn.model
-    poses = np.tile(drawn.expand(drawn.neutral), (len(trace), 1))
+    poses = np.tile(drawn.full_configuration(drawn.neutral), (len(trace), 1))
     poses[:, [drawn.joint_names.index(name) for name in hand.joint_names]] = trace.joint_positions
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

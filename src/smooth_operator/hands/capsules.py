@@ -193,7 +193,7 @@ def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarr
     q = np.random.default_rng(0).uniform(low, high, (poses, len(low)))
     q = np.concatenate([hand.neutral[None], q])
     tree = _tree(hand, capsules)
-    points = np.asarray(tree.positions(hand.expand(q)))
+    points = np.asarray(tree.positions(hand.full_configuration(q)))
     ends = points[:, [tree.names.index(name) for name in _names(capsules)]]
     ends = ends.reshape(len(q), len(capsules), 2, 3)
     middles = ends.mean(axis=2)

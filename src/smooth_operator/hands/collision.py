@@ -59,7 +59,9 @@ def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
     """Which pairs of the model's shapes ``penetration_depths`` looks at."""
     counts = _counting_pairs(hand)
     if counts.any():
-        neutral, depth = _overlaps(hand, mujoco.MjData(hand.model), hand.expand(hand.neutral))
+        neutral, depth = _overlaps(
+            hand, mujoco.MjData(hand.model), hand.full_configuration(hand.neutral)
+        )
         touching = neutral[depth > 0]
         counts[touching[:, 0], touching[:, 1]] = counts[touching[:, 1], touching[:, 0]] = False
     return counts
@@ -75,7 +77,7 @@ def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
         names of two bodies -> how deep they are inside each other [m].
     """
     model, counts = hand.model, _counting_pairs(hand)
-    pairs, depths = _overlaps(hand, mujoco.MjData(model), hand.expand(hand.neutral))
+    pairs, depths = _overlaps(hand, mujoco.MjData(model), hand.full_configuration(hand.neutral))
     out: dict[tuple[str, str], float] = {}
     for geoms, depth in zip(pairs, depths, strict=True):
         a, b = (int(model.body_weldid[model.geom_bodyid[g]]) for g in geoms)

@@ -34,7 +34,9 @@ class Hand:
         limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
         neutral: (m,) neutral pose of the actuated joints [rad].
         tree: kinematics of the hand's landmarks in the palm frame.
-        expansion: (n, m) matrix and (n,) offset from actuated to all joints.
+        coupling_matrix: (n, m) positions of all joints per position of the actuated joints: a row
+            of the identity for an actuated joint, gear ratios for a coupled one.
+        coupling_offset: (n,) positions of all joints where the actuated ones are at zero [rad].
         unreadable: names of bodies whose shapes that collide could not be read.
     """
 
@@ -46,7 +48,8 @@ class Hand:
     limits: Float[np.ndarray, "m 2"]
     neutral: Float[np.ndarray, " m"]
     tree: KinematicTree
-    expansion: tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]
+    coupling_matrix: Float[np.ndarray, "n m"]
+    coupling_offset: Float[np.ndarray, " n"]
     unreadable: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -118,7 +121,7 @@ class Hand:
         """Limits of all joints [rad], coupled ones included; infinite where there is none."""
         return self.tree.limits
 
-    def expand(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
+    def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
         """Positions of all joints from those of the actuated ones.
 
         Args:
@@ -127,15 +130,16 @@ class Hand:
         Returns:
             (..., n) positions of all joints [rad], in the order of ``joint_names``.
         """
-        matrix, offset = self.expansion
-        expanded: np.ndarray = np.asarray(q, float) @ matrix.T + offset
-        return expanded
+        full: np.ndarray = np.asarray(q, float) @ self.coupling_matrix.T + self.coupling_offset
+        return full
 
-    def expand_rows(self, q: Sequence[Array]) -> list[Array]:
+    expand = full_configuration
+    """Former name, kept for scripts."""
+
+    def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
         """The same for m arrays of a common shape (batch last), inside a compiled program."""
-        matrix, offset = self.expansion
         rows: list[Array] = []
-        for weights, constant in zip(matrix, offset, strict=True):
+        for weights, constant in zip(self.coupling_matrix, self.coupling_offset, strict=True):
             (used,) = np.nonzero(weights)
             row: Array | float = float(constant)
             for k in used:
@@ -153,7 +157,7 @@ class Hand:
         Returns:
             (..., k, 3) [m], in the order of ``tree.names``.
         """
-        return np.asarray(self.tree.positions(self.expand(q)))
+        return np.asarray(self.tree.positions(self.full_configuration(q)))
 
     def tips(self, q_all: ArrayLike) -> Float[np.ndarray, "*batch f 3"]:
         """Fingertip positions in the palm frame.
@@ -200,8 +204,8 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     if not actuated:
         raise HandModelError(f"hand {spec.name!r} has no joint that can be commanded")
     held = {name: float(model.joint(name).qpos0[0]) for name in every if name not in names}
-    expansion = _expansion(names, actuated, couplings, held)
-    limits = _limits(names, actuated, expansion, tree.limits)
+    coupling = _coupling(names, actuated, couplings, held)
+    limits = _limits(names, actuated, coupling, tree.limits)
     neutral = np.clip(
         [spec.neutral.get(names[j], 0.0) for j in actuated], limits[:, 0], limits[:, 1]
     )
@@ -215,7 +219,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         limits,
         neutral,
         tree,
-        expansion,
+        *coupling,
         loaded.unreadable,
     )
 
@@ -257,7 +261,7 @@ def _commanded(model: mujoco.MjModel, own: tuple[int, ...], tree: KinematicTree)
     return (driven_joints(model) & set(own) or set(own)) - endless
 
 
-def _expansion(
+def _coupling(
     names: tuple[str, ...],
     actuated: tuple[int, ...],
     couplings: tuple[Coupling, ...],
@@ -293,11 +297,11 @@ def _expansion(
 def _limits(
     names: tuple[str, ...],
     actuated: tuple[int, ...],
-    expansion: tuple[np.ndarray, np.ndarray],
+    coupling: tuple[np.ndarray, np.ndarray],
     all_limits: np.ndarray,
 ) -> np.ndarray:
     """Limits of the actuated joints, narrowed so that no follower leaves its own."""
-    matrix, offset = expansion
+    matrix, offset = coupling
     limits = all_limits[list(actuated)].copy()
     for i, (weights, constant) in enumerate(zip(matrix, offset, strict=True)):
         (used,) = np.nonzero(weights)

@@ -89,7 +89,7 @@ def stand_ins(hand: Hand) -> StandIns:
     if not lacking:
         return StandIns()
     model, data = hand.model, mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(model, data)
     bones = _bones(hand, data)
     radius = _finger_radius(hand, bones)

@@ -170,5 +170,5 @@ def _joints_of(hand: Hand, finger: str) -> list[str]:
         while joint >= 0:
             moving.add(hand.tree.joints[joint].source)
             joint = hand.tree.joints[joint].parent
-    drives = np.abs(hand.expansion[0][sorted(moving)]).sum(axis=0) > 0
+    drives = np.abs(hand.coupling_matrix[sorted(moving)]).sum(axis=0) > 0
     return [name for name, drive in zip(hand.actuated_names, drives, strict=True) if drive]

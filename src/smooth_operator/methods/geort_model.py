@@ -83,7 +83,7 @@ def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
     Raises:
         HandModelError: if a finger has no joint for itself.
     """
-    matrix, _ = hand.expansion
+    matrix = hand.coupling_matrix
     moves = np.zeros((len(hand.fingers), len(hand.actuated)), bool)
     for row, name in zip(moves, hand.tip_names, strict=True):
         at = hand.tree.keypoints[name].joint
@@ -164,7 +164,7 @@ class GeortModel:
                 f"{len(hand.actuated)}{train}"
             )
         mirrored = self.side != hand.spec.side
-        found_tips = hand.tips(hand.expand(self.poses))
+        found_tips = hand.tips(hand.full_configuration(self.poses))
         expected_tips = self.tips * _MIRROR if mirrored else self.tips
         away = float(np.abs(found_tips - expected_tips).max())
         if away > _SAME_PLACE:
@@ -188,7 +188,7 @@ def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray,
     """Poses and the fingertips there: the ``poses`` and ``tips`` of a model for this hand."""
     low, high = hand.limits.T
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
-    return poses, hand.tips(hand.expand(poses))
+    return poses, hand.tips(hand.full_configuration(poses))
 
 
 def write_geort_model(path: str | Path, model: GeortModel) -> None:

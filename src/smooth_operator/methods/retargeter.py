@@ -154,7 +154,7 @@ class Retargeter:
             state = state._replace(stamp=stamp)
         q, status = np.asarray(output.q, float), Status(int(output.status))
         # float32 may round a limit outwards: the last word is in float64
-        q = self.hand.expand(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
+        q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
         latency_ms = (time.perf_counter() - start) * 1e3
         return state, Result(
             JointCommand(q, self.hand.joint_names, stamp),

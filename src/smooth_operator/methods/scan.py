@@ -56,7 +56,7 @@ class Scan:
             state, answer = self._scan(state, *(each[part] for each in frames))
             q = np.clip(np.asarray(answer.q, float), hand.limits[:, 0], hand.limits[:, 1])
             # One by one, as live: a product of matrices may add up in another order.
-            positions += [hand.expand(row) for row in q]
+            positions += [hand.full_configuration(row) for row in q]
             status += np.asarray(answer.status).tolist()
             loss += np.asarray(answer.tracking_loss, float).tolist()
         for i in range(whole, len(recording)):

@@ -93,7 +93,8 @@ def fingerprint(hand: Hand) -> str:
     arrays = [
         hand.limits,
         hand.neutral,
-        *hand.expansion,
+        hand.coupling_matrix,
+        hand.coupling_offset,
         tree.limits,
         hand.align_points,
         *(j.rotation for j in tree.joints),

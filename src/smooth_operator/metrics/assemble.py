@@ -93,7 +93,7 @@ def sample_reach(
     """
     low, high = hand.limits.T
     q = np.random.default_rng(seed).uniform(low, high, (samples, len(low)))
-    columns = list(np.ascontiguousarray(hand.expand(q).T))
+    columns = list(np.ascontiguousarray(hand.full_configuration(q).T))
     reach = np.empty((samples, len(hand.tip_names), 3))
     for finger, point in enumerate(hand.tree.forward_kinematics(columns, hand.tip_names)):
         for axis, values in enumerate(point):

@@ -196,7 +196,7 @@ class Objective:
         names = tuple(dict.fromkeys(name for term in terms for name in term.points()))
         tree = self.hand.tree if all(n in self.hand.tree.keypoints for n in names) else self.tree
         points = tree.forward_kinematics(
-            self.hand.expand_rows(q), names, within_limits=within_limits
+            self.hand.full_configuration_rows(q), names, within_limits=within_limits
         )
         at = dict(zip(names, points, strict=True))
         costs = [term.cost([at[name] for name in term.points()], goal) for term in terms]
@@ -249,7 +249,10 @@ class Objective:
         The Hessian is as exact as the terms' own; those of Eq. (1) are exact, but on the
         measure-zero kinks of smooth-L1.
         """
-        matrix, offset = (jnp.asarray(part, q.dtype) for part in self.hand.expansion)
+        matrix, offset = (
+            jnp.asarray(part, q.dtype)
+            for part in (self.hand.coupling_matrix, self.hand.coupling_offset)
+        )
         motion = self.kinematics(matrix @ q + offset)
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [

@@ -117,6 +117,6 @@ class HandPhysics:
     def _place(self, target: Float[np.ndarray, " m"]) -> None:
         """Put the hand at rest into a pose."""
         mujoco.mj_resetData(self._built.model, self._data)
-        self._data.qpos[self._built.qpos] = self.hand.expand(target)
+        self._data.qpos[self._built.qpos] = self.hand.full_configuration(target)
         self._data.ctrl[:] = target
         mujoco.mj_forward(self._built.model, self._data)

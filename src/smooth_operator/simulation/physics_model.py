@@ -140,14 +140,14 @@ def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
     data = mujoco.MjData(model)
     addresses = [int(model.joint(name).qposadr[0]) for name in hand.joint_names]
     dofs = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
-    data.qpos[addresses] = hand.expand(hand.neutral)
+    data.qpos[addresses] = hand.full_configuration(hand.neutral)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     try:
         mujoco.mj_fullM(model, data, full)
     except TypeError:  # up to MuJoCo 3.3 it takes the packed matrix, and the result comes first
         mujoco.mj_fullM(model, full, data.qM)
-    matrix = hand.expansion[0]
+    matrix = hand.coupling_matrix
     reduced = matrix.T @ full[np.ix_(dofs, dofs)] @ matrix
     return np.asarray(np.diag(reduced))
 
@@ -185,8 +185,8 @@ def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
     palm on its fixture is.
     """
     data = mujoco.MjData(model)
-    data.qpos[[int(model.joint(name).qposadr[0]) for name in hand.joint_names]] = hand.expand(
-        hand.neutral
+    data.qpos[[int(model.joint(name).qposadr[0]) for name in hand.joint_names]] = (
+        hand.full_configuration(hand.neutral)
     )
     mujoco.mj_forward(model, data)
     weld = np.asarray(model.body_weldid)

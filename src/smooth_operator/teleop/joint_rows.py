@@ -32,7 +32,7 @@ def joint_rows(hand: Hand) -> list[JointRow]:
     """All joints of a hand, in the model's own order."""
     limits = hand.joint_limits.copy()
     limits[list(hand.actuated)] = hand.limits
-    neutral = hand.expand(hand.neutral)
+    neutral = hand.full_configuration(hand.neutral)
     words = {
         c.joint: (f"{c.multiplier:.4g} " if c.multiplier != 1 else "")
         + c.follows

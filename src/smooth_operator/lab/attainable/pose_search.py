@@ -1,6 +1,7 @@
 """The search for one pose: many starts descend, the best are finished.
 
-All here is for one hand. Poses are of the actuated joints; couplings come in by ``hand.expansion``.
+All here is for one hand. Poses are of the actuated joints; couplings come in by
+``hand.coupling_matrix``.
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ class Search:
     def _look(self, q: Float[Array, "m B"]) -> tuple[Float[Array, "K 3 B"], Float[Array, "P B"]]:
         """Keyvectors, and how deep each pair is in each other, of many poses [m]."""
         rows = self.pairs.tree.forward_kinematics(
-            self.hand.expand_rows(list(q)), self.names, within_limits=True
+            self.hand.full_configuration_rows(list(q)), self.names, within_limits=True
         )
         points = jnp.stack([
             jnp.stack([jnp.broadcast_to(jnp.asarray(c, q.dtype), q[0].shape) for c in point])
@@ -232,7 +233,10 @@ class Search:
         first, second = self.pairs.pairs.T
 
         def local(q: Array, human: Array, weights: Array) -> Array:
-            matrix, offset = (jnp.asarray(a, q.dtype) for a in self.hand.expansion)
+            matrix, offset = (
+                jnp.asarray(a, q.dtype)
+                for a in (self.hand.coupling_matrix, self.hand.coupling_offset)
+            )
             motion = self._kinematics(matrix @ q + offset)
             spread = matrix[np.array(self._kinematics.order)]
             jacobian = jnp.einsum("fjc,jm->fcm", motion.jacobian, spread)
@@ -326,7 +330,7 @@ class Search:
         caps: Float[np.ndarray, "N P"],
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What was sought, and by how much depth and gaps are above their limits [m]: exactly."""
-        every = self.hand.expand(np.clip(poses, self.low, self.high))
+        every = self.hand.full_configuration(np.clip(poses, self.low, self.high))
         robot = keyvectors(self.hand.tips(every), np.broadcast_to(self.hand.wrist, (len(poses), 3)))
         depth = penetration_depths(self.hand, every)
         deep = np.zeros(len(poses)) if depth is None else depth - self.depth

@@ -74,7 +74,7 @@ class Sampled:
 
     def vectors(self, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T K 3"]:
         """The robot's keyvectors at poses of the actuated joints [m]."""
-        tips = self.hand.tips(self.hand.expand(poses))
+        tips = self.hand.tips(self.hand.full_configuration(poses))
         return keyvectors(tips, np.broadcast_to(self.hand.wrist, (len(poses), 3)))
 
     def thumb_cosines(self, robot: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "T P"]:

@@ -163,7 +163,11 @@ class TrajectoryRetargeter:
         _hold(q, stretches, hand.neutral)
         q = np.clip(q, hand.limits[:, 0], hand.limits[:, 1])
         commands = CommandTrajectory(
-            hand.expand(q), hand.joint_names, recording.stamps, np.full(count, np.nan), first.status
+            hand.full_configuration(q),
+            hand.joint_names,
+            recording.stamps,
+            np.full(count, np.nan),
+            first.status,
         )
         return commands, np.where(seen, loss, np.nan)
 
@@ -311,7 +315,9 @@ def fingertips(
     hand: Hand, q: Float[Array, " m"]
 ) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 m"]]:
     """Fingertips at a pose [m] and their derivatives [m/rad]; traceable."""
-    matrix, offset = (jnp.asarray(part, q.dtype) for part in hand.expansion)
+    matrix, offset = (
+        jnp.asarray(part, q.dtype) for part in (hand.coupling_matrix, hand.coupling_offset)
+    )
     kinematics = PointKinematics(hand.tree, hand.tip_names)
     motion = kinematics(matrix @ q + offset)
     spread = matrix[np.array(kinematics.order)]

@@ -108,7 +108,7 @@ def random_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "N n"]:
     """(N, n) random positions of all joints [rad], within the limits, couplings respected."""
     low, high = hand.limits.T
     rng = np.random.default_rng(seed)
-    return hand.expand(rng.uniform(low, high, (count, len(low))))
+    return hand.full_configuration(rng.uniform(low, high, (count, len(low))))
 
 
 def disagreement(library: Library, hand: Hand, q: Float[np.ndarray, "N n"]) -> float:

@@ -76,7 +76,7 @@ def measure_run(problem: Problem, run: Run, velocity_weight: float) -> dict[str,
         ``acceleration``: the same over time squared [rad/s²]; ``frame_ms``: median time a frame;
         ``evaluations``: mean.
     """
-    joints = problem.hand.expand(run.q)
+    joints = problem.hand.full_configuration(run.q)
     jitter = joint_jitter(joints)
     acceleration = joint_acceleration(joints, problem.stamps)
     return {

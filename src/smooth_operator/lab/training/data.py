@@ -176,7 +176,7 @@ def _reach(
     own = [joint for joints in finger_joints(hand) for joint in joints]
     q = np.broadcast_to(hand.neutral, drawn.shape).copy()
     q[:, own] = drawn[:, own]
-    tips = np.moveaxis(hand.tips(hand.expand(q)), 0, -1)
+    tips = np.moveaxis(hand.tips(hand.full_configuration(q)), 0, -1)
     if margin is not None:
         for finger, reachable in enumerate(tips):
             visited = human.points[finger, :, : human.counts[finger]].T

@@ -75,7 +75,7 @@ class GeortLoss:
                 low, high = (float(limit) for limit in hand.limits[joint])
                 rows[joint] = (low + high) / 2 + (high - low) / 2 * unit[finger, output]
         walked = hand.tree.forward_kinematics(
-            hand.expand_rows(rows), hand.tip_names, within_limits=True
+            hand.full_configuration_rows(rows), hand.tip_names, within_limits=True
         )
         like = unit[0, 0]
         return jnp.stack(

@@ -73,7 +73,7 @@ class TracedRun:
             status.append(np.asarray(answer.status))
         q = np.clip(np.concatenate(found)[:count], hand.limits[:, 0], hand.limits[:, 1])
         return CommandTrajectory(
-            hand.expand(q),
+            hand.full_configuration(q),
             hand.joint_names,
             recording.stamps,
             np.full(count, np.nan),

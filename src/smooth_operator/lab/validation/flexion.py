@@ -111,7 +111,7 @@ class _Bend:
         base = LANDMARKS[BASES[FINGERS.index(hand.fingers[finger])]]
         self._ends = [hand.tree.names.index(n) for n in (base, hand.tip_names[finger])]
         model, data = hand.model, mujoco.MjData(hand.model)
-        data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+        data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
         mujoco.mj_kinematics(model, data)
         palm = data.xmat[model.body(hand.spec.palm).id].reshape(3, 3)
         self.axis: np.ndarray = np.zeros(3)
@@ -123,7 +123,7 @@ class _Bend:
             axis = palm.T @ data.xaxis[joint]
             self.axis = self.axis if self.axis.any() else axis
             if abs(along := float(axis @ self.axis)) > _PARALLEL:
-                weights = hand.expansion[0][j]
+                weights = hand.coupling_matrix[j]
                 for k in np.flatnonzero(weights):
                     self._drives[int(k)] = self._drives.get(int(k), 0.0) + along * weights[k]
 

@@ -88,7 +88,7 @@ def closest_pinch(samples: Samples, finger: str) -> float:
 
 
 def _gaps(hand: Hand, k: int, q: Float[np.ndarray, "*b m"]) -> Float[np.ndarray, "*b 3"]:
-    tips = hand.tips(hand.expand(q))
+    tips = hand.tips(hand.full_configuration(q))
     gap: np.ndarray = tips[..., k, :] - tips[..., 0, :]
     return gap
 

@@ -54,7 +54,7 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m
 
 def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
     """(T,) by how much a pose breaks the two rules [m]; 0 where it keeps them."""
-    every = hand.expand(poses)
+    every = hand.full_configuration(poses)
     tips = hand.tips(every)
     gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min(axis=1)
     depths = penetration_depths(hand, every)

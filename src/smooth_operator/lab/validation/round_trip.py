@@ -102,11 +102,13 @@ def round_trip(
         run = np.array(positions)
         low, high = hand.joint_limits.T
         outside += int(((run < low - _ROUNDING) | (run > high + _ROUNDING)).any(axis=1).sum())
-        reaches = hand.tips(hand.expand(hand.neutral + share * (wanted[k] - hand.neutral)))
+        reaches = hand.tips(
+            hand.full_configuration(hand.neutral + share * (wanted[k] - hand.neutral))
+        )
         if (still := frozen_share(reaches - hand.wrist, run)) is not None:
             frozen.append(still)
         commands.append(run[-1])
-    true, found = hand.expand(wanted), np.array(commands)
+    true, found = hand.full_configuration(wanted), np.array(commands)
     return RoundTrip(
         tip_error_mm=np.linalg.norm(hand.tips(found) - hand.tips(true), axis=-1) * 1e3,
         q_true=true,

@@ -27,7 +27,7 @@ def part_distances(hand: Hand, body: int, point: Float[np.ndarray, "3"]) -> dict
         nearest of its shapes [m], negative inside; parts without shapes are left out.
     """
     model, data = hand.model, mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(model, data)
     at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
     out: dict[int, float] = {}

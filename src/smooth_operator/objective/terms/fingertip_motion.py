@@ -34,7 +34,7 @@ class FingertipMotion(PointTerm):
         """Fingertips at a pose within the limits [m]."""
         tree = self.hand.tree
         points = tree.forward_kinematics(
-            self.hand.expand_rows(list(q)), self.points(), within_limits=True
+            self.hand.full_configuration_rows(list(q)), self.points(), within_limits=True
         )
         return jnp.stack([jnp.stack([jnp.asarray(c, q.dtype) for c in point]) for point in points])
 

@@ -72,7 +72,7 @@ def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (
     palm = at - turn @ hand.wrist
     # The palm in the model's own world: a forearm, say, may stand between the two.
     data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(hand.model, data)
     body = hand.model.body(hand.spec.palm).id
     rotation = turn @ data.xmat[body].reshape(3, 3).T

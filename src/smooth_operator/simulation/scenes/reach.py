@@ -19,7 +19,7 @@ def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
     """
     low, high = hand.limits.T
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
-    tips = hand.tips(hand.expand(poses)) - hand.wrist
+    tips = hand.tips(hand.full_configuration(poses)) - hand.wrist
     return np.asarray(tips @ hand_directions(hand).T)
 
 

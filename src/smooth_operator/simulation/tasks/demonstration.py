@@ -96,7 +96,7 @@ def play(
         disturb(physics)
     run = TaskRun(task_named(demonstration.task), scene).go(physics.time)
     while physics.time < demonstration.times[-1] - 1e-9:
-        physics.command(hand.expand(demonstration.pose(physics.time + _PERIOD_S)))
+        physics.command(hand.full_configuration(demonstration.pose(physics.time + _PERIOD_S)))
         physics.advance(_PERIOD_S)
         state = physics.observe()
         run = run.observe(state)

@@ -204,7 +204,7 @@ class HandPage(PageServer):
         self._lines.points = np.stack([points[[a, b]] for _, a, b in self._view.bones()])
         for label, point in zip(self._labels, points, strict=True):
             label.position = point
-        every = self.hand.expand(self._q)
+        every = self.hand.full_configuration(self._q)
         for joint, slider in self._followers:
             slider.value = float(np.clip(every[joint], slider.min, slider.max))
 

@@ -142,7 +142,7 @@ def _draw_hand(
 
 def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
     """Ranges as bars, the pose as marks."""
-    rows, every = joint_rows(hand), hand.expand(q)
+    rows, every = joint_rows(hand), hand.full_configuration(q)
     for i, (row, value) in enumerate(zip(rows, every, strict=True)):
         low, high = np.rad2deg([row.low, row.high])
         axes.barh(i, high - low, left=low, height=0.62,

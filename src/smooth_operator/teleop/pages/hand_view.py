@@ -50,7 +50,7 @@ class HandView:
         Args:
             q: (m,) actuated joint positions [rad].
         """
-        self._pose(self.hand.expand(q))
+        self._pose(self.hand.full_configuration(q))
         rotation = self._data.xmat.reshape(-1, 3, 3)
         palm, origin = rotation[self._palm], self._data.xpos[self._palm]
         return {
@@ -93,7 +93,9 @@ class HandView:
     def _owners(self) -> Int[np.ndarray, " nbody"]:
         hand = self.hand
         low, high = hand.limits.T
-        poses = hand.expand(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
+        poses = hand.full_configuration(
+            np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+        )
         qpos = hand.qpos(poses)
         self._pose(poses[0])
         palm = self._data.xmat.reshape(-1, 3, 3)[self._palm].copy()

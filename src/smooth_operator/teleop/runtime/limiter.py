@@ -65,7 +65,7 @@ class Limiter:
                 f"range of hand {hand.name!r}, {room:.3g} rad"
             )
         # the fastest joint that an actuated one moves, itself or one that follows it
-        gearing = np.maximum(np.abs(hand.expansion[0]).max(axis=0), 1.0)
+        gearing = np.maximum(np.abs(hand.coupling_matrix).max(axis=0), 1.0)
         self._velocity = config.velocity / gearing
         self._acceleration = config.acceleration / gearing
         self._start, self._end = hand.limits[:, 0], hand.limits[:, 1]

@@ -143,7 +143,7 @@ class HandPipeline:
             events.append(f"{before.value} -> {mode.value}")
         hand = self.retargeter.hand
         command = JointCommand(
-            hand.expand(q),
+            hand.full_configuration(q),
             hand.joint_names,
             now if arrival is None else arrival.stamp,
         )
@@ -154,7 +154,7 @@ class HandPipeline:
             self.side,
             hand.name,
             command,
-            hand.expansion[0] @ velocity,
+            hand.coupling_matrix @ velocity,
             mode,
             guarded,
             self._number,

@@ -173,7 +173,7 @@ class _SideView:
     def __init__(self, scene: viser.SceneApi, hand: Hand, drawn: Hand, simulated: bool) -> None:
         side = hand.spec.side
         self._hand, self._drawn = hand, drawn
-        self._rest = drawn.expand(drawn.neutral)
+        self._rest = drawn.full_configuration(drawn.neutral)
         self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
         self.operator: OperatorProfile | None = None
         self._palm_axes = human_palm_axes(hand)
@@ -233,7 +233,7 @@ class _SideView:
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid = False
         self.face(None, None)
-        start = {"positions": hand.expand(hand.neutral), "human": None, "latched": None}
+        start = {"positions": hand.full_configuration(hand.neutral), "human": None, "latched": None}
         self.draw_lines(start)
         self.draw_bodies(start)
 
@@ -342,7 +342,7 @@ class _SideView:
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
         for q in (neutral, straight):
-            self._robot.place(self._qpos(hand.expand(q)))
+            self._robot.place(self._qpos(hand.full_configuration(q)))
             data, palm = self._robot.data, self._drawn.model.body(self._drawn.spec.palm).id
             turn, origin = data.xmat[palm].reshape(3, 3), data.xpos[palm]
             points += [
@@ -362,7 +362,7 @@ def _background() -> UInt8[np.ndarray, "h w 3"]:
 def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
     """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
     data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(hand.model, data)
     palm = data.body(hand.spec.palm)
     wxyz, position = np.empty(4), np.empty(3)
