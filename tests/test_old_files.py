@@ -80,12 +80,12 @@ base = "teleop"
 """
 
 
-def test_a_preset_of_smooth(tmp_path: Path) -> None:
+def test_a_preset_of_smooth_with_its_old_settings(tmp_path: Path) -> None:
     path = tmp_path / "preset.toml"
     path.write_text(SMOOTH, encoding="utf-8")
     config: Any = method_config("smooth", str(path))
-    assert (config.clearance.weight, config.polar.length) == (6000.0, 100.0)
-    assert (config.landmarks.lag, config.motion_weight) == (0.002, 1200.0)
+    assert (config.self_collision.weight, config.direction_length.length) == (6000.0, 100.0)
+    assert (config.landmarks.time_constant, config.motion_weight) == (0.002, 1200.0)
 
 
 def finger(name: str) -> dict[str, Any]:
