@@ -496,3 +496,11 @@ def test_mujoco_writes_no_file_into_the_working_folder(
     mujoco.mj_step(model, data)
     assert "unstable" in caplog.text  # told, by logging
     assert not list(tmp_path.iterdir())
+
+
+def test_former_names_of_the_full_configuration_still_work() -> None:
+    hand = load_hand("inspire_hand")
+    matrix, offset = hand.expansion
+    full = hand.full_configuration(hand.neutral)
+    np.testing.assert_array_equal(matrix @ hand.neutral + offset, full)
+    np.testing.assert_array_equal(hand.expand(hand.neutral), full)

@@ -136,6 +136,11 @@ class Hand:
     expand = full_configuration
     """Former name, kept for scripts."""
 
+    @property
+    def expansion(self) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, " n"]]:
+        """Former name of ``coupling_matrix`` and ``coupling_offset``, kept for scripts."""
+        return self.coupling_matrix, self.coupling_offset
+
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
         """The same for m arrays of a common shape (batch last), inside a compiled program."""
         rows: list[Array] = []
