@@ -162,6 +162,10 @@ def test_a_killed_worker_loses_nothing(folder: Path, expected: Bytes, tmp_path: 
     victim = multiprocessing.active_children()[0]
     assert victim.pid is not None
     os.kill(victim.pid, signal.SIGKILL)
+    for name in FRAMES:  # what a worker leaves that is killed in the middle of a write
+        path = (tmp_path / "out" / name).with_name(f".{Path(name).name}.npz.abc12345.tmp")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
     entries += running
     assert {entry.state for entry in entries} == {"done"}
     assert sum(entry.attempts for entry in entries) > len(FRAMES)

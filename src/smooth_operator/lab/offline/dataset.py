@@ -111,11 +111,15 @@ def retarget_all(
     Yields:
         what became of each, as they finish.
     """
+    repeated = False
     for result in run_tasks(retarget_one, jobs, workers=workers, cluster=cluster):
         found, entry = jobs[result.index].found, result.value
+        repeated = repeated or result.attempts > 1
         if entry is None:
             entry = Entry(found.name, found.output, "failed", found.frames, reason=result.error)
         yield replace(entry, seconds=result.seconds, attempts=result.attempts)
+    if repeated:  # a worker that died in the middle of a write leaves its file; no other writes now
+        remove_leftovers({job.output.parent for job in jobs})
 
 
 def _refusal(path: Path, output: Path) -> str | None:
