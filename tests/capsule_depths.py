@@ -10,7 +10,7 @@ from smooth_operator.hands.hand import Hand
 
 def ends_of(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
     """(..., 2 C, 3) ends of the capsules at poses of the actuated joints."""
-    points = np.asarray(pairs.tree.positions(hand.expand(q)))
+    points = np.asarray(pairs.tree.positions(hand.full_configuration(q)))
     return points[..., [pairs.tree.names.index(name) for name in pairs.names], :]
 
 

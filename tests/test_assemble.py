@@ -28,7 +28,7 @@ def run(side: Side, frames: int = 30) -> tuple[HandRecording, CommandTrajectory,
     low, high = hand.limits.T
     q = low + (high - low) * (0.5 + 0.3 * np.sin(np.linspace(0, 2, frames)))[:, None]
     commands = CommandTrajectory(
-        hand.expand(q),
+        hand.full_configuration(q),
         hand.joint_names,
         recording.stamps,
         np.full(frames, 0.5),
@@ -42,7 +42,7 @@ def depth(hand: Hand, **joints: float) -> float:
     q = hand.neutral.copy()
     for name, value in joints.items():
         q[hand.actuated_names.index(name)] = value
-    depths = penetration_depths(hand, hand.expand(q)[None])
+    depths = penetration_depths(hand, hand.full_configuration(q)[None])
     assert depths is not None
     return float(depths[0])
 
@@ -109,7 +109,7 @@ def test_reach_is_seeded_and_holds_what_poses_reach(side: Side) -> None:
     assert not np.array_equal(reach, sample_reach(hand, 500, seed=2))
     low, high = hand.limits.T
     q = np.random.default_rng(1).uniform(low, high, (500, len(low)))
-    np.testing.assert_allclose(reach, hand.tips(hand.expand(q)), atol=1e-12)
+    np.testing.assert_allclose(reach, hand.tips(hand.full_configuration(q)), atol=1e-12)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -124,7 +124,7 @@ def test_neutral_is_clear_and_crossing_fingers_are_not(side: Side) -> None:
 def test_what_touches_in_the_neutral_pose_counts_in_neither_order() -> None:
     hand = load_hand()
     data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.expand(hand.neutral))
+    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_forward(hand.model, data)
     geoms = np.array(data.contact.geom)[data.contact.dist < 0]
     assert len(geoms)
@@ -138,7 +138,7 @@ def test_depth_is_that_of_the_shapes() -> None:
     """Against MuJoCo's own distance of every pair that counts: two fingers, one against another."""
     hand = load_hand()
     low, high = hand.limits.T
-    poses = hand.expand(np.random.default_rng(5).uniform(low, high, (60, len(low))))
+    poses = hand.full_configuration(np.random.default_rng(5).uniform(low, high, (60, len(low))))
     depths = penetration_depths(hand, poses)
     assert depths is not None
     geoms = {hand.model.geom(g).name: g for g in range(hand.model.ngeom)}
@@ -161,7 +161,7 @@ def test_depth_is_that_of_the_shapes() -> None:
 
 def test_a_pose_that_is_not_finite_has_no_depth_and_bad_shapes_are_refused() -> None:
     hand = load_hand()
-    q = np.tile(hand.expand(hand.neutral), (2, 1))
+    q = np.tile(hand.full_configuration(hand.neutral), (2, 1))
     q[0, 3] = np.nan
     depths = penetration_depths(hand, q)
     assert depths is not None

@@ -34,7 +34,9 @@ def search(programs: Any) -> Any:
 def robot_vectors(q: np.ndarray) -> np.ndarray:
     """(T, K, 3) keyvectors of poses of the actuated joints [m]."""
     hand = load_hand(HAND)
-    return keyvectors(hand.tips(hand.expand(q)), np.broadcast_to(hand.wrist, (len(q), 3)))
+    return keyvectors(
+        hand.tips(hand.full_configuration(q)), np.broadcast_to(hand.wrist, (len(q), 3))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +71,7 @@ def test_answers_keep_every_limit(programs: Any, found: Any, human: np.ndarray, 
         poses = found.poses[g]
         assert (poses >= search.low).all()
         assert (poses <= search.high).all()
-        depth = penetration_depths(search.hand, search.hand.expand(poses))
+        depth = penetration_depths(search.hand, search.hand.full_configuration(poses))
         assert depth is not None
         assert depth.max() <= 0.002 + tolerance
         robot = robot_vectors(poses)
@@ -94,7 +96,7 @@ def test_a_pinch_through_the_hand_is_not_called_solved(programs: Any, task: Any,
     asked = replace(task, human=human, known=task.known[1:], gaps=(0.0, LOOSE))
     got = programs[1].attain(asked)["thumb"]
     assert got.excess[0, 0] > programs[1].TOLERANCE
-    depth = penetration_depths(search.hand, search.hand.expand(got.poses[0]))
+    depth = penetration_depths(search.hand, search.hand.full_configuration(got.poses[0]))
     assert depth is not None
     assert depth.max() <= 0.002 + programs[1].TOLERANCE
     assert got.excess[1, 0] == 0

@@ -145,7 +145,7 @@ def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole: Hand, tmp_
     path.write_text(made.replace("<worldbody>", asset + "<worldbody>"), encoding="utf-8")
     hand = load_hand_spec(replace(whole.spec, model=path))
     pairs = capsule_pairs(hand)
-    neutral = hand.expand(hand.neutral)[None]
+    neutral = hand.full_configuration(hand.neutral)[None]
     deep = penetration_depths(hand, neutral)
     assert deep is not None
     assert deep.max() == 0.0  # of pairs that count, the shapes themselves touch nowhere

@@ -78,7 +78,7 @@ def test_every_hand(name: str, side: str) -> None:
     if name != "mimic_p050":  # the neutral pose of which is as released
         margin = np.minimum(hand.neutral - low, high - hand.neutral) / (high - low)
         assert margin.min() > 0.1, dict(zip(hand.actuated_names, margin.round(2), strict=True))
-    every = hand.expand(limited_poses(np.random.default_rng(0), hand.limits, 100))
+    every = hand.full_configuration(limited_poses(np.random.default_rng(0), hand.limits, 100))
     assert (every >= hand.joint_limits[:, 0] - 1e-9).all()
     assert (every <= hand.joint_limits[:, 1] + 1e-9).all()
 
@@ -89,7 +89,7 @@ def test_every_hand_is_shaped_as_a_hand(name: str, side: str) -> None:
     fit = palm_alignment(human(side)[None], hand)
     assert fit.condition[0] > 5 * MIN_CONDITION
     assert 0.6 < fit.scale[0] < 1.6
-    tips = hand.tips(hand.expand(hand.neutral))
+    tips = hand.tips(hand.full_configuration(hand.neutral))
 
     def apart(landmarks: np.ndarray) -> np.ndarray:
         aligned = palm_alignment(landmarks[None], hand).apply(landmarks[None])[0]
@@ -143,10 +143,10 @@ def test_tips_are_at_the_end_of_their_fingers(name: str) -> None:
 @pytest.mark.parametrize(("name", "side"), HANDS)
 def test_a_hand_at_rest_is_not_inside_itself(name: str, side: str) -> None:
     hand = load_hand(name, side)
-    depths = penetration_depths(hand, hand.expand(hand.neutral)[None])
+    depths = penetration_depths(hand, hand.full_configuration(hand.neutral)[None])
     assert depths is not None
     assert depths[0] == 0
-    poses = hand.expand(limited_poses(np.random.default_rng(5), hand.limits, 20))
+    poses = hand.full_configuration(limited_poses(np.random.default_rng(5), hand.limits, 20))
     deep = penetration_depths(hand, poses)
     assert deep is not None
     assert np.isfinite(deep).all()
@@ -193,7 +193,7 @@ def test_landmarks_and_limits_are_the_published_ones(shared: Path, name: str, si
         points |= {LANDMARKS[base + i]: p for i, p in enumerate(four) if p is not None}
     theirs = positions(model, real.palm, list(points.values()), q, joints)
     neutral = positions(
-        model, real.palm, list(points.values()), hand.expand(hand.neutral)[None], joints
+        model, real.palm, list(points.values()), hand.full_configuration(hand.neutral)[None], joints
     )
     for finger in real.moving:
         base = list(points).index(LANDMARKS[BASES[FINGERS.index(finger)]])
@@ -301,7 +301,7 @@ def test_joints_on_one_tendon(
 def test_shadows_joints_share_their_tendon() -> None:
     hand = load_hand("shadow_hand")
     q = limited_poses(np.random.default_rng(3), hand.limits, 10)
-    every = dict(zip(hand.joint_names, hand.expand(q).T, strict=True))
+    every = dict(zip(hand.joint_names, hand.full_configuration(q).T, strict=True))
     for finger in ("FF", "MF", "RF", "LF"):
         np.testing.assert_array_equal(every[f"rh_{finger}J1"], every[f"rh_{finger}J2"])
 
@@ -382,7 +382,7 @@ def test_a_frame_is_retargeted(name: str, side: str, method: str) -> None:
     assert (q >= hand.limits[:, 0]).all()
     assert (q <= hand.limits[:, 1]).all()
     assert np.abs(q - hand.neutral).max() > 0.05
-    np.testing.assert_allclose(hand.expand(q), result.command.positions, atol=1e-12)
+    np.testing.assert_allclose(hand.full_configuration(q), result.command.positions, atol=1e-12)
 
 
 # The page about hands

@@ -25,7 +25,8 @@ from smooth_operator.errors import (
     RecordingError,
     install_command,
 )
-from smooth_operator.io import Episode, read_commands, read_recording, write_commands
+from smooth_operator.io import read_commands, read_recording, write_commands
+from smooth_operator.io.episode import Episode
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_episode, read_log, write_episode

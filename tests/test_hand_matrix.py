@@ -125,7 +125,7 @@ def fitted_networks(hand: Hand) -> GeortModel:
     used = sorted({j for joints in own for j in joints})
     q[:, used] = rng.uniform(low, high, (3000, len(low)))[:, used]
     unit = (2 * q - low - high) / (high - low)
-    tips = hand.tips(hand.expand(q))
+    tips = hand.tips(hand.full_configuration(q))
     lowest, highest = tips.min(axis=0), tips.max(axis=0)
     centre, scale = (lowest + highest) / 2, (highest - lowest).max(axis=1) / 2
     fingers, outputs = len(own), max(len(joints) for joints in own)

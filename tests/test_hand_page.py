@@ -70,14 +70,14 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         np.testing.assert_array_equal(served.joint_positions[others], hand.neutral[others])
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
         # the sliders of joints that follow go along and can't be moved by hand
-        every = hand.expand(served.joint_positions)
+        every = hand.full_configuration(served.joint_positions)
         followers = [i for i in range(len(hand.joint_names)) if i not in hand.actuated]
         for at, joint in enumerate(followers, len(hand.actuated)):
             knob = sliders.nth(at)
             eventually(lambda k=knob, v=every[joint]: abs(position(k) - v) < 0.02)
             assert knob.get_attribute("aria-disabled") == "true"
         if followers:
-            assert np.abs(every - hand.expand(hand.neutral))[followers].max() > 0.1
+            assert np.abs(every - hand.full_configuration(hand.neutral))[followers].max() > 0.1
 
         page.get_by_role("button", name="Neutral pose").click()
         eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))

@@ -248,7 +248,7 @@ def test_the_closest_pinch_is_closer_than_any_random_pose() -> None:
     ).reshape(-1, len(joints))
     q = np.tile(hand.neutral, (len(grid), 1))
     q[:, joints] = grid
-    tips = hand.tips(hand.expand(q))
+    tips = hand.tips(hand.full_configuration(q))
     best = np.linalg.norm(tips[:, 4] - tips[:, 0], axis=1).min()
     assert closest_pinch(samples, "pinky") == pytest.approx(best, abs=1e-3)
     assert closest_pinch(samples, "pinky") <= best + 1e-9
@@ -271,7 +271,7 @@ def test_distances_to_shapes() -> None:
             model=model,
             bodies=np.ones(model.nbody, bool),
             neutral=np.zeros(1),
-            expand=lambda q: q,
+            full_configuration=lambda q: q,
             qpos=lambda q: q,
         )
         body = model.body("a").id
@@ -301,10 +301,10 @@ def test_reachable_poses_are_free_and_mean_no_pinch() -> None:
     assert q.shape == (30, 16)
     assert (q >= hand.limits[:, 0]).all()
     assert (q <= hand.limits[:, 1]).all()
-    depths = penetration_depths(hand, hand.expand(q))
+    depths = penetration_depths(hand, hand.full_configuration(q))
     assert depths is not None
     assert depths.max() <= 1e-3
-    tips = hand.tips(hand.expand(q))
+    tips = hand.tips(hand.full_configuration(q))
     assert np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min() >= 0.02
     assert (np.ptp(q, axis=0) > 0.5 * np.ptp(hand.limits, axis=1)).mean() > 0.9
 
@@ -326,7 +326,7 @@ def test_landmarks_that_a_robot_lacks_are_plausible() -> None:
 
 def test_a_round_trip_tells_a_hand_that_never_moves() -> None:
     hand = load_hand("allegro_hand")
-    positions = hand.expand(hand.neutral)
+    positions = hand.full_configuration(hand.neutral)
     positions[0] = hand.joint_limits[0, 1] + 0.1
 
     def step(state: None, frame: np.ndarray) -> tuple[None, Result]:
@@ -337,7 +337,7 @@ def test_a_round_trip_tells_a_hand_that_never_moves() -> None:
     trip = round_trip(cast(Retargeter, idle), poses=3, seed=1)
     assert trip.tip_error_mm.shape == (3, 4)
     true = reachable_poses(hand, 3, 1)
-    np.testing.assert_array_equal(trip.q_true, hand.expand(true))
+    np.testing.assert_array_equal(trip.q_true, hand.full_configuration(true))
     apart = hand.tips(trip.q_true) - hand.tips(positions)
     np.testing.assert_allclose(trip.tip_error_mm, 1e3 * np.linalg.norm(apart, axis=-1))
     assert (trip.ok, trip.frozen, trip.limit_violations) == (0.0, 1.0, 3 * 35)

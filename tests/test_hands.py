@@ -100,7 +100,7 @@ def test_coupled_joints_of_the_mimic_hand() -> None:
         f"{finger}_mp2dp" for finger in ("index", "middle", "ring", "pinky")
     }
     q = limited_poses(np.random.default_rng(3), hand.limits, 5)
-    every = dict(zip(hand.joint_names, hand.expand(q).T, strict=True))
+    every = dict(zip(hand.joint_names, hand.full_configuration(q).T, strict=True))
     for finger in ("index", "middle", "ring", "pinky"):
         np.testing.assert_array_equal(every[f"{finger}_mp2dp"], every[f"{finger}_pp2mp"])
     for name, row in zip(hand.actuated_names, q.T, strict=True):
@@ -111,14 +111,14 @@ def test_rows_and_vectors_expand_alike(tmp_path: Path) -> None:
     hand = load_hand(pincer(tmp_path, equality=LINE))
     q = limited_poses(np.random.default_rng(4), hand.limits, 7)
     rows = hand.full_configuration_rows([np.asarray(row) for row in q.T])
-    np.testing.assert_allclose(np.stack(rows, axis=-1), hand.expand(q), atol=1e-12)
-    np.testing.assert_array_equal(hand.expand(q[0]), hand.expand(q)[0])
+    np.testing.assert_allclose(np.stack(rows, axis=-1), hand.full_configuration(q), atol=1e-12)
+    np.testing.assert_array_equal(hand.full_configuration(q[0]), hand.full_configuration(q)[0])
 
 
 def test_tips_are_the_tip_landmarks() -> None:
     hand = load_hand()
     q = limited_poses(np.random.default_rng(5), hand.limits, 4)
-    tips = hand.tips(hand.expand(q))
+    tips = hand.tips(hand.full_configuration(q))
     np.testing.assert_array_equal(tips, hand.landmark_positions(q)[:, [4, 8, 12, 16, 20]])
 
 
@@ -132,15 +132,15 @@ def test_the_follower_may_be_the_first_joint_of_an_equality(tmp_path: Path) -> N
     hand = load_hand(pincer(tmp_path, equality=LINE))
     assert hand.couplings == (Coupling("i3", "i2", 0.5, 0.1),)
     assert hand.actuated_names == ("t1", "t2", "i1", "i2")
-    np.testing.assert_allclose(hand.expand([0, 0, 0, 1.0])[-1], 0.6)
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 1.0])[-1], 0.6)
 
 
 def test_the_follower_may_be_the_second_joint_of_an_equality(tmp_path: Path) -> None:
     turned = '<joint joint1="i2" joint2="i3" polycoef="0.1 0.5 0 0 0"/>'  # i2 = 0.1 + i3 / 2
     hand = load_hand(pincer(tmp_path, equality=turned, i3='range="-3 5"'))
     assert hand.actuated_names == ("t1", "t2", "i1", "i2")
-    np.testing.assert_allclose(hand.expand([0, 0, 0, 0.6])[-1], 1.0)
-    np.testing.assert_allclose(hand.expand([0, 0, 0, 0.1])[-1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 0.6])[-1], 1.0)
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 0.1])[-1], 0.0, atol=1e-12)
 
 
 def test_an_equality_counts_from_the_references(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_an_equality_counts_from_the_references(tmp_path: Path) -> None:
         hand = load_hand(spec)
         data = mujoco.MjData(hand.model)
         for i2 in (0.2, 0.7):
-            data.qpos[:] = hand.expand([0.1, 0.2, 0.3, i2])
+            data.qpos[:] = hand.full_configuration([0.1, 0.2, 0.3, i2])
             mujoco.mj_forward(hand.model, data)
             residual = data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
             np.testing.assert_allclose(residual, [0.0], atol=1e-12)
@@ -166,14 +166,14 @@ def test_followers_of_followers(tmp_path: Path) -> None:
     )
     hand = load_hand(pincer(tmp_path, equality=chain, actuated=("t1", "t2", "i1")))
     assert hand.actuated_names == ("t1", "t2", "i1")
-    np.testing.assert_allclose(hand.expand([0, 0, 1.0]), [0, 0, 1.0, 0.3, 0.7])
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 1.0]), [0, 0, 1.0, 0.3, 0.7])
 
 
 def test_limits_are_narrowed_by_followers(tmp_path: Path) -> None:
     hand = load_hand(pincer(tmp_path, equality=LINE, i3='range="0 0.6"'))  # i3 = 0.1 + i2 / 2
     np.testing.assert_allclose(hand.limits[-1], [-0.2, 1.0])
     np.testing.assert_array_equal(hand.joint_limits[3], [-1, 2])
-    q = hand.expand(limited_poses(np.random.default_rng(6), hand.limits, 500))
+    q = hand.full_configuration(limited_poses(np.random.default_rng(6), hand.limits, 500))
     assert (q >= hand.joint_limits[:, 0] - 1e-12).all()
     assert (q <= hand.joint_limits[:, 1] + 1e-12).all()
     falling = '<joint joint1="i3" joint2="i2" polycoef="0.1 -0.5 0 0 0"/>'
@@ -206,7 +206,7 @@ def test_an_inactive_equality_is_none(tmp_path: Path) -> None:
     inactive = LINE.replace("/>", ' active="false"/>')
     hand = load_hand(pincer(tmp_path, equality=inactive))
     assert hand.couplings == ()
-    assert hand.expand([0, 0, 0, 1.0])[-1] == 0  # nothing drives it: it stays
+    assert hand.full_configuration([0, 0, 0, 1.0])[-1] == 0  # nothing drives it: it stays
 
 
 def test_followers_in_a_ring_are_refused(tmp_path: Path) -> None:
@@ -266,11 +266,11 @@ def test_a_urdf_with_a_mimic(tmp_path: Path) -> None:
     assert hand.couplings == (Coupling("i3", "i2", 0.5, -0.1),)
     assert hand.joint_names == ("t1", "t2", "i1", "i2", "i3")
     assert hand.actuated_names == ("t1", "t2", "i1", "i2")
-    np.testing.assert_allclose(hand.expand([0, 0, 0, 1.0])[-1], 0.4)
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 1.0])[-1], 0.4)
     np.testing.assert_allclose(hand.limits[-1], [-0.8, 2.0])  # -0.5 = 0.5 q - 0.1
     q = limited_poses(np.random.default_rng(7), hand.limits, 20)
     np.testing.assert_allclose(
-        hand.landmark_positions(q), mujoco_landmarks(hand, hand.expand(q)), atol=1e-12
+        hand.landmark_positions(q), mujoco_landmarks(hand, hand.full_configuration(q)), atol=1e-12
     )
     # the fingertip is a link on a fixed joint, which the compiler must not have folded away
     at_rest = hand.landmark_positions([0, 0, 0, 0.2])  # i3 = 0
@@ -281,7 +281,7 @@ def test_a_urdf_with_a_mimic(tmp_path: Path) -> None:
 def test_mimic_defaults_and_chains(tmp_path: Path) -> None:
     hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>',
                           mimic2='<mimic joint="i1" multiplier="-1" offset="0.3"/>'))  # fmt: skip
-    np.testing.assert_allclose(hand.expand([0, 0, 0.2]), [0, 0, 0.2, 0.1, 0.1])
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 0.2]), [0, 0, 0.2, 0.1, 0.1])
     np.testing.assert_allclose(hand.limits[-1], [-0.9, 0.8])  # 0.3 - q within [-0.5, 1.2]
 
 
@@ -346,7 +346,7 @@ def test_published_urdfs(
     hand = load_hand(spec)
     assert (len(hand.couplings), len(hand.actuated)) == (couplings, actuated)
     q = limited_poses(np.random.default_rng(10), hand.limits, 50)
-    every = hand.expand(q)
+    every = hand.full_configuration(q)
     assert (every >= hand.joint_limits[:, 0] - 1e-9).all()
     assert (every <= hand.joint_limits[:, 1] + 1e-9).all()
     np.testing.assert_allclose(
@@ -503,4 +503,4 @@ def test_former_names_of_the_full_configuration_still_work() -> None:
     matrix, offset = hand.expansion
     full = hand.full_configuration(hand.neutral)
     np.testing.assert_array_equal(matrix @ hand.neutral + offset, full)
-    np.testing.assert_array_equal(hand.expand(hand.neutral), full)
+    np.testing.assert_array_equal(hand.full_configuration(hand.neutral), full)

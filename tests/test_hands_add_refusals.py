@@ -250,6 +250,6 @@ def test_a_sign_that_can_not_be_is_turned_with_a_warning(run: Run, tmp_path: Pat
     assert "coupled" in said["unsure"]
     assert any("sign is taken to be wrong" in note for note in said["notes"])
     hand = load_hand("turned", said["side"])
-    every = hand.expand(hand.limits.T)
+    every = hand.full_configuration(hand.limits.T)
     at = hand.joint_names.index(part.joint)
     assert abs(every[1, at] - every[0, at]) > 0.5

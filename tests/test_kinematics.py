@@ -73,7 +73,7 @@ def test_the_mimic_hand_equals_mujoco(side: str) -> None:
             assert point is not None
             offset = np.array((point.mirrored if hand.spec.mirror else point).offset)
             points.append((int(hand.model.body(point.body).id), offset))
-    q = hand.expand(limited_poses(np.random.default_rng(0), hand.limits, 200))
+    q = hand.full_configuration(limited_poses(np.random.default_rng(0), hand.limits, 200))
     theirs = mujoco_points(hand.model, hand.model.body("base_link").id, points, q)
     assert hand.tree.names[0] == "wrist"
     np.testing.assert_allclose(hand.tree.positions(q)[:, 1:], theirs, atol=1e-12)

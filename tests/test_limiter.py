@@ -37,7 +37,7 @@ def excess(
     Velocity changes are held against the shorter of the step and the time between the middles of
     the step and the one before it.
     """
-    every, dt = hand.expand(np.array(q)), np.diff(times)[:, None]
+    every, dt = hand.full_configuration(np.array(q)), np.diff(times)[:, None]
     low, high = hand.joint_limits.T
     velocity = np.diff(every, axis=0) / dt
     apart = np.minimum(dt[1:], (dt[1:] + dt[:-1]) / 2)

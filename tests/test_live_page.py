@@ -155,7 +155,7 @@ def test_what_cannot_be_is_refused_with_the_reason(path: str, value: Any, words:
 
 def test_docs_of_fields_come_from_the_docstring() -> None:
     docs = field_docs(LimitsConfig)
-    assert docs["velocity"] == "of every joint, coupled ones included [rad/s]."
+    assert docs["velocity"] == "Largest velocity of any joint, coupled ones included [rad/s]."
     assert set(docs) == {"velocity", "acceleration", "margin"}
 
 

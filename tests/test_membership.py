@@ -31,7 +31,7 @@ def world_tips(hand: Hand, q: np.ndarray) -> np.ndarray:
     tips = [finger.tip for finger in hand.spec.fingers]
     placed = [(int(hand.model.body(p.body).id), np.array(p.offset)) for p in tips]
     palm = int(hand.model.body(hand.spec.palm).id)
-    return mujoco_points(hand.model, palm, placed, hand.qpos(hand.expand(q)))
+    return mujoco_points(hand.model, palm, placed, hand.qpos(hand.full_configuration(q)))
 
 
 @pytest.fixture(autouse=True)
@@ -62,10 +62,12 @@ def test_joints_of_an_arm_are_none_of_the_hands(tmp_path: Path, form: str) -> No
     assert order == sorted(order)  # the model's own
     followers = {part.joint for part in made.parts if part.mimic}
     assert set(hand.actuated_names) == own - followers
-    assert hand.expand(hand.neutral).shape == (len(own),)
+    assert hand.full_configuration(hand.neutral).shape == (len(own),)
     assert hand.joint_limits.shape == (len(own), 2)
     q = limited_poses(np.random.default_rng(0), hand.limits, 50)
-    np.testing.assert_allclose(hand.tips(hand.expand(q)), world_tips(hand, q), atol=1e-12)
+    np.testing.assert_allclose(
+        hand.tips(hand.full_configuration(q)), world_tips(hand, q), atol=1e-12
+    )
 
 
 def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path: Path) -> None:
@@ -96,7 +98,7 @@ def test_an_arm_is_not_drawn_and_does_not_collide(tmp_path: Path) -> None:
     # but for the flange that the palm is bolted to
     assert {name for name in drawn if name.startswith("a")} == {"a5"}
     assert hand.bodies[[hand.model.body(name).id for name in drawn]].all()
-    every = hand.expand(hand.neutral)[None]
+    every = hand.full_configuration(hand.neutral)[None]
     assert penetration_depths(hand, every) == pytest.approx([0.0])
 
 
@@ -116,11 +118,13 @@ def test_of_two_hands_in_a_file_one_is_commanded(shared: Path, side: Side) -> No
     seen = [hand.model.body(int(b)).name for b in np.flatnonzero(hand.bodies)]
     assert all(name.startswith(prefix) for name in seen)
     q = limited_poses(np.random.default_rng(0), hand.limits, 50)
-    np.testing.assert_allclose(hand.tips(hand.expand(q)), world_tips(hand, q), atol=1e-12)
+    np.testing.assert_allclose(
+        hand.tips(hand.full_configuration(q)), world_tips(hand, q), atol=1e-12
+    )
     # nothing of the other hand moves
     data = mujoco.MjData(hand.model)
     other = [j for j in range(48) if hand.model.joint(j).name not in hand.joint_names]
-    data.qpos[:] = hand.qpos(hand.expand(q))[7]
+    data.qpos[:] = hand.qpos(hand.full_configuration(q))[7]
     np.testing.assert_array_equal(data.qpos[other], hand.model.qpos0[other])
 
 
@@ -149,8 +153,10 @@ def test_a_free_cube_and_a_wheel_do_not_matter(tmp_path: Path) -> None:
     assert hand.joint_names == ("knob", "t1", "t2", "i1", "i2", "i3")
     assert hand.actuated_names == ("t1", "t2", "i1", "i2", "i3")  # nothing turns the knob
     q = limited_poses(np.random.default_rng(1), hand.limits, 10)
-    np.testing.assert_allclose(hand.tips(hand.expand(q)), world_tips(hand, q), atol=1e-12)
-    assert hand.qpos(hand.expand(q)).shape == (10, 7 + 6)
+    np.testing.assert_allclose(
+        hand.tips(hand.full_configuration(q)), world_tips(hand, q), atol=1e-12
+    )
+    assert hand.qpos(hand.full_configuration(q)).shape == (10, 7 + 6)
 
 
 def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path: Path) -> None:
@@ -166,7 +172,7 @@ def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path: Path) -> 
     assert "wrist" not in hand.joint_names
     assert hand.couplings == ()
     # 0.1 at the wrist's reference, by which MuJoCo counts
-    np.testing.assert_allclose(hand.expand([0, 0, 0, 0])[-1], 0.1)
+    np.testing.assert_allclose(hand.full_configuration([0, 0, 0, 0])[-1], 0.1)
 
 
 @pytest.mark.parametrize(("method", "settled"), [("sbr", 0), (DEFAULT_METHOD, 10)])
@@ -254,6 +260,6 @@ def test_a_sign_that_the_limits_make_impossible_is_turned(
     assert hand.couplings == (Coupling("i3", "i2", *read),)
     low, high = hand.limits[-1]
     assert high - low > 0.1
-    ends = hand.expand([[0, 0, 0, low], [0, 0, 0, high]])[:, -1]
+    ends = hand.full_configuration([[0, 0, 0, low], [0, 0, 0, high]])[:, -1]
     assert (ends >= hand.joint_limits[-1, 0] - 1e-12).all()
     assert (ends <= hand.joint_limits[-1, 1] + 1e-12).all()

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from smooth_operator.cli import main
-from smooth_operator.errors import HandModelError, MissingExtraError
+from smooth_operator.errors import HandModelError, MissingExtraError, install_command
 from smooth_operator.hands.catalogue import MODELS, load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on, menagerie_file
@@ -119,7 +119,7 @@ def test_without_the_package_one_line_says_how_to_install_it(
     arguments = ["hands", "render", "shadow_hand", "--model", "menagerie", "--output", str(output)]
     assert main(arguments) == 2
     said = capsys.readouterr().err
-    assert "python -m pip install 'smooth-retargeting[menagerie]'" in said
+    assert install_command("menagerie") in said
     assert said.count("\n") == 1
     assert not output.exists()
 
@@ -130,7 +130,7 @@ def run_of(hand: Hand, folder: Path) -> tuple[Path, Path, np.ndarray]:
     rng = np.random.default_rng(0)
     low, high = hand.limits.T
     share = rng.uniform(0.3, 0.7, (len(recording), len(low)))
-    positions = hand.expand(low + share * (high - low))
+    positions = hand.full_configuration(low + share * (high - low))
     commands = CommandTrajectory(
         joint_positions=positions,
         joint_names=hand.joint_names,
@@ -216,7 +216,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(
     server = open_server("127.0.0.1", 0)
     try:
         scene = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": drawn})
-        every = hand.expand(np.random.default_rng(1).uniform(*hand.limits.T))
+        every = hand.full_configuration(np.random.default_rng(1).uniform(*hand.limits.T))
         scene.draw({"right": {"positions": every, "human": None, "latched": None}})
         robot = scene._sides["right"]._robot
         names = {drawn.model.body(body).name for body in robot.nodes}

@@ -92,7 +92,11 @@ def played_back(hand: Hand, off: float = 0.0) -> tuple[Trace, HandRecording]:
     recording = HandRecording(landmarks, stamps, hand.spec.side, valid)
     q = q + off * (np.arange(len(low)) == len(low) - 1)
     commands = CommandTrajectory(
-        hand.expand(q), hand.joint_names, stamps, np.ones(FRAMES), np.zeros(FRAMES, np.int8)
+        hand.full_configuration(q),
+        hand.joint_names,
+        stamps,
+        np.ones(FRAMES),
+        np.zeros(FRAMES, np.int8),
     )
     return assemble_trace(recording, commands, hand, reach_samples=500), recording
 
@@ -144,4 +148,7 @@ def test_figures_finger_by_finger(name: str, fingers: tuple[str, ...] | None) ->
 def tip_shift(hand: Hand) -> np.ndarray:
     """(F,) how far the last actuated joint moves each fingertip [m]."""
     q = hand.neutral + 0.1 * (np.arange(len(hand.neutral)) == len(hand.neutral) - 1)
-    return np.linalg.norm(hand.tips(hand.expand(q)) - hand.tips(hand.expand(hand.neutral)), axis=-1)
+    return np.linalg.norm(
+        hand.tips(hand.full_configuration(q)) - hand.tips(hand.full_configuration(hand.neutral)),
+        axis=-1,
+    )

@@ -207,14 +207,14 @@ def random_goal(hand: Hand, seed: int, velocity_weight: float = 0.1) -> FrameGoa
     rng = np.random.default_rng(seed)
     layout = KeyvectorLayout(hand.fingers)
     q = limited_poses(rng, hand.limits, 2)
-    vectors = layout.robot(hand.tips(hand.expand(q[0])), hand.wrist)
+    vectors = layout.robot(hand.tips(hand.full_configuration(q[0])), hand.wrist)
     vectors = vectors + rng.normal(0, 0.02, vectors.shape)
     return FrameGoal(vectors, rng.uniform(0, 2, len(vectors)), q[1], velocity_weight)
 
 
 def plain_cost(hand: Hand, config: ObjectiveConfig, q: np.ndarray, goal: FrameGoal) -> float:
     """Eq. (1), one term after the other."""
-    tips = hand.tips(hand.expand(q))
+    tips = hand.tips(hand.full_configuration(q))
     points = np.vstack([hand.wrist, tips])
     total = 0.0
     for k, (i, j) in enumerate(KeyvectorLayout(hand.fingers).pairs):

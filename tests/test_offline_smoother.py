@@ -328,7 +328,9 @@ def test_short_gaps_are_bridged_long_ones_held(
     assert np.array_equal(np.isnan(loss), found.status != Status.OK)
     assert np.isfinite(q).all()
     # before the first good frame the neutral pose, over the long gap and at the end the last one
-    np.testing.assert_allclose(q[:3], hand.expand(hand.neutral)[None].repeat(3, 0), atol=1e-9)
+    np.testing.assert_allclose(
+        q[:3], hand.full_configuration(hand.neutral)[None].repeat(3, 0), atol=1e-9
+    )
     assert (q[70:110] == q[69]).all()
     assert (q[155:] == q[154]).all()
     # over the short one the hand goes on, and near where it would have been
@@ -357,7 +359,7 @@ def test_a_recording_without_any_hand(
 ):
     found, loss = whole.run(lost(recording[:5], slice(0, 5)))
     assert (found.status == Status.INVALID_LANDMARKS).all()
-    assert (found.joint_positions == np.asarray(hand.expand(hand.neutral))).all()
+    assert (found.joint_positions == np.asarray(hand.full_configuration(hand.neutral))).all()
     assert np.isnan(loss).all()
 
 

@@ -200,7 +200,7 @@ def test_a_method_of_ones_own_needs_only_what_is_abstract() -> None:
         result = retargeter(HandFrame(points, stamp))
         assert result.status == Status.OK
         share = stamp % 1.0
-        wanted = retargeter.hand.expand(low + (high - low) * share)
+        wanted = retargeter.hand.full_configuration(low + (high - low) * share)
         np.testing.assert_allclose(result.command.positions, wanted, atol=1e-5)
     assert retargeter.notes == ()
     assert MIRROR.without_pull() == MIRROR

@@ -256,7 +256,9 @@ def test_before_the_first_good_frame_the_hand_is_neutral(
     state, result = usual.step(usual.init(), spoiled(frames[0], how))
     assert result.status != Status.OK
     hand = usual.hand
-    np.testing.assert_allclose(result.command.positions, hand.expand(hand.neutral), atol=1e-6)
+    np.testing.assert_allclose(
+        result.command.positions, hand.full_configuration(hand.neutral), atol=1e-6
+    )
     # the first good frame is still the first: nothing but the time is remembered
     assert leaves_equal(state._replace(stamp=None), usual.init())
 
@@ -432,7 +434,7 @@ def round_trip(hand: Hand, config: SbrConfig, count: int) -> np.ndarray:
     landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.landmark_positions(q)
     results = [retargeter.step(retargeter.init(), frame)[1] for frame in landmarks]
     assert all(result.status == Status.OK for result in results)
-    miss = hand.tips(positions(results)) - hand.tips(hand.expand(q))
+    miss = hand.tips(positions(results)) - hand.tips(hand.full_configuration(q))
     return np.linalg.norm(miss, axis=-1)
 
 

@@ -56,7 +56,7 @@ def motion() -> HandRecording:
 
 def within(hand: Hand, limits: LimitsConfig, q: np.ndarray, dt: float) -> None:
     """Every joint of (T, m) commands within all limits."""
-    every = hand.expand(q)
+    every = hand.full_configuration(q)
     assert (q >= hand.limits[:, 0] - 1e-12).all()
     assert (q <= hand.limits[:, 1] + 1e-12).all()
     assert np.abs(np.diff(every, axis=0)).max() / dt <= limits.velocity * (1 + 1e-9)
@@ -118,7 +118,9 @@ def test_a_pause_of_the_loop_is_not_caught_up_with(hand: Hand) -> None:
     limiter = Limiter(hand, LimitsConfig(velocity=1.0, acceleration=1e6))
     before = limiter.q
     after = limiter.step(hand.limits[:, 1], 60.0)
-    assert np.abs(hand.expand(after) - hand.expand(before)).max() <= 0.1 + 1e-9
+    assert (
+        np.abs(hand.full_configuration(after) - hand.full_configuration(before)).max() <= 0.1 + 1e-9
+    )
 
 
 def test_a_margin_that_leaves_nothing_is_refused(hand: Hand) -> None:

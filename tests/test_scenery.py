@@ -102,7 +102,10 @@ def test_the_hands_turn_to_the_scene_and_back(
     assert scene.aiming.half != size
     # what is looked at is the hand that touches things, not what it was told
     hand = view._hand
-    straight, bent = hand.expand(hand.limits[:, 0]), hand.expand(hand.limits[:, 1])
+    straight, bent = (
+        hand.full_configuration(hand.limits[:, 0]),
+        hand.full_configuration(hand.limits[:, 1]),
+    )
     state = {"positions": straight, "simulated": bent, "human": None, "latched": ()}
     scene.draw({"right": state})
     np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(bent))
@@ -124,7 +127,7 @@ def test_lines_and_bodies_can_be_sent_one_after_the_other() -> None:
     try:
         scene = LiveScene(server, {"right": hand}, simulated=False)
         view = scene._sides["right"]
-        bent = hand.expand(hand.limits[:, 1])
+        bent = hand.full_configuration(hand.limits[:, 1])
         hands: Any = {"right": {"positions": bent, "human": None, "latched": None}}
         before = view._robot.data.qpos.copy()
         scene.draw_lines(hands)

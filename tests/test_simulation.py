@@ -46,12 +46,12 @@ def test_follows_a_sine(name: str) -> None:
     for joint in range(len(hand.actuated)):
         pose = hand.neutral.copy()
         pose[joint] = centre[joint]
-        physics.command(hand.expand(pose))
+        physics.command(hand.full_configuration(pose))
         physics.advance(0.3)
         worst, touched = 0.0, False
         for k in range(110):
             pose[joint] = centre[joint] + amplitude[joint] * np.sin(2 * np.pi * 0.01 * k)
-            target = hand.expand(pose)
+            target = hand.full_configuration(pose)
             physics.command(target)
             assert physics.advance(0.01)
             touched |= physics.contacts > 0
@@ -72,7 +72,7 @@ def test_a_minute_of_random_commands(name: str) -> None:
     low, high = hand.joint_limits.T
     outside, fastest = 0.0, 0.0
     for _ in range(720):
-        physics.command(hand.expand(rng.uniform(hand.limits[:, 0], hand.limits[:, 1])))
+        physics.command(hand.full_configuration(rng.uniform(hand.limits[:, 0], hand.limits[:, 1])))
         physics.advance(1 / 12)
         q = physics.positions
         outside = max(outside, float(np.maximum(q - high, low - q).max()))
@@ -90,14 +90,14 @@ def test_fingers_stop_at_fingers() -> None:
     fist = hand.limits[:, 1].copy()
     thumb = [i for i, n in enumerate(hand.actuated_names) if n.startswith("thumb")]
     fist[thumb] = hand.neutral[thumb]
-    physics.command(hand.expand(fist))
+    physics.command(hand.full_configuration(fist))
     physics.advance(1.0)
     closed = fist.copy()
     closed[thumb] = hand.limits[thumb].max(axis=1)
-    physics.command(hand.expand(closed))
+    physics.command(hand.full_configuration(closed))
     physics.advance(1.0)
     assert physics.contacts > 0
-    assert np.degrees(np.abs(physics.positions - hand.expand(closed)).max()) > 5.0
+    assert np.degrees(np.abs(physics.positions - hand.full_configuration(closed)).max()) > 5.0
 
 
 def test_critically_damped_and_back_at_rest() -> None:
@@ -106,7 +106,7 @@ def test_critically_damped_and_back_at_rest() -> None:
     start = hand.neutral
     step = start.copy()
     step[1] += 0.4
-    physics.command(hand.expand(step))
+    physics.command(hand.full_configuration(step))
     path = []
     for _ in range(200):
         physics.advance(0.002)
@@ -122,7 +122,7 @@ def test_gravity_bends_it_a_little(gravity: bool) -> None:
     hand = load_hand("leap_hand")
     physics = HandPhysics(hand, gravity=gravity)
     physics.advance(2.0)
-    sag = np.degrees(np.abs(physics.positions - hand.expand(hand.neutral)).max())
+    sag = np.degrees(np.abs(physics.positions - hand.full_configuration(hand.neutral)).max())
     assert (0.02 < sag < 3.0) if gravity else sag < 0.01
 
 
@@ -150,7 +150,7 @@ def test_physics_that_comes_apart_is_set_back() -> None:
     assert physics.advance(0.01) is False
     assert physics.resets == 1
     assert physics.advance(0.1) is True
-    np.testing.assert_allclose(physics.positions, hand.expand(hand.neutral), atol=0.01)
+    np.testing.assert_allclose(physics.positions, hand.full_configuration(hand.neutral), atol=0.01)
     physics._data.qpos[:] = np.nan
     assert physics.advance(0.01) is False
     assert physics.advance(0.1) is True
@@ -195,13 +195,13 @@ def test_vendors_models_stay_whole(shared: Path, file: str) -> None:
     physics = HandPhysics(hand)
     rng = np.random.default_rng(0)
     for _ in range(30):
-        physics.command(hand.expand(rng.uniform(hand.limits[:, 0], hand.limits[:, 1])))
+        physics.command(hand.full_configuration(rng.uniform(hand.limits[:, 0], hand.limits[:, 1])))
         assert physics.advance(0.1)
     pose = hand.neutral + 0.1 * (hand.limits.mean(axis=1) - hand.neutral)
     fresh = HandPhysics(hand)
-    fresh.command(hand.expand(pose))
+    fresh.command(hand.full_configuration(pose))
     fresh.advance(1.0)
-    assert np.degrees(np.median(np.abs(fresh.positions - hand.expand(pose)))) < 1.0
+    assert np.degrees(np.median(np.abs(fresh.positions - hand.full_configuration(pose)))) < 1.0
 
 
 @pytest.mark.parametrize("text", ["mujoco:rate=50", "mujoco:bandwidth=100", "mujoco:bandwidth=0"])

@@ -166,7 +166,7 @@ def test_round_trip_brings_the_tips_to_the_robots_own(hand: Hand, retargeter: Re
     for _ in range(15):  # AKO's velocity term lets it come no faster
         state, result = retargeter.step(state, frame)
     tips = hand.tips(result.command.positions)
-    error = np.linalg.norm(tips - hand.tips(hand.expand(q)), axis=1)
+    error = np.linalg.norm(tips - hand.tips(hand.full_configuration(q)), axis=1)
     assert result.status == Status.OK
     assert error.max() < 0.008, error
 

@@ -65,7 +65,7 @@ def test_capsules_are_as_deep_as_the_models_shapes(name: str) -> None:
     pairs = capsule_pairs(hand)
     q = np.random.default_rng(1).uniform(*hand.limits.T, (150, len(hand.limits)))
     ours = np.maximum(depths(pairs, ends_of(pairs, hand, q)).max(axis=-1), 0.0)
-    theirs = penetration_depths(hand, hand.expand(q))
+    theirs = penetration_depths(hand, hand.full_configuration(q))
     assert theirs is not None
     assert (theirs > 0.002).mean() > 0.1  # such poses are among them
     assert np.abs(ours - theirs).max() < (1e-9 if name == "mimic_p050" else 0.02)
@@ -91,7 +91,7 @@ def test_a_hand_without_shapes_has_estimated_pairs_only() -> None:
     pairs = capsule_pairs(bare)
     assert len(pairs.pairs) > 10
     assert (pairs.shapes == -1).all()
-    assert penetration_depths(bare, hand.expand(hand.neutral)[None]) is None
+    assert penetration_depths(bare, hand.full_configuration(hand.neutral)[None]) is None
 
 
 def _compiled_without_inertia(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -141,7 +141,8 @@ def problem(
         jnp.asarray(limited_poses(rng, hand.limits, 1)[0]),
         0.2,
         jnp.asarray(
-            hand.tips(hand.expand(hand.neutral)) + rng.normal(0, 0.01, (len(hand.fingers), 3))
+            hand.tips(hand.full_configuration(hand.neutral))
+            + rng.normal(0, 0.01, (len(hand.fingers), 3))
         ),
         jnp.asarray(rng.uniform(0, 40, len(hand.fingers))),
     )

@@ -448,7 +448,7 @@ def test_scenes_stand_around_hands(task: str, name: str, side: Side) -> None:
     assert physics.advance(0.2)
     waiting = not physics.observe().placed
     if waiting:  # the neutral pose is in the object's place: open the hand
-        physics.command(hand.expand(np.clip(away, *hand.limits.T)))
+        physics.command(hand.full_configuration(np.clip(away, *hand.limits.T)))
         assert physics.advance(0.8)
     state = physics.observe()
     assert np.linalg.norm(state.position - physics.scene.start[0]) < 0.002
@@ -475,7 +475,7 @@ def test_an_object_waits_until_the_hand_is_out_of_its_place() -> None:
     physics = ScenePhysics(hand, scene_for("card", hand))
     assert physics.observe().placed
     press = load_demonstration("card").pose(1.5)
-    physics.command(hand.expand(press))
+    physics.command(hand.full_configuration(press))
     physics.advance(1.0)
     assert physics.observe().force.any()
     physics.reset_object()
@@ -484,7 +484,7 @@ def test_an_object_waits_until_the_hand_is_out_of_its_place() -> None:
     assert not state.placed
     assert not state.force.any()
     np.testing.assert_array_equal(state.position, physics.scene.start[0])
-    physics.command(hand.expand(hand.neutral))
+    physics.command(hand.full_configuration(hand.neutral))
     physics.advance(0.8)
     assert physics.observe().placed
 
@@ -499,7 +499,7 @@ def test_the_fixture_holds_until_thumb_and_two_fingers_do() -> None:
     demonstration = load_demonstration("screwdriver")
     freed = False
     while physics.time < 5.0 and not freed:
-        physics.command(hand.expand(demonstration.pose(physics.time - 2.0)))
+        physics.command(hand.full_configuration(demonstration.pose(physics.time - 2.0)))
         physics.advance(0.01)
         freed = not physics.observe().fixed
     assert freed
@@ -583,7 +583,7 @@ def test_a_trial_that_was_recorded_scores_again_the_same(tmp_path: Path) -> None
     record = TrialRecord("card", hand.name, "right", hand.joint_names, events=[(0.0, "go")])
     run = None
     for state, run in play(demonstration):  # noqa: B007
-        record.add(state, hand.expand(demonstration.pose(state.time)))
+        record.add(state, hand.full_configuration(demonstration.pose(state.time)))
     assert run is not None
     record.outcome, record.about = run.outcome, {"operator": "P01", "condition": "sbr"}
     path = tmp_path / "trial.npz"
@@ -664,7 +664,7 @@ def test_any_source_of_commands_can_do_it_in_the_running_simulation() -> None:
     def follow(state: SceneState, positions: np.ndarray) -> None:
         """By the scene's clock: a busy machine's simulation is slower than life."""
         session.observe(state, positions)
-        command = hand.expand(demonstration.pose(session.seconds + 0.01))
+        command = hand.full_configuration(demonstration.pose(session.seconds + 0.01))
         sim.send(replace(tick, command=replace(tick.command, positions=command)))
 
     sim.watch("right", follow)

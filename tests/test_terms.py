@@ -60,7 +60,7 @@ def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms() -> None:
     more = Objective(hand, ObjectiveConfig(terms=(Apart(), EvenBend())))
     count = len(plain.layout.vectors)
     goal = FrameGoal(rng.normal(0, 0.05, (count, 3)), rng.uniform(0, 2, count), poses[0], 0.1)
-    tips = hand.tips(hand.expand(poses))
+    tips = hand.tips(hand.full_configuration(poses))
     apart = tips[:, hand.fingers.index("pinky")] - tips[:, hand.fingers.index("index")] - 0.05
     added = 150.0 * (apart**2).sum(axis=-1) + 2.0 * (poses**4).sum(axis=-1)
     with float64():

@@ -40,7 +40,7 @@ def make_tick(
     return Tick(
         side,
         hand.name,
-        JointCommand(hand.expand(q), hand.joint_names, own if frame else now),
+        JointCommand(hand.full_configuration(q), hand.joint_names, own if frame else now),
         np.zeros(len(hand.joint_names)),
         mode,
         now,
