@@ -1,4 +1,4 @@
-"""Hands in a video: how fast they are found, how well, and with a retargeter beside it.
+"""Hands in a video: how fast they are found, how well, alone and with a retargeter.
 
     python benchmarks/video.py clip.mp4 --photos thumb_to_index_tip.jpg thumb_to_ring_tip.jpg
 

@@ -1,4 +1,4 @@
-"""What contributors are told is true: paths exist, commands run, workflows parse."""
+"""The contributors' guide holds: paths exist, commands run, workflows parse."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class Entries:
         return tuple(self.values)
 
     def only(self, *known: str) -> None:
-        """Refuses entries that nobody reads."""
+        """Refuses entries other than the known ones."""
         for name in self.values:
             if name not in known:
                 close = get_close_matches(name, known, n=1)

@@ -116,8 +116,8 @@ def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[
                 os.fsync(file.fileno())
             except OSError as error:
                 raise output_error(path, error) from error
-            with atomic_write(config_path(path)) as beside:
-                beside.write(text.encode() + b"\n")
+            with atomic_write(config_path(path)) as config_file:
+                config_file.write(text.encode() + b"\n")
 
 
 def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:

@@ -124,8 +124,8 @@ class RpcHandlers:
     def _calibration(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         path = _text(fields, "path")
         if path is None:
-            nobody: dict[Side, OperatorProfile | None] = dict.fromkeys(self._loop.pipelines)
-            return _driven(self._await(self._switcher.operate(nobody)))
+            none: dict[Side, OperatorProfile | None] = dict.fromkeys(self._loop.pipelines)
+            return _driven(self._await(self._switcher.operate(none)))
         operator = read_operator(Path(path))
         spec = self._await(self._switcher.operate({operator.side: operator}))
         return {**_driven(spec), "side": operator.side, "hand": operator.hand}

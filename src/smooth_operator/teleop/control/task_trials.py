@@ -72,7 +72,7 @@ class TaskTrials:
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
-        """The simulation is open: say the task; the first trial starts where nobody can say so."""
+        """Prints the task of the open simulation; starts a trial if no key or message can."""
         simulation = simulated_hands(self._sinks)
         if simulation is None or (self._task is None and not self._controlled):
             return

@@ -102,7 +102,7 @@ def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
             return _reader.read(path, most, seconds, head)
         except RecordingError:
             raise
-        except BaseException:  # Ctrl-C: nobody reads its answer
+        except BaseException:  # Ctrl-C: its answer is not read
             if _reader is not None:
                 _reader.end()
             _reader = None
