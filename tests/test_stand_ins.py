@@ -16,6 +16,7 @@ from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.hands.catalogue import hand_names, load_hand
 from smooth_operator.hands.collision import penetration_depths, solid_shapes
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.spec_writer import write_hand_spec
 from smooth_operator.hands.stand_ins import stand_in_links, stand_in_note, stand_ins
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation.joints import check_shapes
@@ -131,6 +132,20 @@ def test_a_vendors_urdf_is_kept_clear_without_its_meshes(shared: Path) -> None:
     truth = penetration_depths(real, urdf.expand(q))
     ours = depths(pairs, ends_of(pairs, urdf, q)).max(axis=-1)
     assert (ours[truth > 0.005] > 0.0).mean() > 0.9
+
+
+def test_it_is_said_where_a_folder_is_retargeted(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    hand = with_lost_meshes(load_hand("mimic_p050"), r".*", tmp_path)
+    write_hand_spec(hand.spec, tmp_path / "bare.toml")
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    (folder / "a.npz").write_bytes(b"")  # fails before anything is compiled
+    asked = ["retarget", str(folder), "--output", str(tmp_path / "out"), "--workers", "0"]
+    for name, said in ((str(tmp_path / "bare.toml"), True), ("mimic_p050", False)):
+        assert main([*asked, "--hand", name]) == 1
+        assert ("'smooth' keeps estimated capsules" in capfd.readouterr().err) == said
 
 
 @pytest.mark.shared

@@ -18,7 +18,7 @@ from smooth_operator.io import atomic_write, to_json
 from smooth_operator.io.environment import environment
 from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
 from smooth_operator.lab.offline.finished import claimed, read_configuration
-from smooth_operator.lab.offline.jobs import Entry, checked
+from smooth_operator.lab.offline.jobs import Entry, checked, notes
 from smooth_operator.planning import PROGRAM
 from smooth_operator.terminal import printable
 
@@ -65,6 +65,8 @@ def retarget_folder(options: Retarget) -> None:
                 + (f" ({todo.commands} hold commands and no hand)" if todo.commands else "")
             )
         _tell(todo, progress)
+        for note in notes(asked) if todo.jobs else ():
+            progress.note(note, matters=True)
         started = time.perf_counter()
         entries = [*todo.settled]
         try:

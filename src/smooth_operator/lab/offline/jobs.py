@@ -12,6 +12,7 @@ import numpy as np
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
 from smooth_operator.io import frame_slice, read_recording, to_json
 from smooth_operator.io.checks import stamps_from_rate
 from smooth_operator.io.readers import rated_if_unstamped
@@ -40,11 +41,9 @@ def checked(asked: RetargetRequest) -> RetargetRequest:
         ConfigError: scale, rate, frames or operator can't be.
     """
     dispatch_here()
-    operator = asked.operator
-    side = asked.side or ("right" if operator is None else operator.side)
-    hand = load_hand(asked.hand, side, fingers=asked.fingers)
-    if operator is not None:
-        operator.check(hand)
+    hand = _hand(asked)
+    if asked.operator is not None:
+        asked.operator.check(hand)
     config = asked.config
     check_method(config, hand)
     if isinstance(asked.scale, float | int):
@@ -59,6 +58,18 @@ def checked(asked: RetargetRequest) -> RetargetRequest:
                 f"'-500:', not {asked.frames!r}"
             ) from error
     return asked
+
+
+def notes(asked: RetargetRequest) -> tuple[str, ...]:
+    """What the method of a checked request lacks on its hand, in sentences for a person."""
+    return asked.config.notes(_hand(asked))
+
+
+def _hand(asked: RetargetRequest) -> Hand:
+    """The robot hand of a request, of the side that it names; a right one if it names none."""
+    operator = asked.operator
+    side = asked.side or ("right" if operator is None else operator.side)
+    return load_hand(asked.hand, side, fingers=asked.fingers)
 
 
 @dataclass(frozen=True)
