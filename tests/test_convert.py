@@ -481,6 +481,35 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path: Path) -> No
     assert read_episode(root, side="left").notes == ()
 
 
+def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path: Path) -> None:
+    landmarks = SyntheticOperator(seed=3).record(0.5).landmarks
+
+    def read(points: np.ndarray, side: Side, name: str, **asked: Any) -> HandRecording:
+        """What comes back of points in a dataset that lacks this program's own column."""
+        stamps = np.arange(len(points)) / 100
+        value = Episode(HandRecording(points, stamps, side, name=name), name=name)
+        root = tmp_path / name
+        write_dataset(root, [lambda: value])
+        file = root / "meta/episodes/chunk-000/file-000.parquet"
+        rewrite(file, lambda t: t.drop_columns(["smooth_operator"]))
+        found = read_episode(root, **asked).recording
+        assert found is not None
+        return found
+
+    np.testing.assert_array_equal(read(landmarks, "right", "fine").landmarks, landmarks)
+    with pytest.raises(RecordingError, match="the file says left: correct that"):
+        read(landmarks, "left", "side")
+    with pytest.raises(RecordingError, match=r"millimetres \(multiply by 0.001\)"):
+        read(1e3 * landmarks, "right", "units")
+    points = np.empty_like(landmarks)
+    points[:, LAYOUTS["mano"]] = landmarks
+    with pytest.raises(RecordingError, match="say --layout mano"):
+        read(points, "right", "order")
+    back = read_episode(tmp_path / "order", layout="mano").recording
+    assert back is not None
+    np.testing.assert_array_equal(back.landmarks, landmarks)
+
+
 def test_statistics_leave_out_what_is_missing() -> None:
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, 3))

@@ -92,6 +92,24 @@ def read_recording(
     kind = file_kind(path)
     recording = find_reader(kind).read_file(path, rate, side, layout)
     recording.meta.setdefault("format", kind)
+    check_anatomy(recording, str(path), asked=side)
+    check_recording(recording, str(path))
+    check_rate(recording.stamps, rate, str(path))
+    return without_outliers(recording)
+
+
+def check_anatomy(recording: HandRecording, where: str, *, asked: Side | None) -> None:
+    """Refuse a recording that is, by its shape, of the other hand or in another order.
+
+    Args:
+        recording: what was read; ``meta["layout"]`` is the order that it was read as, and
+            ``meta["side_assumed"]`` whether nobody said its side.
+        where: the file, for the message.
+        asked: the side that the caller asked for, if any.
+
+    Raises:
+        RecordingError: with what was recognised and what to do.
+    """
     layout = recording.meta.get("layout")
     as_it_came = np.argsort(layout_order(layout))
     assert recording.valid is not None  # filled in by HandRecording
@@ -101,19 +119,15 @@ def read_recording(
         recording.valid[:, as_it_came],
         layout=layout,
     )
-    if found is not None:
-        labelled = (
-            found.side is not None and side is None and not recording.meta.get("side_assumed")
-        )
-        remedy = (
-            f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
-            if labelled
-            else found.remedy
-        )
-        raise RecordingError(f"{path}: {found.what}; {remedy}")
-    check_recording(recording, str(path))
-    check_rate(recording.stamps, rate, str(path))
-    return without_outliers(recording)
+    if found is None:
+        return
+    labelled = found.side is not None and asked is None and not recording.meta.get("side_assumed")
+    remedy = (
+        f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
+        if labelled
+        else found.remedy
+    )
+    raise RecordingError(f"{where}: {found.what}; {remedy}")
 
 
 def rated_if_unstamped(

@@ -63,7 +63,9 @@ class Source:
             RecordingError, ConfigError, MissingExtraError: as the reader of its format.
         """
         if self.dataset is not None:
-            return read_dataset_episode(self.dataset, self.number, rate=rate, side=side)
+            return read_dataset_episode(
+                self.dataset, self.number, rate=rate, side=side, layout=layout
+            )
         return read_episode(self.path, rate=rate, side=side, layout=layout)
 
 
@@ -99,7 +101,9 @@ def read_episode(
     path = Path(path)
     side = None if side is None else as_side(side)
     if is_dataset(path):
-        return read_dataset_episode(open_dataset(path), episode, rate=rate, side=side)
+        return read_dataset_episode(
+            open_dataset(path), episode, rate=rate, side=side, layout=layout
+        )
     kind = file_kind(path)
     if kind == "log":
         logged: Episode = _logs().read_log_episode(path, rate=rate, side=side)

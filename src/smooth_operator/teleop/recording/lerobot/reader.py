@@ -18,9 +18,17 @@ from smooth_operator.errors import (
     brief,
     listed,
 )
-from smooth_operator.io.checks import check_rate, check_side, check_stamps
+from smooth_operator.io.anatomy import layout_order
+from smooth_operator.io.checks import (
+    check_rate,
+    check_recording,
+    check_side,
+    check_stamps,
+    without_outliers,
+)
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.io.episode import Episode
+from smooth_operator.io.readers import check_anatomy
 from smooth_operator.io.sniff import is_dataset
 from smooth_operator.teleop.recording.lerobot.arrow import numbers, read_table
 from smooth_operator.teleop.recording.lerobot.columns import NO_COMMAND
@@ -129,14 +137,31 @@ def open_dataset(path: Path) -> Dataset:
 
 
 def read_dataset_episode(
-    dataset: Dataset, number: int, *, rate: float | None = None, side: Side | None = None
+    dataset: Dataset,
+    number: int,
+    *,
+    rate: float | None = None,
+    side: Side | None = None,
+    layout: str | None = None,
 ) -> Episode:
     """Reads one episode.
+
+    An episode without the column that this program writes may come from another tool, so its
+    units, side and order of landmarks are checked as ``read_recording`` checks them.
+
+    Args:
+        dataset: that holds it.
+        number: of the episode.
+        rate: frames a second [Hz]; the stamps of the episode must agree.
+        side: which hand; needed where the dataset does not say and it is a left one.
+        layout: the order of the landmarks of another tool, one of ``LAYOUTS``; that of this
+            program's own episodes is known.
 
     Raises:
         ConfigError: there is no episode of that number.
         RecordingError: its file is missing or damaged, or lacks columns; a side or rate that
-            contradicts it.
+            contradicts it; in another tool's episode, units, side or order that no hand has.
+        UnknownNameError: there is no such ``layout``.
     """
     row = dataset.row(number)
     file = _data_file(dataset, row)
@@ -155,8 +180,13 @@ def read_dataset_episode(
     recording: HandRecording | None = None
     notes: tuple[str, ...] = ()
     if "landmarks" in dataset.info["features"]:
-        recording = _recording(table, own, stamps, name, side, file)
+        recording = _recording(table, own, stamps, name, side, layout, file)
         check_rate(stamps, rate, str(file))
+        if not own:
+            where = f"{dataset.path}, {name}"
+            check_anatomy(recording, where, asked=side)
+            check_recording(recording, where)
+            recording = without_outliers(recording)
         if recording.meta["side_assumed"]:
             notes = (
                 f"{dataset.path} does not say of episode {number} which hand it is: taken for a "
@@ -244,7 +274,13 @@ def _own(row: Mapping[str, Any], where: Path) -> dict[str, Any]:
 
 
 def _recording(
-    table: Any, own: dict[str, Any], stamps: np.ndarray, name: str, side: Side | None, file: Path
+    table: Any,
+    own: dict[str, Any],
+    stamps: np.ndarray,
+    name: str,
+    side: Side | None,
+    layout: str | None,
+    file: Path,
 ) -> HandRecording:
     count = len(stamps)
     labels = {str(own["side"])} if own.get("side") else set()
@@ -253,24 +289,32 @@ def _recording(
         labels = {"left" if left else "right" for left in flags.tolist()}
     found, assumed = check_side(labels, side, str(file))
     check_stamps(stamps, f"{file}, {name}")
+    stored = own.get("meta")
+    meta = {
+        **(stored if isinstance(stored, dict) else {}),
+        "format": "lerobot",
+        "side_assumed": assumed,
+    }
+    picked = layout_order(None)
+    if layout is not None and not own:
+        picked, meta["layout"] = layout_order(layout), layout
+    landmarks = numbers(table, "landmarks", 63, file).reshape(count, 21, 3).astype(np.float64)
+    valid = numbers(table, "landmarks_valid", 21, file).astype(bool)
     optional: dict[str, Any] = {}
     for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4))):
         # Where other tools dropped what says so, the column itself tells.
         if own.get(key, key in table.column_names):
             values = numbers(table, key, shape[0] * shape[1], file)
             optional[key] = values.reshape(count, *shape).astype(np.float64)
-    meta = own.get("meta")
+    if "orientations" in optional:
+        optional["orientations"] = optional["orientations"][:, picked]
     return HandRecording(
-        numbers(table, "landmarks", 63, file).reshape(count, 21, 3).astype(np.float64),
+        landmarks[:, picked],
         stamps,
         found,
-        valid=numbers(table, "landmarks_valid", 21, file).astype(bool),
+        valid=valid[:, picked],
         name=name,
-        meta={
-            **(meta if isinstance(meta, dict) else {}),
-            "format": "lerobot",
-            "side_assumed": assumed,
-        },
+        meta=meta,
         **optional,
     )
 
