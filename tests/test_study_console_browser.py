@@ -283,3 +283,34 @@ def test_scales_and_send_are_in_sight_on_a_tablet(chromium: Any, tmp_path: Path)
             assert seen >= scales, (width, height)
             assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.close()
+
+
+@pytest.mark.browser
+def test_the_list_of_operators_shows_who_is_on(chromium: Any, tmp_path: Path) -> None:
+    plan = make_plan(replace(console_plan().protocol, operators=24))
+    with (
+        open_study(tmp_path, plan) as store,
+        served(SessionService(store, operator="P23"), ConsoleAuth(None)) as port,
+    ):
+        pages = Pages(chromium, port)
+        page = pages.experimenter
+        hidden = """key => {
+            const list = document.querySelector('#people').getBoundingClientRect();
+            const row = document.querySelector(`[data-key=person-${key}]`).getBoundingClientRect();
+            return row.top < list.top - 1 || row.bottom > list.bottom + 1;
+        }"""
+        page.locator('[data-key="person-P23"][aria-pressed="true"]').wait_for()
+        assert page.evaluate(hidden, "P01")
+        assert not page.evaluate(hidden, "P23")
+        assert page.evaluate("document.documentElement.scrollTop") == 0  # the page stays
+        # What the experimenter scrolls to stays while the same operator is on.
+        page.locator("#people").evaluate("list => { list.scrollTop = 0; }")
+        pages.start_first_trial()
+        pages.press("1", "1")
+        pages.step("Questionnaire")
+        assert page.locator("#people").evaluate("list => list.scrollTop") == 0
+        page.get_by_role("button", name="P10").click()
+        page.locator('[data-key="person-P10"][aria-pressed="true"]').wait_for()
+        assert not page.evaluate(hidden, "P10")
+        assert not pages.problems
+        pages.context.close()

@@ -8,6 +8,7 @@ export function drawPeople(place, { overview, now }, actions) {
   const key = JSON.stringify([overview, now?.operator, actions.link.connected]);
   if (key === drawn) return;
   drawn = key;
+  const before = place.querySelector('.person.on')?.dataset.key;
   fill(place, overview.map((one) => {
     const on = one.operator === now?.operator;
     return h('button', {
@@ -16,6 +17,15 @@ export function drawPeople(place, { overview, now }, actions) {
     }, h('b', {}, one.operator), tasks(one),
     h('span', { class: 'soft' }, one.begun || one.what === 'done' ? one.step : 'not begun'));
   }));
+  const on = place.querySelector('.person.on');
+  if (on && on.dataset.key !== before) reveal(place, on);
+}
+
+/** Scrolls the list, and not the page, until a row can be seen. */
+function reveal(list, row) {
+  const [box, shown] = [row.getBoundingClientRect(), list.getBoundingClientRect()];
+  if (box.top < shown.top) list.scrollTop -= shown.top - box.top;
+  else if (box.bottom > shown.bottom) list.scrollTop += box.bottom - shown.bottom;
 }
 
 function tasks(one) {
