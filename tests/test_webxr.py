@@ -28,7 +28,7 @@ from smooth_operator.errors import (
     install_command,
 )
 from smooth_operator.io.checks import check_units
-from smooth_operator.landmarks import BONES, FROM_WEBXR_25, METACARPALS_WEBXR_25
+from smooth_operator.landmarks import BONES, FINGER_COLORS, FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.teleop.sources.webxr import WebXr, server
@@ -443,6 +443,19 @@ def test_the_page_is_whole_and_its_certificate_can_be_trusted(host: Host, tmp_pa
         fetch(host.address.replace("localhost", name), trusting)
     with pytest.raises(urllib.error.HTTPError, match="404"):
         fetch(f"{host.address}/../pyproject.toml", context)
+
+
+def test_the_joints_have_the_colours_of_the_other_pages(host: Host) -> None:
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    module = fetch(f"{host.address}/colors.js", context)[0].decode()
+    served = re.fullmatch(r"export const FINGER_COLORS = (.+);\n", module)
+    assert served is not None
+    colors = ["#{:02x}{:02x}{:02x}".format(*color) for color in json.loads(served[1])]
+    assert colors == list(FINGER_COLORS)
+    scene = fetch(f"{host.address}/scene.js", context)[0].decode()
+    assert "import { FINGER_COLORS } from './colors.js';" in scene
+    assert not re.findall(r"const FINGER\w* =", scene)  # and has none besides
 
 
 def test_no_page_can_frame_it(host: Host) -> None:

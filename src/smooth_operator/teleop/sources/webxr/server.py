@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import http
+import json
 import logging
 import socket
 import ssl
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
 from smooth_operator.errors import MissingExtraError, SourceError
+from smooth_operator.landmarks import FINGER_COLORS
 from smooth_operator.teleop.sources.webxr.certificate import Certificate
 from smooth_operator.teleop.sources.webxr.link import Link
 from smooth_operator.teleop.sources.webxr.packet import MAX_BYTES
@@ -74,6 +76,7 @@ async def serve(
     websockets = _websockets()
     site = page_files("smooth_operator.web") | page_files(__package__)
     site["/"] = site["/index.html"]
+    site["/colors.js"] = (_colors().encode(), "text/javascript; charset=utf-8")
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
@@ -103,6 +106,12 @@ async def serve(
     ):
         while watch():
             await asyncio.sleep(_LOOK_EVERY)
+
+
+def _colors() -> str:
+    """The module ``colors.js``: a colour (red, green, blue) [0..255] for each finger."""
+    colors = [list(bytes.fromhex(code.removeprefix("#"))) for code in FINGER_COLORS]
+    return f"export const FINGER_COLORS = {json.dumps(colors)};\n"
 
 
 def _websockets() -> type:

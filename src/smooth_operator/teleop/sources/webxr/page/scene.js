@@ -1,6 +1,7 @@
 // What is seen inside the headset: the joints as dots, and a small board that says how the link is.
 
-const FINGERS = [[213, 94, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [0, 114, 178]];
+import { FINGER_COLORS } from './colors.js';
+
 const WRIST = [205, 205, 212];
 const VALUES = 8;
 const JOINTS = 25;
@@ -103,7 +104,7 @@ export class Scene {
         const at = joint * VALUES;
         if (Number.isNaN(hand[at])) continue;
         const finger = joint === 0 ? -1 : Math.floor((joint - (joint < 5 ? 1 : 0)) / 5);
-        const colour = !good || finger < 0 ? WRIST : FINGERS[finger];
+        const colour = !good || finger < 0 ? WRIST : FINGER_COLORS[finger];
         this.points.set([
           hand[at], hand[at + 1], hand[at + 2], hand[at + 7] || 0.008,
           colour[0] / 255, colour[1] / 255, colour[2] / 255,
