@@ -101,24 +101,13 @@ def read_recording(
 def check_anatomy(recording: HandRecording, where: str, *, asked: Side | None) -> None:
     """Refuse a recording that is, by its shape, of the other hand or in another order.
 
-    Args:
-        recording: what was read; ``meta["layout"]`` is the order that it was read as, and
-            ``meta["side_assumed"]`` whether nobody said its side.
-        where: the file, for the message.
-        asked: the side that the caller asked for, if any.
-
-    Raises:
-        RecordingError: with what was recognised and what to do.
+    The message calls it ``where`` and depends on ``asked``, the side that the caller asked for.
     """
     layout = recording.meta.get("layout")
     as_it_came = np.argsort(layout_order(layout))
     assert recording.valid is not None  # filled in by HandRecording
-    found = doubt(
-        recording.landmarks[:, as_it_came],
-        recording.side,
-        recording.valid[:, as_it_came],
-        layout=layout,
-    )
+    points, valid = recording.landmarks[:, as_it_came], recording.valid[:, as_it_came]
+    found = doubt(points, recording.side, valid, layout=layout)
     if found is None:
         return
     labelled = found.side is not None and asked is None and not recording.meta.get("side_assumed")
