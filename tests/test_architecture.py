@@ -41,7 +41,7 @@ SHARED = {
     "parallel": 3,
     "web": 3,
     "result_cache": 4,
-    "simulation": 4,
+    "simulation": 5,
     "calibration": 5,
     "synthetic": 5,
     ROOT: 7,

@@ -26,13 +26,14 @@ from smooth_operator.lab.validation import HandValidation, check_hand, round_tri
 from smooth_operator.lab.validation import methods as validation_methods
 from smooth_operator.lab.validation.methods import check_method
 from smooth_operator.lab.validation.pinches import closest_pinch
-from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
+from smooth_operator.lab.validation.reachable import reachable_poses
 from smooth_operator.lab.validation.samples import Samples
 from smooth_operator.lab.validation.shapes import part_distances
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import JointCommand, Result, Status
 
 ALLEGRO = load_hand("allegro_hand").spec

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.lab.validation.reachable import human_landmarks, reachable_poses
+from smooth_operator.lab.validation.reachable import reachable_poses
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.consistency import frozen_share
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, Status
 
 _APPROACH: Final = 20  # frames from the neutral pose to the pose

@@ -21,9 +21,12 @@ from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.task_registry import TASKS, task_named
-from smooth_operator.simulation.tasks.trial import Phase, TaskRun
+from smooth_operator.simulation.tasks.trial import TaskRun
+from smooth_operator.simulation.tasks.trial_loop import RATE_HZ, perform
+from smooth_operator.types import as_side
 
-_PERIOD_S: Final = 0.01  # between commands
+PERIOD_S: Final = 1.0 / RATE_HZ
+"""Between commands [s]; a command is the pose of the end of its period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,19 +92,16 @@ def play(
         the scene and the trial, a hundred times a second, until the trial is done or the
         demonstration at its end.
     """
-    hand = load_hand(demonstration.hand, "right" if demonstration.side == "right" else "left")
-    scene = scene_for(demonstration.task, hand)
-    physics = ScenePhysics(hand, scene)
+    hand = load_hand(demonstration.hand, as_side(demonstration.side))
+    physics = ScenePhysics(hand, scene_for(demonstration.task, hand))
     if disturb is not None:
         disturb(physics)
-    run = TaskRun(task_named(demonstration.task), scene).go(physics.time)
-    while physics.time < demonstration.times[-1] - 1e-9:
-        physics.command(hand.full_configuration(demonstration.pose(physics.time + _PERIOD_S)))
-        physics.advance(_PERIOD_S)
-        state = physics.observe()
-        run = run.observe(state)
+
+    def commands(time: float, state: SceneState, physics: ScenePhysics) -> Float[np.ndarray, " n"]:
+        return hand.full_configuration(demonstration.pose(time + PERIOD_S))
+
+    task, end = task_named(demonstration.task), float(demonstration.times[-1])
+    for moment in perform(physics, task, commands, seconds=end):
         if seen is not None:
-            seen(physics, state)
-        yield state, run
-        if run.phase is Phase.DONE:
-            return
+            seen(physics, moment.state)
+        yield moment.state, moment.run

@@ -1,0 +1,313 @@
+"""A trial in physics: a source of human landmarks, a retargeter, a hand, an object, a score.
+
+The loop is causal: a command depends on the frames up to its time. It has no clock but the
+simulation's, so that the same inputs give the same trial on any machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.scenes.physics import ScenePhysics
+from smooth_operator.simulation.scenes.scene import Scene
+from smooth_operator.simulation.scenes.state import SceneState
+from smooth_operator.simulation.tasks.task_registry import SimulatedTask
+from smooth_operator.simulation.tasks.trial import Phase, TaskRun
+from smooth_operator.types import HandFrame, Result
+
+RATE_HZ: Final = 100.0
+"""Frames, commands and looks at the scene a second [Hz], unless stated otherwise."""
+
+_FASTEST_HZ: Final = 500.0
+
+
+class LandmarkSource(Protocol):
+    """Gives the landmarks of a human hand during a trial: a recording, a model of a person."""
+
+    def landmarks(
+        self, time: float, state: SceneState, physics: ScenePhysics
+    ) -> Float[np.ndarray, "21 3"] | None:
+        """The frame of a moment.
+
+        Args:
+            time: since 'go' [s]; negative in the lead-in.
+            state: the scene at that moment.
+            physics: the hand and its scene, to look at and not to change.
+
+        Returns:
+            (21, 3) landmarks [m] in any right-handed frame; None for a dropped frame.
+        """
+        ...
+
+
+class FrameRetargeter(Protocol):
+    """What a trial needs of a retargeter: explicit state, a step per frame."""
+
+    @property
+    def hand(self) -> Hand:
+        """The robot hand."""
+        ...
+
+    def init(self, seed: int | None = None) -> Any:
+        """The state before the first frame."""
+        ...
+
+    def step(self, state: Any, frame: HandFrame) -> tuple[Any, Result]:
+        """The next state, and the command for a frame."""
+        ...
+
+
+Commands = Callable[[float, SceneState, ScenePhysics], Float[np.ndarray, " n"] | None]
+"""(time since 'go' [s], scene, physics) -> (n,) positions of all joints [rad]; None holds."""
+
+CommandLimit = Callable[[Float[np.ndarray, " n"], float], Float[np.ndarray, " n"]]
+"""((n,) wanted positions [rad], seconds since the last command) -> (n,) what is sent."""
+
+
+class Moment(NamedTuple):
+    """A trial after one period.
+
+    Attributes:
+        state: the scene.
+        run: the trial.
+        command: (n,) last command [rad]; NaN before the first.
+    """
+
+    state: SceneState
+    run: TaskRun
+    command: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialTrace:
+    """What happened in a trial, frame by frame; the lead-in is left out.
+
+    Attributes:
+        times: (t,) when each frame came, since 'go' [s].
+        landmarks: (t, 21, 3) of the human [m]; NaN for dropped frames.
+        commands: (t, n) positions sent for it [rad].
+        positions: (t, n) where the joints were one period later [rad].
+        states: the scene one period later.
+    """
+
+    times: Float[np.ndarray, " t"]
+    landmarks: Float[np.ndarray, "t 21 3"]
+    commands: Float[np.ndarray, "t n"]
+    positions: Float[np.ndarray, "t n"]
+    states: tuple[SceneState, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResult:
+    """How a trial ended.
+
+    Attributes:
+        score: 0, 0.5 or 1.
+        line: of the task's rubric.
+        reason: in a few words.
+        seconds: from 'go' to the end [s].
+        ended: ``success``, ``drop``, ``timeout`` (the task's limit), or ``finished`` (the source's
+            time is over).
+        frames: how many frames the retargeter received since 'go'.
+        dropped: how many were dropped.
+        diverged: how often the physics diverged and was reset; such a trial measures nothing.
+        trace: what happened; None unless asked for.
+    """
+
+    score: float
+    line: str
+    reason: str
+    seconds: float
+    ended: str
+    frames: int
+    dropped: int
+    diverged: int
+    trace: TrialTrace | None = None
+
+
+def perform(
+    physics: ScenePhysics,
+    task: SimulatedTask,
+    commands: Commands,
+    *,
+    seconds: float | None = None,
+    rate_hz: float = RATE_HZ,
+    lead_s: float = 0.0,
+) -> Iterator[Moment]:
+    """Do a trial with a source of joint commands.
+
+    Each period: the source sees the scene and gives a command, the physics goes on for a period,
+    the scorer sees the scene. Without a lead-in 'go' is now, with the scene as it is. With one the
+    commands begin ``lead_s`` before 'go', and the object is put to its start at 'go'.
+
+    Args:
+        physics: the hand and its scene.
+        task: what is done.
+        commands: where the joints are to go.
+        seconds: after which the trial is left [s], still running; None for the task's own limit.
+        rate_hz: periods a second [Hz].
+        lead_s: how long the commands run before 'go' [s].
+
+    Yields:
+        the moment after each period since 'go', until the trial is done or the time over.
+
+    Raises:
+        ConfigError: the rate is not above 0 and at most 500 Hz, or a time is negative.
+    """
+    limit = task.seconds if seconds is None else seconds
+    if not (0.0 < rate_hz <= _FASTEST_HZ and limit >= 0.0 and lead_s >= 0.0):
+        raise ConfigError(
+            f"trial: expected a rate up to {_FASTEST_HZ:g} Hz and times of 0 s or more, not "
+            f"{rate_hz} Hz, {limit} s and a lead-in of {lead_s} s"
+        )
+    period = 1.0 / rate_hz
+    lead = round(lead_s * rate_hz)
+    last = np.full(len(physics.hand.joint_names), np.nan)
+    state = physics.observe()
+    run = TaskRun(task, physics.scene)
+    for k in range(-lead, int(np.ceil(limit * rate_hz - 1e-6))):
+        if k == 0:
+            if lead:
+                physics.reset_object()
+                state = physics.observe()
+            run = run.go(physics.time)
+        command = commands(k * period, state, physics)
+        if command is not None:
+            last = command
+            physics.command(command)
+        physics.advance(period)
+        state = physics.observe()
+        run = run.observe(state)
+        if k >= 0:
+            yield Moment(state, run, last)
+            if run.phase is Phase.DONE:
+                return
+
+
+class _Loop:
+    """Frames from a source through a retargeter: the commands of a trial, and their record."""
+
+    def __init__(
+        self,
+        retargeter: FrameRetargeter,
+        source: LandmarkSource,
+        *,
+        seed: int | None,
+        limit: CommandLimit | None,
+        rate_hz: float,
+    ) -> None:
+        self._retargeter, self._source, self._limit = retargeter, source, limit
+        self._state = retargeter.init(seed)
+        self._rate_hz = rate_hz
+        self._last: float | None = None
+        self.times: list[float] = []
+        self.landmarks: list[Float[np.ndarray, "21 3"]] = []
+
+    def __call__(
+        self, time: float, state: SceneState, physics: ScenePhysics
+    ) -> Float[np.ndarray, " n"] | None:
+        points = self._source.landmarks(time, state, physics)
+        if time >= 0.0:
+            self.times.append(time)
+            self.landmarks.append(np.full((21, 3), np.nan) if points is None else points)
+        if points is None:
+            return None
+        frame = HandFrame(points, time, self._retargeter.hand.spec.side)
+        self._state, result = self._retargeter.step(self._state, frame)
+        command = result.command.positions
+        if self._limit is not None:
+            since = 1.0 / self._rate_hz if self._last is None else time - self._last
+            command = self._limit(command, since)
+        self._last = time
+        return command
+
+    @property
+    def dropped(self) -> int:
+        """How many frames since 'go' were."""
+        return int(np.isnan([points[0, 0] for points in self.landmarks]).sum())
+
+
+def run_trial(
+    retargeter: FrameRetargeter,
+    scene: Scene,
+    task: SimulatedTask,
+    source: LandmarkSource,
+    *,
+    rate_hz: float = RATE_HZ,
+    timestep: float = 0.002,
+    bandwidth: float = 20.0,
+    seconds: float | None = None,
+    lead_s: float = 0.0,
+    seed: int | None = None,
+    limit: CommandLimit | None = None,
+    prepare: Callable[[ScenePhysics], None] | None = None,
+    trace: bool = False,
+) -> TrialResult:
+    """Do a trial with a retargeter, from a source of human landmarks.
+
+    A dropped frame repeats the last command. Frames take no time to arrive and to retarget.
+
+    Args:
+        retargeter: for the robot hand of the scene.
+        scene: around that hand.
+        task: what is done.
+        source: the human hand.
+        rate_hz: frames, commands and looks of the scorer a second [Hz].
+        timestep: of the physics [s].
+        bandwidth: of the servos [Hz].
+        seconds: when the source is at its end [s], and the trial is finished as it stands; None for
+            the task's own limit.
+        lead_s: how long the operator holds the hand before 'go' [s]: frames with negative times.
+        seed: of the method's random numbers; None for the retargeter's own.
+        limit: of the commands, such as the velocity and acceleration limits of a live loop; None
+            sends them as they are, kept within the joints' limits by the servos. (The limits of
+            teleoperation, 15 rad/s and 1500 rad/s^2, are far above what these tasks need.)
+        prepare: changes the built scene before the trial, such as its friction.
+        trace: keep what happened.
+
+    Raises:
+        ConfigError: a rate or time is out of range.
+    """
+    physics = ScenePhysics(retargeter.hand, scene, timestep, bandwidth)
+    if prepare is not None:
+        prepare(physics)
+    loop = _Loop(retargeter, source, seed=seed, limit=limit, rate_hz=rate_hz)
+    positions, moments = [], []
+    run = TaskRun(task, scene)
+    for moment in perform(
+        physics, task, loop, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s
+    ):  # fmt: skip
+        run = moment.run
+        if trace:
+            moments.append(moment)
+            positions.append(physics.positions)
+    if run.phase is Phase.READY:
+        run = run.go(physics.time)
+    if run.phase is Phase.RUNNING:
+        run = run.finish(physics.time)
+    outcome = run.outcome
+    assert outcome is not None  # it is done
+    result = TrialResult(
+        outcome.score, outcome.line, outcome.reason, outcome.seconds, outcome.ended,
+        len(loop.times) - loop.dropped, loop.dropped, physics.resets,
+    )  # fmt: skip
+    if not trace:
+        return result
+    joints = len(retargeter.hand.joint_names)
+    return replace(
+        result,
+        trace=TrialTrace(
+            np.array(loop.times),
+            np.array(loop.landmarks).reshape(-1, 21, 3),
+            np.array([moment.command for moment in moments]).reshape(-1, joints),
+            np.array(positions).reshape(-1, joints),
+            tuple(moment.state for moment in moments),
+        ),
+    )
