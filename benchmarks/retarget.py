@@ -25,7 +25,8 @@ from smooth_operator import (
     align_recording,
 )
 from smooth_operator.errors import RecordingError
-from smooth_operator.io import frame_slice, read_recording
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator

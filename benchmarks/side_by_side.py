@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator import Retargeter
-from smooth_operator.io import read_recording
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.methods import slsqp_method

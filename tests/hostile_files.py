@@ -20,7 +20,7 @@ from typing import Any
 import fuzzing
 import numpy as np
 
-from smooth_operator.io.episode import Episode
+from smooth_operator.formats.episode import Episode
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 FRAMES = 12
@@ -35,7 +35,7 @@ def _believable(recording: Any) -> None:
 
 
 def recording(path: Path) -> None:
-    from smooth_operator.io import read_recording
+    from smooth_operator.formats.readers import read_recording
 
     _believable(read_recording(path, rate=None))
 
@@ -52,7 +52,7 @@ def episode(path: Path) -> None:
 
 
 def commands(path: Path) -> None:
-    from smooth_operator.io import read_commands
+    from smooth_operator.formats.commands import read_commands
 
     found = read_commands(path)
     assert np.isfinite(found.stamps).all()
@@ -83,7 +83,7 @@ def overwrite(path: Path) -> None:
 
 
 def latency(path: Path) -> None:
-    from smooth_operator.io import to_json
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.log_timing import log_timing
 

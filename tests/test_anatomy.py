@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
-from smooth_operator.io import read_commands, read_recording, write_commands
+from smooth_operator.formats.commands import read_commands, write_commands
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import FEWEST_FRAMES, Doubt, HandCheck, check_hand, chirality, doubt
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator

@@ -38,6 +38,7 @@ CORE = {
 """Core: module -> level. It imports nothing of what follows."""
 
 SHARED = {
+    "formats": 3,
     "parallel": 3,
     "web": 3,
     "result_cache": 4,
@@ -57,7 +58,7 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
-CORE_LINES = 16_000
+CORE_LINES = 14_700
 """Lines that everyone needs at most: the core grows only on purpose."""
 
 MAX_LINES = 400

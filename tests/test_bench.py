@@ -19,8 +19,8 @@ from metrics_cases import human_motion, make_trace
 from smooth_operator import Hand, Retargeter, SbrConfig, SyntheticOperator, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.formats.commands import read_commands
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.io import read_commands
 from smooth_operator.lab.benchmark import compare, latency, read_results, suite
 from smooth_operator.lab.benchmark.cells import cells_of, file_name, fingerprint
 from smooth_operator.lab.benchmark.clips import make_clip

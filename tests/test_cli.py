@@ -19,7 +19,8 @@ from smooth_operator import Retargeter, SbrConfig, load_hand
 from smooth_operator.cli import main
 from smooth_operator.compilation import compile_cache as offline_cache
 from smooth_operator.errors import RecordingError
-from smooth_operator.io import read_commands, read_recording
+from smooth_operator.formats.commands import read_commands
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.metrics import METRICS
 from smooth_operator.solvers.sampling import SamplingConfig

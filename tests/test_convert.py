@@ -25,8 +25,9 @@ from smooth_operator.errors import (
     RecordingError,
     install_command,
 )
-from smooth_operator.io import read_commands, read_recording, write_commands
-from smooth_operator.io.episode import Episode
+from smooth_operator.formats.commands import read_commands, write_commands
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_episode, read_log, write_episode

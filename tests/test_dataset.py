@@ -23,7 +23,8 @@ from jax.experimental.compilation_cache import compilation_cache
 from smooth_operator import Retargeter, SbrConfig
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.io import read_commands, read_recording
+from smooth_operator.formats.commands import read_commands
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.lab.offline.dataset import Survey, retarget_all, survey
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import claimed

@@ -28,9 +28,9 @@ from smooth_operator.errors import (
     UnknownNameError,
     install_command,
 )
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.io import read_recording
 from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,

@@ -30,7 +30,7 @@ LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "nlopt", "trimesh", "sql
 
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
 PUBLIC_PACKAGES = (
-    "calibration", "hands", "human", "io", "lab", "methods", "metrics", "objective", "solvers",
+    "calibration", "formats", "hands", "human", "lab", "methods", "metrics", "objective", "solvers",
     "study", "teleop",
 )  # fmt: skip
 

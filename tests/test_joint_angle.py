@@ -13,6 +13,7 @@ import pytest
 from trees import limited_poses, pincer, random_rotations, unit
 
 from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
@@ -27,7 +28,6 @@ from smooth_operator.human.joint_angles import (
 )
 from smooth_operator.human.joint_map import human_palm_axes, joint_map, robot_joint_angles
 from smooth_operator.human.kinematics import mirror, pose_hand
-from smooth_operator.io import read_recording
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 from smooth_operator.methods.joint_angle import JointAngleConfig, JointAngleMap
 from smooth_operator.methods.retargeter import Retargeter

@@ -10,7 +10,7 @@ import pytest
 from metrics_cases import WRIST, human_motion, make_trace, rotation
 
 from smooth_operator import load_hand
-from smooth_operator.io import read_recording
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate, published
 from smooth_operator.metrics.assemble import assemble_trace

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 import smooth_operator
-from smooth_operator.moved_names import MOVED, MovedNames, install
+from smooth_operator.moved_names import FORMER, MOVED, MovedNames, install
 
 SOURCE = Path(smooth_operator.__file__).parent
 
 OLD_IMPORTS = (
-    ("from smooth_operator.recording import read_recording", "io"),
+    ("from smooth_operator.recording import read_recording", "formats"),
     ("from smooth_operator.recording import read_log", "teleop.recording"),
-    ("from smooth_operator.recording.readers import read_recording", "io"),
+    ("from smooth_operator.recording.readers import read_recording", "formats"),
     ("from smooth_operator.retargeters.sbr import SbrConfig", "methods"),
     ("from smooth_operator.retargeters.operated import operated_by", "methods"),
     ("from smooth_operator.sources.synthetic import SyntheticOperator", "synthetic"),
@@ -40,6 +40,8 @@ OLD_IMPORTS = (
     ("from smooth_operator.study.tasks.demonstration import play", "simulation.tasks"),
     ("from smooth_operator.metrics.plots import save_plots", "reporting.metric_plots"),
     ("from smooth_operator.documents import parse_json", "io.documents"),
+    ("from smooth_operator.io.results import config_path", "formats.commands"),
+    ("from smooth_operator.io import registry", "formats.registry"),
 )
 """What the documentation of 0.1.0 and scripts of that time import -> what the error names."""
 
@@ -63,7 +65,7 @@ def test_an_old_import_says_the_new_name(statement: str, home: str) -> None:
 
 
 def test_the_error_lists_the_public_names() -> None:
-    with pytest.raises(ModuleNotFoundError, match=r"smooth_operator\.io has .*read_recording"):
+    with pytest.raises(ModuleNotFoundError, match=r"smooth_operator\.formats has .*read_recording"):
         importlib.import_module("smooth_operator.recording")
 
 
@@ -73,6 +75,16 @@ def test_a_row_is_true(old: str) -> None:
     assert not exists(old)
     assert "." not in old or exists(old.rpartition(".")[0])
     assert [home for home in MOVED[old] if not exists(home)] == []
+
+
+@pytest.mark.parametrize("old", FORMER)
+def test_a_former_name_of_a_package_is_that_of_its_new_home(old: str) -> None:
+    package, _, name = old.rpartition(".")
+    home = importlib.import_module(f"smooth_operator.{FORMER[old]}")
+    now = re.escape(f"smooth_operator.{old} is now {home.__name__}.{name}")
+    with pytest.warns(DeprecationWarning, match=now):
+        found = getattr(importlib.import_module(f"smooth_operator.{package}"), name)
+    assert found is getattr(home, name)
 
 
 def test_other_names_fail_as_before() -> None:

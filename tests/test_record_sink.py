@@ -19,9 +19,9 @@ from ticks import make_tick
 
 from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
-from smooth_operator.io import read_recording
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import Log, LogWriter, read_episode, read_log
 from smooth_operator.teleop.recording.log_episode import write_log_episode

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.io import frame_slice, read_recording
-from smooth_operator.io.checks import check_units
+from smooth_operator.formats.checks import check_units
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import FROM_MANUS_25, FROM_OPENXR_26, METACARPALS_MANUS_25
 from smooth_operator.types import HandRecording
 

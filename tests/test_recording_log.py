@@ -18,7 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.io import read_recording
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.teleop.recording import LogWriter, read_log
 from smooth_operator.types import HandFrame, HandRecording, JointCommand, Side, Status
 

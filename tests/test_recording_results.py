@@ -15,14 +15,9 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.io import (
-    atomic_write,
-    config_path,
-    output_error,
-    read_commands,
-    to_json,
-    write_commands,
-)
+from smooth_operator.formats.commands import config_path, read_commands, write_commands
+from smooth_operator.io.atomic import atomic_write, output_error
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
 
 

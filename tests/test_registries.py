@@ -15,9 +15,9 @@ from metrics_cases import make_trace
 
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, UnknownNameError
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.catalogue import HANDS, MODELS, catalogue, hand_names, load_hand
-from smooth_operator.io import read_recording
-from smooth_operator.io.registry import Reader
 from smooth_operator.lab.benchmark import cells
 from smooth_operator.lab.benchmark.cells import Cell, fingerprint
 from smooth_operator.lab.benchmark.ranking import columns

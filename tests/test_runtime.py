@@ -12,9 +12,9 @@ import pytest
 
 from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.anatomy import FEWEST_FRAMES, finger_curl
-from smooth_operator.io.readers import read_recording
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.methods.retargeter import RetargetState
 from smooth_operator.synthetic import SyntheticOperator

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.cli import main
-from smooth_operator.io import read_recording
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 
 

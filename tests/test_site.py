@@ -14,7 +14,17 @@ import pytest
 import smooth_operator
 
 PROJECT = Path(__file__).resolve().parents[1]
-PACKAGES = ["hands", "objective", "solvers", "methods", "metrics", "io", "teleop", "lab", "study"]
+PACKAGES = [
+    "hands",
+    "objective",
+    "solvers",
+    "methods",
+    "metrics",
+    "formats",
+    "teleop",
+    "lab",
+    "study",
+]
 
 
 @pytest.fixture(scope="module")

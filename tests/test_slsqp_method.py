@@ -12,9 +12,9 @@ import pytest
 
 from smooth_operator import HandFrame, HandSpec, Retargeter, Status, load_hand, method_config
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.io import read_recording
 from smooth_operator.methods import slsqp_method
 from smooth_operator.methods.slsqp_method import SlsqpMethod, SlsqpMethodConfig
 from smooth_operator.objective.goal import FrameGoal

@@ -22,9 +22,9 @@ from smooth_operator.errors import (
     SourceError,
     install_command,
 )
+from smooth_operator.formats.checks import PALM_RANGE_M
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.geometry import umeyama
-from smooth_operator.io import read_recording
-from smooth_operator.io.checks import PALM_RANGE_M
 from smooth_operator.landmarks import TIPS
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.teleop.sources.registry import build_source

@@ -27,7 +27,7 @@ from smooth_operator.errors import (
     SourceError,
     install_command,
 )
-from smooth_operator.io.checks import check_units
+from smooth_operator.formats.checks import check_units
 from smooth_operator.landmarks import BONES, FINGER_COLORS, FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.registry import build_source

@@ -1,7 +1,7 @@
 from smooth_operator import calibration as calibration
+from smooth_operator import formats as formats
 from smooth_operator import hands as hands
 from smooth_operator import human as human
-from smooth_operator import io as io
 from smooth_operator import lab as lab
 from smooth_operator import methods as methods
 from smooth_operator import metrics as metrics
@@ -10,6 +10,9 @@ from smooth_operator import solvers as solvers
 from smooth_operator import study as study
 from smooth_operator import teleop as teleop
 from smooth_operator.errors import SmoothOperatorError as SmoothOperatorError
+from smooth_operator.formats.commands import read_commands as read_commands
+from smooth_operator.formats.commands import write_commands as write_commands
+from smooth_operator.formats.readers import read_recording as read_recording
 from smooth_operator.hands.catalogue import hand_names as hand_names
 from smooth_operator.hands.catalogue import load_hand as load_hand
 from smooth_operator.hands.hand import Hand as Hand
@@ -19,9 +22,6 @@ from smooth_operator.hands.spec import Point as Point
 from smooth_operator.human.alignment import AlignmentConfig as AlignmentConfig
 from smooth_operator.human.alignment import align_recording as align_recording
 from smooth_operator.human.alignment import calibrate_scale as calibrate_scale
-from smooth_operator.io.readers import read_recording as read_recording
-from smooth_operator.io.results import read_commands as read_commands
-from smooth_operator.io.results import write_commands as write_commands
 from smooth_operator.landmarks import LANDMARKS as LANDMARKS
 from smooth_operator.methods.presets import method_config as method_config
 from smooth_operator.methods.presets import method_names as method_names

@@ -1,4 +1,4 @@
-"""Old names of packages and modules: importing one says what it is called now."""
+"""Old names: importing an old module says what it is called now; old public names still work."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # as typing's, which takes longer to import than all of this package
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from types import ModuleType
-    from typing import Final
+    from typing import Any, Final
 
 MOVED: Final[dict[str, tuple[str, ...]]] = {
     "ablations": ("lab.paper",),
@@ -20,6 +20,15 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "hands.discovery": ("lab.discovery",),
     "hands.renderer": ("simulation.renderer",),
     "human.calibration": ("calibration",),
+    "io.checks": ("formats.checks",),
+    "io.csv_table": ("formats.csv_table",),
+    "io.episode": ("formats.episode",),
+    "io.frames": ("formats.frames",),
+    "io.manus": ("formats.manus",),
+    "io.readers": ("formats.readers",),
+    "io.registry": ("formats.registry",),
+    "io.results": ("formats.commands",),
+    "io.sniff": ("formats.sniff",),
     "io.staging": ("teleop.recording.staging",),
     "live": ("teleop.control",),
     "metrics.plots": ("reporting.metric_plots",),
@@ -31,7 +40,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "objective.smooth": ("objective.loss", "objective.terms"),
     "offline": ("lab.offline", "methods"),
     "parallel.crew": ("parallel.persistent_pool",),
-    "recording": ("io", "teleop.recording"),
+    "recording": ("formats", "teleop.recording"),
     "retargeters": ("methods",),
     "runtime": ("teleop.runtime", "teleop"),
     "sinks": ("teleop.sinks", "teleop", "simulation"),
@@ -72,6 +81,40 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
 
 A module below another old one needs no row: Python imports the outer one first, which is refused.
 """
+
+FORMER: Final[dict[str, str]] = {
+    "io.Reader": "formats.registry",
+    "io.atomic_write": "io.atomic",
+    "io.config_path": "formats.commands",
+    "io.frame_slice": "formats.frames",
+    "io.output_error": "io.atomic",
+    "io.read_commands": "formats.commands",
+    "io.read_recording": "formats.readers",
+    "io.reading_notes": "formats.checks",
+    "io.to_json": "io.jsonable",
+    "io.write_commands": "formats.commands",
+}
+"""Name that a package once had -> the module that has it now; both below ``smooth_operator``."""
+
+
+def former_names(package: str) -> Callable[[str], Any]:
+    """``__getattr__`` of a package for the names that it once had: they work, with a warning.
+
+    Args:
+        package: its ``__name__``.
+    """
+
+    def load(name: str) -> Any:
+        home = FORMER.get(f"{package.partition('.')[2]}.{name}")
+        if home is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        import warnings  # here, for who uses an old name
+
+        now = f"{__package__}.{home}.{name}"
+        warnings.warn(f"{package}.{name} is now {now}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(f"{__package__}.{home}"), name)
+
+    return load
 
 
 class MovedNames:

@@ -1,10 +1,25 @@
-"""Checks of settings that may be traced by JAX, as when they are tuned."""
+"""Checks of settings: frame rates, and numbers that JAX may trace, as when they are tuned."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Final
 
 from smooth_operator.errors import ConfigError
+
+RATE_RANGE_HZ: Final = (1.0, 2000.0)
+"""Bounds [Hz] on a tracker's median rate. Stamps of 2 to 1000 Hz in another unit fall outside."""
+
+
+def check_frame_rate(rate: float | None) -> None:
+    """Refuses frames a second [Hz] that no tracker has; None passes.
+
+    Raises:
+        ConfigError: the rate is outside ``RATE_RANGE_HZ``, or NaN.
+    """
+    low, high = RATE_RANGE_HZ
+    if rate is not None and not low <= rate <= high:
+        raise ConfigError(f"rate must be {low:g} to {high:g} frames a second, not {rate:g}")
 
 
 def is_off(setting: object) -> bool:

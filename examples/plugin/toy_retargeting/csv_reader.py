@@ -3,7 +3,7 @@
 import numpy as np
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.io import Reader
+from smooth_operator.formats import Reader
 from smooth_operator.types import HandRecording
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
-from smooth_operator.io import output_error
+from smooth_operator.errors import OutputError
 from smooth_operator.teleop import Sink
 
 
@@ -18,7 +18,7 @@ class CsvSink(Sink):
         try:
             self.file = self.path.open("w")
         except OSError as error:
-            raise output_error(self.path, error) from error
+            raise OutputError(f"can't write {self.path}: {error.strerror}") from error
         self.file.write("side,number,positions\n")
 
     def send(self, tick):

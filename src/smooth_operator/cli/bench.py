@@ -11,10 +11,10 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import SmoothOperatorError, require
+from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator_file import read_operator
-from smooth_operator.io import reading_notes
 from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark import (
     Settings,

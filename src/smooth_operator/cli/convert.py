@@ -12,11 +12,11 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.outputs import folder_for, read_configuration
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.io.checks import check_rate
-from smooth_operator.io.episode import Episode
-from smooth_operator.io.frames import frame_slice
-from smooth_operator.io.readers import rated_if_unstamped
-from smooth_operator.io.sniff import is_dataset
+from smooth_operator.formats.checks import check_rate
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import rated_if_unstamped
+from smooth_operator.formats.sniff import is_dataset
 from smooth_operator.teleop.recording.convert import (
     SUFFIXES,
     Format,

@@ -7,7 +7,11 @@ from smooth_operator.cli.outputs import check_commands_path, folder_for
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.errors import ConfigError
-from smooth_operator.io import frame_slice, read_recording, reading_notes, to_json, write_commands
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.formats.commands import write_commands
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.planning import configuration, plan
 from smooth_operator.types import Status
 

@@ -9,7 +9,7 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.sample_options import Sample
 from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.errors import OutputError
-from smooth_operator.io.episode import Episode
+from smooth_operator.formats.episode import Episode
 from smooth_operator.teleop.recording import write_episode
 
 _SUFFIXES: Final = (".npz", ".mcap", ".h5", ".hdf5")

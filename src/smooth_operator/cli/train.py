@@ -15,8 +15,10 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.train_options import Train
 from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.io import frame_slice, read_recording, reading_notes
 from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,

@@ -14,12 +14,14 @@ from smooth_operator.cli.outputs import folder_for, read_configuration
 from smooth_operator.cli.page import playback
 from smooth_operator.cli.view_options import View
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.formats.commands import config_path, read_commands
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.hands.selection import FingerChoice, parse_fingers
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.io import config_path, frame_slice, read_commands, read_recording
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.teleop.pages import Playback, serve

@@ -1,8 +1,8 @@
-"""Files of arrays, documents and recordings: reading within bounds, checking, atomic writing.
+"""Reading and writing of files: documents and arrays within bounds, atomic writing.
 
-Reading dispatches on what a file holds, never on its name alone, and nothing here unpickles.
+Nothing here unpickles. The formats of recordings and commands are in ``smooth_operator.formats``.
 """
 
-from smooth_operator.lazy_names import public_names
+from smooth_operator.moved_names import former_names
 
-__getattr__, __dir__, __all__ = public_names(__name__, __file__)
+__getattr__ = former_names(__name__)

@@ -20,13 +20,18 @@ import numpy as np
 from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.io.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
 from smooth_operator.io.documents import check_plain_file
-from smooth_operator.io.registry import NPY_MAGIC
-from smooth_operator.io.sniff import PICKLE_REMEDY
 
 _Bytes: TypeAlias = Any
 """A binary file or a member of a zip, which have no common type that holds at run time."""
 
+_NPY_MAGIC = np.lib.format.MAGIC_PREFIX
 _MOST_MEMBERS = 1000  # of a zip; a recording has a dozen
+
+PICKLE_REMEDY = (
+    "pickles can run any code when they are read and are never opened here. Convert it once, where "
+    "you trust the file: numpy.savez('recording.npz', landmarks=<array of shape (T, 21, 3), in "
+    "metres>, timestamps=<array of shape (T,), in seconds>, side='right')"
+)
 
 
 def damaged(path: Path, cause: object) -> RecordingError:
@@ -151,7 +156,7 @@ def open_arrays(path: Path) -> StoredArrays:
         size = check_plain_file(path)
         allowance = Allowance.of(path, size)
         with path.open("rb") as stream:
-            is_npy = stream.read(len(NPY_MAGIC)) == NPY_MAGIC
+            is_npy = stream.read(len(_NPY_MAGIC)) == _NPY_MAGIC
             stream.seek(0)
             if is_npy:
                 shape, dtype = _header(stream, path, "", size)

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.io import atomic_write
+from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.entries import read_entries
 
 FORMAT: Final = 1

@@ -18,13 +18,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
-from smooth_operator.io.checks import stamps_from_rate
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.program import RetargetState as RetargetState
 from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.shared import shared_program
+from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,
     HandFrame,
@@ -96,7 +96,7 @@ class Retargeter:
             self._named = f"config={type(config).__name__}(...)"
         if self.config.alignment.operator is not None:
             self.config.alignment.operator.check(self.hand)
-        stamps_from_rate(0, rate, "rate")  # refuses one that can't be
+        check_frame_rate(rate)
         self.seed = seed
         self.rate = rate
         self._clock = clock

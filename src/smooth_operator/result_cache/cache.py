@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Final, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import DocumentError, SmoothOperatorError
-from smooth_operator.io import atomic_write, output_error, to_json
-from smooth_operator.io.atomic import write_json
+from smooth_operator.io.atomic import atomic_write, output_error, write_json
 from smooth_operator.io.documents import check_plain_file, read_json
+from smooth_operator.io.jsonable import to_json
 
 Note: TypeAlias = Callable[[str], None]
 """Called with a sentence for a person: which results could not be used, and why."""

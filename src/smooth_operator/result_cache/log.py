@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from smooth_operator.errors import DocumentError
-from smooth_operator.io import output_error, to_json
+from smooth_operator.io.atomic import output_error
 from smooth_operator.io.documents import parse_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.result_cache.cache import Note, key_digest, no_note, outdated
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.io import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label
 from smooth_operator.lab.offline.finished import digest
@@ -134,7 +134,7 @@ def benchmark_code() -> str:
     """
     return code_digest(
         "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
-        "methods", "metrics", "lab/offline", "io",
+        "methods", "metrics", "lab/offline", "io", "formats",
     )  # fmt: skip
 
 

@@ -19,9 +19,9 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
-from smooth_operator.io import frame_slice, read_recording
-from smooth_operator.io.readers import rated_if_unstamped
-from smooth_operator.io.registry import recording_suffixes
+from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.readers import rated_if_unstamped, read_recording
+from smooth_operator.formats.registry import recording_suffixes
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel

@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.calibration.estimate import Calibration
 from smooth_operator.calibration.report import closed_gaps
 from smooth_operator.errors import require
-from smooth_operator.io import atomic_write
+from smooth_operator.io.atomic import atomic_write
 from smooth_operator.landmarks import FINGER_COLORS, FINGERS
 from smooth_operator.types import HandRecording
 

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.io import output_error
-from smooth_operator.io.atomic import write_json
+from smooth_operator.io.atomic import output_error, write_json
 from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
 from smooth_operator.lab.offline.finished import read_configuration

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import DocumentError, StudyError, brief, listed
-from smooth_operator.io.csv_table import plain_cell
+from smooth_operator.formats.csv_table import plain_cell
 from smooth_operator.io.documents import parse_json, read_text
 from smooth_operator.study.data.checked_tables import (
     METRIC_COLUMNS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from smooth_operator.io.csv_table import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.design.enrolment import spread_of_rows
 from smooth_operator.study.design.latin import balance
 from smooth_operator.study.design.plan import Plan

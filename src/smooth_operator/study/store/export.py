@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import OutputError
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.io.atomic import atomic_write, output_error
-from smooth_operator.io.csv_table import csv_text
 from smooth_operator.study.data.checked_tables import (
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,

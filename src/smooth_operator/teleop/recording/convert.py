@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.io.checks import reading_notes
-from smooth_operator.io.episode import Episode
-from smooth_operator.io.readers import read_recording
-from smooth_operator.io.results import config_path
-from smooth_operator.io.sniff import file_kind, is_dataset
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.formats.commands import config_path
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.sniff import file_kind, is_dataset
 from smooth_operator.teleop.recording.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
 from smooth_operator.teleop.recording.lerobot import (
     Dataset,

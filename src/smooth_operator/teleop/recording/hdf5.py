@@ -31,17 +31,17 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
-from smooth_operator.io.checks import (
+from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
     check_side,
     check_stamps,
     stamps_from_rate,
 )
+from smooth_operator.formats.commands import translate_status
+from smooth_operator.formats.episode import Episode
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.episode import Episode
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.io.results import translate_status
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.teleop.recording.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
 from smooth_operator.teleop.recording.staging import staged_file

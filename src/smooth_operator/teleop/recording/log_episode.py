@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator.errors import DocumentError, RecordingError
-from smooth_operator.io.checks import check_rate, check_side
+from smooth_operator.formats.checks import check_rate, check_side
+from smooth_operator.formats.episode import Episode
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.episode import Episode
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
 from smooth_operator.teleop.recording.log import LogWriter

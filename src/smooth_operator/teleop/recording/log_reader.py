@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief, listed
-from smooth_operator.io.checks import check_side
+from smooth_operator.formats.checks import check_side
+from smooth_operator.formats.registry import readable
+from smooth_operator.formats.sniff import file_kind
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.registry import readable
-from smooth_operator.io.sniff import file_kind
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.log_records import DamagedError, read_records, read_summary
 from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.io import output_error
+from smooth_operator.io.atomic import output_error
 from smooth_operator.types import Side
 
 SUFFIX = ".mcap"

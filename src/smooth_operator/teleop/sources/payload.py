@@ -23,9 +23,9 @@ from jaxtyping import Float
 
 from smooth_operator import landmarks as schema
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError
+from smooth_operator.formats.checks import PALM_RANGE_M, check_units
 from smooth_operator.io import documents
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.io.checks import PALM_RANGE_M, check_units
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.io import read_recording
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.synthetic.settings import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource

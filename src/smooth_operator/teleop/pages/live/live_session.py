@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.io import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher, checked

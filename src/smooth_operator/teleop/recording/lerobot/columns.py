@@ -45,7 +45,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.io.episode import Episode
+from smooth_operator.formats.episode import Episode
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 
 NO_COMMAND: Final = -1

@@ -18,18 +18,18 @@ from smooth_operator.errors import (
     brief,
     listed,
 )
-from smooth_operator.io.anatomy import layout_order
-from smooth_operator.io.checks import (
+from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
     check_side,
     check_stamps,
     without_outliers,
 )
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.readers import check_anatomy
+from smooth_operator.formats.sniff import is_dataset
+from smooth_operator.io.anatomy import layout_order
 from smooth_operator.io.documents import parse_json, read_json
-from smooth_operator.io.episode import Episode
-from smooth_operator.io.readers import check_anatomy
-from smooth_operator.io.sniff import is_dataset
 from smooth_operator.teleop.recording.lerobot.arrow import numbers, read_table
 from smooth_operator.teleop.recording.lerobot.columns import NO_COMMAND
 from smooth_operator.teleop.recording.lerobot.writer import OWN_COLUMN

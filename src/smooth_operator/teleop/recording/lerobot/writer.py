@@ -11,8 +11,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.formats.episode import Episode
 from smooth_operator.io.documents import read_json
-from smooth_operator.io.episode import Episode
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording.lerobot.arrow import arrow, column, parquet
 from smooth_operator.teleop.recording.lerobot.card import dataset_card

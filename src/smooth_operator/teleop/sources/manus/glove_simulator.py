@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, SourceError
-from smooth_operator.io import read_recording
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.io.checks import check_recording
+from smooth_operator.formats.checks import check_recording
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
 from smooth_operator.teleop.sources.webcam.video_file import VideoFile

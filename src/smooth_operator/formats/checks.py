@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.landmarks import WRIST, index
+from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
 
 PALM_RANGE_M = (0.05, 0.14)
@@ -22,9 +23,6 @@ PALM_RANGE_M = (0.05, 0.14)
 An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
 a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
 """
-
-RATE_RANGE_HZ = (1.0, 2000.0)
-"""Bounds [Hz] on a tracker's median rate. Stamps of 2 to 1000 Hz in another unit fall outside."""
 
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
@@ -211,11 +209,8 @@ def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.nda
         RecordingError: if there is no rate and more than one frame.
         ConfigError: if the rate is outside ``RATE_RANGE_HZ``.
     """
-    if rate is not None:
-        low, high = RATE_RANGE_HZ
-        if not low <= rate <= high:  # NaN too
-            raise ConfigError(f"rate must be {low:g} to {high:g} frames a second, not {rate:g}")
-    elif count > 1:
+    check_frame_rate(rate)
+    if rate is None and count > 1:
         raise RecordingError(
             f"{where}: the recording has {count} frames and no time stamps; say how many frames a "
             "second it has, e.g. --rate 100 (in Python: rate=100)"

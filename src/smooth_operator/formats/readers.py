@@ -11,18 +11,18 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError, brief, listed
-from smooth_operator.io.anatomy import doubt, layout_order
-from smooth_operator.io.arrays import StoredArray, StoredArrays, open_arrays
-from smooth_operator.io.checks import (
+from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
     check_side,
     stamps_from_rate,
     without_outliers,
 )
-from smooth_operator.io.manus import manus_nodes
-from smooth_operator.io.registry import find_reader, readable
-from smooth_operator.io.sniff import PICKLE_REMEDY, file_kind
+from smooth_operator.formats.manus import manus_nodes
+from smooth_operator.formats.registry import find_reader, readable
+from smooth_operator.formats.sniff import file_kind
+from smooth_operator.io.anatomy import doubt, layout_order
+from smooth_operator.io.arrays import PICKLE_REMEDY, StoredArray, StoredArrays, open_arrays
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, as_side
 
@@ -56,7 +56,7 @@ def read_recording(
     - the log that ``LogWriter`` writes, also when it was
       cut off;
     - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
-    - what the readers of plugins recognise (``smooth_operator.io.registry``).
+    - what the readers of plugins recognise (``smooth_operator.formats.registry``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
     "no hand") without flags of the file's own, are flagged in ``valid``. Where neither file nor

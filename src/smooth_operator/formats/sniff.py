@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.formats.registry import READERS, find_reader, readable
+from smooth_operator.io.arrays import PICKLE_REMEDY
 from smooth_operator.io.documents import check_plain_file
-from smooth_operator.io.registry import READERS, find_reader, readable
 
 _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")
 
@@ -21,12 +22,6 @@ _OTHERS = {
     b"#ROSBAG": "a ROS bag; save its landmarks with numpy.savez",
     b"version https://git-lfs": "a Git LFS pointer, not the data; run 'git lfs pull'",
 }
-
-PICKLE_REMEDY = (
-    "pickles can run any code when they are read and are never opened here. Convert it once, where "
-    "you trust the file: numpy.savez('recording.npz', landmarks=<array of shape (T, 21, 3), in "
-    "metres>, timestamps=<array of shape (T,), in seconds>, side='right')"
-)
 
 
 def file_kind(path: Path) -> str:

@@ -14,7 +14,7 @@ from smooth_operator.types import HandRecording, Side
 NPY_MAGIC: Final = b"\x93NUMPY"
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 
-_HERE: Final = "smooth_operator.io.registry"
+_HERE: Final = "smooth_operator.formats.registry"
 _RECORDING: Final = "smooth_operator.teleop.recording"
 
 
@@ -96,7 +96,7 @@ def _function(given: Any) -> Any:
     return given.load() if isinstance(given, Entry) else given
 
 
-_ARRAYS: Final = Entry("smooth_operator.io.readers:read_arrays")
+_ARRAYS: Final = Entry("smooth_operator.formats.readers:read_arrays")
 
 NPY: Final = Reader("a .npy of landmarks (T, 21, 3) [m]", _ARRAYS, (NPY_MAGIC,), (".npy",))
 NPZ: Final = Reader(
