@@ -1,9 +1,9 @@
 """Hostile files: mutants of good ones, and a process of their own that reads them under limits.
 
-``mutate_bytes``, ``mutate_text``, ``mutate_json``, ``mutate_table`` (TOML, CSV and XML, by lines)
-and ``mutate_npz`` each take a random generator and the bytes of a good file and give those of a
-damaged one; the same seed gives the same mutant. ``ReaderProcess`` calls a reader, named as
-``module:function``, on a file in another process and tells what came of it::
+``mutate_bytes``, ``mutate_text``, ``mutate_json``, ``mutate_table`` (TOML, CSV and XML, by lines),
+``mutate_xml`` and ``mutate_npz`` each take a random generator and the bytes of a good file and give
+those of a damaged one; the same seed gives the same mutant. ``ReaderProcess`` calls a reader, named
+as ``module:function``, on a file in another process and says what came of it::
 
     with ReaderProcess() as reader:
         verdict = reader.read("smooth_operator.hands.spec_file:read_hand_spec", path)
@@ -55,6 +55,7 @@ EXTREMES: tuple[str, ...] = (
 )  # fmt: skip
 """Words that stand where a number or a text did, in JSON, TOML, CSV, XML."""
 
+_ATTRIBUTE = re.compile(rb'(\w+)="([^"]*)"')
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 
 
@@ -191,6 +192,25 @@ def mutate_table(rng: random.Random, data: bytes) -> bytes:
             new = rng.choice(("", "x", "format", "__class__", "é", "z" * 3000))
             lines[at] = lines[at].replace(rng.choice(words), new, 1)
     return "\n".join(lines).encode("utf-8", "replace")
+
+
+def swap_attributes(rng: random.Random, data: bytes) -> bytes:
+    """Values of attributes become those of others, or extreme ones."""
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        found = list(_ATTRIBUTE.finditer(data))
+        if not found:
+            break
+        at = rng.choice(found)
+        words = [match[2] for match in found]
+        words += [word.encode(errors="replace").replace(b'"', b"") for word in EXTREMES]
+        data = data[: at.start(2)] + rng.choice(words) + data[at.end(2) :]
+    return data
+
+
+def mutate_xml(rng: random.Random, data: bytes) -> bytes:
+    """A model of a robot hand: its attributes, numbers, lines or bytes are damaged."""
+    damage = rng.choice((mutate_bytes, mutate_table, mutate_text, swap_attributes))
+    return damage(rng, data)
 
 
 def mutate_json(rng: random.Random, data: bytes) -> bytes:

@@ -1,7 +1,8 @@
 """Good files of every format that is read, how each is damaged, and what reads it; run as a script.
 
 ``python tests/hostile_files.py TRIES [SEED] [READER ...]`` has so many mutants of each reader's
-files read and prints what came of them. ``test_hostile_files.py`` does the same with few.
+files read and prints what came of them, and the most time and memory that one took.
+``test_hostile_files.py`` does the same with few.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ import random
 import shutil
 import sys
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import fuzzing
 import numpy as np
+from discovery_hands import make_hand, mjcf, urdf
 
 from smooth_operator.formats.episode import Episode
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
@@ -118,6 +120,19 @@ def study(path: Path) -> None:
     from smooth_operator.study.data.reading import read_study
 
     read_study([path])
+
+
+def model(path: Path) -> None:
+    from smooth_operator.hands.loading import load_model
+
+    load_model(path)
+
+
+def discovery(path: Path) -> None:
+    from smooth_operator.hands.hand import load_hand_spec
+    from smooth_operator.lab.discovery import discover
+
+    load_hand_spec(discover(path, name="mutant").spec)
 
 
 def trial(path: Path) -> None:
@@ -365,6 +380,8 @@ def mutate_dataset(rng: random.Random, folder: Path) -> None:
 
 
 Mutate = Callable[[random.Random, bytes], bytes]
+HANDS = ("model", "discovery")
+"""Readers of robot hands, which take longer than the others; they are run where they are named."""
 
 
 def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
@@ -399,13 +416,34 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         "study": [("trials.csv", trials, fuzzing.mutate_table),
                   ("study.json", study_json, fuzzing.mutate_json)],
         "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
+        **dict.fromkeys(HANDS, _hands()),
     }  # fmt: skip
 
 
+def _hands() -> list[tuple[str, bytes, Mutate]]:
+    """A hand of each kind that is made in ``discovery_hands``, as URDF and as MJCF."""
+    plain = make_hand(3).parts
+    coupled = make_hand(4, coupled=True, tip_links=True, arm=2).parts
+    return [
+        (f"{name}.{suffix}", write(parts).encode(), fuzzing.mutate_xml)
+        for name, parts in (("plain", plain), ("coupled", coupled))
+        for suffix, write in (("urdf", urdf), ("xml", mjcf))
+    ]
+
+
+Watch = Callable[[str, fuzzing.Verdict], object]
+
+
 def campaign(
-    tries: int, seed: int, only: tuple[str, ...] = ()
+    tries: int, seed: int, only: tuple[str, ...] = (), watch: Watch = lambda reader, verdict: None
 ) -> tuple[dict[str, Counter[str]], list[str]]:
     """Has mutants read.
+
+    Args:
+        tries: mutants for each reader.
+        seed: the same one gives the same mutants.
+        only: readers; all but ``HANDS`` if left out.
+        watch: called with the reader and the verdict of each mutant.
 
     Returns:
         Reader -> how often each outcome came; and a line for each fault.
@@ -419,7 +457,7 @@ def campaign(
         folder = Path(name)
         good = seeds(folder)
         for reader, files in good.items():
-            if only and reader not in only:
+            if reader not in (only or good.keys() - set(HANDS)):
                 continue
             counts: Counter[str] = Counter()
             for i in range(-len(files), tries):
@@ -435,16 +473,22 @@ def campaign(
                     assert verdict.outcome == "read", (reader, file, verdict)
                     continue
                 counts[verdict.outcome] += 1
+                watch(reader, verdict)
                 if not verdict.sound:
                     faults.append(f"{reader} {file} seed {seed} try {i}: {verdict}")
             tally[reader] = counts
         if not only or "lerobot" in only:
-            tally["lerobot"] = _datasets(tries, seed, folder, process, faults)
+            tally["lerobot"] = _datasets(tries, seed, folder, process, faults, watch)
     return tally, faults
 
 
 def _datasets(
-    tries: int, seed: int, folder: Path, process: fuzzing.ReaderProcess, faults: list[str]
+    tries: int,
+    seed: int,
+    folder: Path,
+    process: fuzzing.ReaderProcess,
+    faults: list[str],
+    watch: Watch,
 ) -> Counter[str]:
     from smooth_operator.teleop.recording.lerobot import write_dataset
 
@@ -459,13 +503,27 @@ def _datasets(
         verdict = process.read("hostile_files:episode", path)
         assert i >= 0 or verdict.outcome == "read", verdict
         counts[verdict.outcome] += i >= 0
+        if i >= 0:
+            watch("lerobot", verdict)
         if not verdict.sound:
             faults.append(f"lerobot seed {seed} try {i}: {verdict}")
     return counts
 
 
 if __name__ == "__main__":
-    total, wrong = campaign(int(sys.argv[1]), int((sys.argv[2:] or ["0"])[0]), tuple(sys.argv[3:]))
+    seconds: defaultdict[str, float] = defaultdict(float)
+    megabytes: defaultdict[str, float] = defaultdict(float)
+
+    def most(reader: str, verdict: fuzzing.Verdict) -> None:
+        seconds[reader] = max(seconds[reader], verdict.seconds)
+        megabytes[reader] = max(megabytes[reader], verdict.megabytes)
+
+    total, wrong = campaign(
+        int(sys.argv[1]), int((sys.argv[2:] or ["0"])[0]), tuple(sys.argv[3:]), most
+    )
     for which, counts in total.items():
-        print(f"{which:10} {counts.total():6} {dict(counts)}", flush=True)
+        print(
+            f"{which:10} {counts.total():6} {dict(counts)}; at most {seconds[which]:.1f} s of the "
+            f"processor and {megabytes[which]:.0f} MB"
+        )
     print("\n".join(wrong))
