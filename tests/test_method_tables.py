@@ -1,4 +1,4 @@
-"""The program that makes the tables of docs/explanation/smooth.md, on a few synthetic frames."""
+"""The program that makes the tables of the appendix on ``smooth``, on a few synthetic frames."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def made(programs: Any, tiny: Any, tmp_path_factory: pytest.TempPathFactory) -> 
     folder = tmp_path_factory.mktemp("method")
     settings = program.Settings(
         ("without", "alone", "fronts"), recordings=(MOMENT,), preset="tiny", workers=0,
-        rows=("velocity term", "clearance", "lag 8 ms"), hand=HAND, others=("joint_angle",),
-        cache=folder / "cache", output=folder / "method.json",
+        rows=("velocity term", "self-collision cost", "lag 8 ms"), hand=HAND,
+        others=("joint_angle",), cache=folder / "cache", output=folder / "method.json",
     )  # fmt: skip
     program.main(settings)
     return settings
@@ -73,12 +73,12 @@ def test_tables_and_picture(programs: Any, made: Any):
     ]
     names = [line.split(" | ")[0].removeprefix("| ") for line in lines]
     assert [name for name in names if not name.startswith("|")] == [
-        "**all of it**", "without clearance", "without velocity term",
-        "**none of it**", "only clearance", "only velocity term", "lag 8 ms, leap 0.1",
+        "**all of it**", "without self-collision cost", "without velocity term",
+        "**none of it**", "only self-collision cost", "only velocity term", "lag 8 ms, jump 0.1",
     ]  # fmt: skip
     figures = json.loads(made.output.read_text())["figures"]
     whole = {k.split("/")[-1]: v for k, v in figures.items() if "/all of it/" in k}
-    late = {k.split("/")[-1]: v for k, v in figures.items() if "/lag 8 ms, leap 0.1/" in k}
+    late = {k.split("/")[-1]: v for k, v in figures.items() if "/lag 8 ms, jump 0.1/" in k}
     assert whole["cosine_similarity"] > 0.8
     assert late["cosine_similarity_all"] < whole["cosine_similarity_all"]
     picture = made.output.with_name("method-fronts.png")
@@ -90,7 +90,7 @@ def test_what_was_measured_is_kept(programs: Any, made: Any, monkeypatch: Any):
     before = json.loads(made.output.read_text())["figures"]
     monkeypatch.setattr(variants, "run_tasks", lambda *a, **k: pytest.fail("it measured again"))
     # fewer rows, and so other settings among those that any row changes
-    program.main(replace(made, parts=("without",), rows=("clearance",)))
+    program.main(replace(made, parts=("without",), rows=("self-collision cost",)))
     after = json.loads(made.output.read_text())["figures"]
     assert len(after) > 6
     assert after == {name: before[name] for name in after}
@@ -116,7 +116,7 @@ def test_a_zero_is_an_argument_where_that_is_the_same(programs: Any, made: Any, 
         assert figure(one, name) == pytest.approx(figure(other, name), rel=0.01, abs=1e-9)
     off = todo.task(
         values | {"landmarks.jump_threshold": 0.0}
-    )  # which leaves leaps in; 0 m would not
+    )  # which leaves jumps in; 0 m would not
     assert "landmarks.jump_threshold" not in off.values
     assert off.config.landmarks.jump_threshold == 0
 
@@ -273,7 +273,7 @@ def test_the_constants_of_the_offline_presets_are_the_pages(method: str) -> None
         "w_a": [config.future.acceleration_weight],
         "w_m": [config.future.motion_weight],
         "v_0": [config.future.motion_speed],
-        "ℓ": [config.leap, config.noise] if config.noise else [config.leap],
+        "ℓ": [config.jump, config.noise] if config.noise else [config.jump],
         "v_max": [config.future.speed_limit],
         "bridge": [config.bridge],
     }

@@ -16,7 +16,7 @@ from smooth_operator.lab.offline.segments import (
     segments,
     tracker_noise,
     windows,
-    without_leaps,
+    without_jumps,
 )
 
 
@@ -60,17 +60,17 @@ def test_leaps_are_spread_and_nothing_is_late():
     t = np.arange(40.0)[:, None, None]
     seen = np.ones(40, bool)
     steady = np.concatenate([0.001 * t, 0.0 * t, 0.002 * t], axis=-1)
-    found = without_leaps(steady, seen, 0.03)
+    found = without_jumps(steady, seen, 0.03)
     np.testing.assert_allclose(found[10:30], steady[10:30], atol=1e-6)  # late by as much as early
-    leap = np.where(t < 20, 0.0, 0.05) * np.ones(3)
-    spread = without_leaps(leap, seen, 0.03)
+    jump = np.where(t < 20, 0.0, 0.05) * np.ones(3)
+    spread = without_jumps(jump, seen, 0.03)
     assert np.abs(np.diff(spread[:, 0, 0])).max() < 0.5 * 0.05
     np.testing.assert_allclose(spread + spread[::-1], 0.05, atol=1e-12)  # alike before and after
-    assert np.array_equal(without_leaps(leap, seen, 0.0), leap)
+    assert np.array_equal(without_jumps(jump, seen, 0.0), jump)
     seen[18:22] = False
-    leap[18:22] = 7.0
-    assert (without_leaps(leap, seen, 0.03)[18:22] == 7.0).all()
-    assert np.abs(without_leaps(leap, seen, 0.03)[seen]).max() < 0.051
+    jump[18:22] = 7.0
+    assert (without_jumps(jump, seen, 0.03)[18:22] == 7.0).all()
+    assert np.abs(without_jumps(jump, seen, 0.03)[seen]).max() < 0.051
 
 
 @pytest.mark.parametrize("count", [1, 5, 99, 100, 101, 130, 131, 500])

@@ -225,7 +225,7 @@ CAUSAL = SbrConfig(
     polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
 )
 CONFIG = TrajectoryMethodConfig(
-    CAUSAL, TrajectoryConfig(acceleration_weight=1e-7, speed_limit=28.0), leap=0.03
+    CAUSAL, TrajectoryConfig(acceleration_weight=1e-7, speed_limit=28.0), jump=0.03
 )
 LED = replace(CONFIG, future=replace(CONFIG.future, motion_weight=0.05, motion_speed=0.6))
 

@@ -17,6 +17,8 @@ import pytest
 from smooth_operator import Status, load_hand, method_config, read_commands
 from smooth_operator.human.operator_file import read_operator
 from smooth_operator.lab.benchmark import read_results
+from smooth_operator.methods.method import TrajectoryMethodConfig
+from smooth_operator.methods.setting_paths import find_setting, with_settings
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.store.opening import open_study
 
@@ -101,6 +103,17 @@ def finger(name: str) -> dict[str, Any]:
         "pinch_gap": None if thumb else 0.0015,
         "pinch_gap_after": None if thumb else 0.0001,
     }
+
+
+@pytest.mark.parametrize("method", ["smooth", "sbr"])
+def test_the_former_name_of_a_setting_of_the_offline_presets(method: str) -> None:
+    config = method_config(method, "offline")
+    assert find_setting(config, "leap") == "jump"
+    changed = with_settings(config, {"leap": 0.07})
+    assert isinstance(changed, TrajectoryMethodConfig)
+    assert changed.jump == 0.07
+    # In a causal preset the name is that of a setting of the landmark filter, as it was.
+    assert find_setting(method_config("smooth"), "leap") == "landmarks.jump_threshold"
 
 
 def test_an_operator(tmp_path: Path) -> None:

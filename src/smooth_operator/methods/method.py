@@ -246,7 +246,7 @@ class TrajectoryMethodConfig(MethodConfig):
             and its objective, without the terms about the last frame, is the cost of each frame.
         future: what motion between the frames costs.
         bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
-        leap: the filter follows half of a landmark's step of this length, the rest before and after
+        jump: the filter follows half of a landmark's step of this length, the rest before and after
             it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
         noise: by how many times the tracker's noise that step is longer.
     """
@@ -254,12 +254,12 @@ class TrajectoryMethodConfig(MethodConfig):
     causal: MethodConfig
     future: TrajectoryConfig
     bridge: float = 0.25
-    leap: float = 0.0
+    jump: float = 0.0
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.leap < float("inf"):
-            raise ConfigError(f"leap must be a step of 0 m or more, not {self.leap}")
+        if not 0 <= self.jump < float("inf"):
+            raise ConfigError(f"jump must be a step of 0 m or more, not {self.jump}")
         if not 0 <= self.noise < float("inf"):
             raise ConfigError(f"noise must be a factor of 0 or more, not {self.noise}")
         if not 0 <= self.bridge < float("inf"):

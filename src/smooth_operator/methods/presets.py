@@ -151,7 +151,7 @@ _FUTURE: Final = TrajectoryConfig(
 SBR_OFFLINE: Final = TrajectoryMethodConfig(
     replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
     _FUTURE,
-    leap=0.03,
+    jump=0.03,
 )
 """For recordings: Eq. (1) for all frames together, with a cost of acceleration, and of fingertips
 that move otherwise than the human's.
@@ -165,7 +165,7 @@ of noise).
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     SMOOTH_TELEOP,
     replace(_FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
-    leap=0.02,
+    jump=0.02,
     noise=50.0,
 )
 """For recordings: the objective of ``smooth`` for all frames together, without its filters.

@@ -25,6 +25,7 @@ RENAMED: Final = {
     "landmarks.lag": "landmarks.time_constant",
     "landmarks.leap": "landmarks.jump_threshold",
     "landmarks.leap_speed": "landmarks.jump_speed",
+    "leap": "jump",
 }
 """Former path of a setting -> its path now; preset files and commands may have either."""
 
@@ -49,6 +50,7 @@ def find_setting(config: object, name: str) -> str:
         ConfigError: more than one path ends so.
     """
     known = numeric_settings(config)
+    name = _current(name, known)
     if name in known:
         return name
     matching = [path for path in known if path.endswith(f".{name}")]

@@ -62,8 +62,8 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
     return float(np.sqrt(np.median(bend, axis=1)).mean() ** 2)
 
 
-def without_leaps(
-    points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T"], leap: float
+def without_jumps(
+    points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T"], jump: float
 ) -> Float[np.ndarray, "T N 3"]:
     """Points that are followed without jumps, and neither late nor early.
 
@@ -74,10 +74,10 @@ def without_leaps(
     Args:
         points: (T, N, 3) [m].
         seen: (T,) frames that count; the others stay as they are.
-        leap: the filter follows half of a step of this length in a frame [m]; 0 follows all.
+        jump: the filter follows half of a step of this length in a frame [m]; 0 follows all.
     """
     at = np.flatnonzero(seen)
-    if not leap or len(at) < 2:
+    if not jump or len(at) < 2:
         return points
     followed = np.zeros((2, *points.shape))
     for k, order in enumerate((at, at[::-1])):
@@ -85,7 +85,7 @@ def without_leaps(
         for t in order:
             step = points[t] - last
             size = np.sqrt((step * step).sum(axis=-1, keepdims=True))
-            last = last + step / (1.0 + size / leap)
+            last = last + step / (1.0 + size / jump)
             followed[k, t] = last
     out = points.copy()
     out[at] = followed.mean(axis=0)[at]

@@ -29,7 +29,7 @@ from smooth_operator.lab.offline.segments import (
     segments,
     tracker_noise,
     windows,
-    without_leaps,
+    without_jumps,
 )
 from smooth_operator.lab.offline.trajectory_solver import ORDERS, Led, smooth_trajectory
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
@@ -187,8 +187,8 @@ class TrajectoryRetargeter:
         needs = list(self.causal.shared.method.needs)
         for stretch in stretches:
             noise = tracker_noise(points[stretch][:, needs], seen[stretch])
-            leap = self.config.leap + self.config.noise * noise
-            points[stretch] = without_leaps(points[stretch], seen[stretch], leap)
+            jump = self.config.jump + self.config.noise * noise
+            points[stretch] = without_jumps(points[stretch], seen[stretch], jump)
         memory, parts = self._begin(), []
         for part in chunks:
             memory, goal = self._follow(memory, _filled(points[part]), _filled(seen[part]))
