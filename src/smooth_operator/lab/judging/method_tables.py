@@ -1,8 +1,8 @@
-r"""Tables of docs/explanation/smooth.md: what each part of ``smooth`` is worth, and what conflicts.
+r"""Tables of docs/explanation/smooth-appendix.md: what each part of ``smooth`` is worth.
 
     python -m smooth_operator.lab.judging.method_tables --data RECORDINGS
     python -m smooth_operator.lab.judging.method_tables without fronts --data RECORDINGS \
-        --rows clearance lag
+        --rows self-collision lag
     python -m smooth_operator.lab.judging.method_tables alone --recordings glove.npz@:500 \
         synthetic:7 --preset mine.toml
 

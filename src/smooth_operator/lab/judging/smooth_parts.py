@@ -24,40 +24,42 @@ SQUARED = 0.02
 """``huber_width`` [m] beyond any length error of a pinch: the cost is a parabola there."""
 WITHOUT: dict[str, Values] = {
     "motion term": {"motion_weight": 0.0},
-    "its fall with speed (s → ∞)": {"motion_speed": 1e6},
-    "clearance": {"self_collision.weight": 0.0},
+    "its decrease with speed (s → ∞)": {"motion_speed": 1e6},
+    "self-collision cost": {"self_collision.weight": 0.0},
     "weights by kind (all 1)": {
         f"{TARGETS}.w_wrist": 1.0, f"{TARGETS}.w_thumb": 1.0, f"{TARGETS}.w_between": 1.0,
     },
     "focus (powers 0)": {f"{TARGETS}.focus": 0.0, f"{TARGETS}.focus_between": 0.0},
     "velocity term": {"objective.velocity_weight": 0.0},
     "lag": {"landmarks.time_constant": 0.0},
-    "leap": {"landmarks.jump_threshold": 1e9},
+    "jump threshold": {"landmarks.jump_threshold": 1e9},
     "its growth with noise": {"landmarks.noise": 0.0},
-    "price of angles": {f"{VECTORS}.direction": 0.0},
-    "price of pinches' lengths": {f"{VECTORS}.length": 0.0},
-    "its kink (squared instead)": {f"{VECTORS}.length": 1000.0, f"{VECTORS}.huber_width": SQUARED},
+    "direction cost": {f"{VECTORS}.direction": 0.0},
+    "length cost": {f"{VECTORS}.length": 0.0},
+    "its linear form (squared instead)": {
+        f"{VECTORS}.length": 1000.0, f"{VECTORS}.huber_width": SQUARED,
+    },
     "targets apart": {f"{TARGETS}.apart": 0.0},
     "pose term (γ = 0.0005)": {"objective.pose_weight": 0.0005},
 }  # fmt: skip
 """Part -> settings with which it is out of the whole."""
 
-ALWAYS_IN = ("pose term (γ = 0.0005)", "its kink (squared instead)")
+ALWAYS_IN = ("pose term (γ = 0.0005)", "its linear form (squared instead)")
 """Parts that stay where nothing else is left."""
 
 ALONE: dict[str, tuple[str, ...]] = {
     "motion term, constant": ("motion term",),
-    "motion term, falling with speed": ("motion term", "its fall with speed (s → ∞)"),
-    "clearance": ("clearance",),
+    "motion term, decreasing with speed": ("motion term", "its decrease with speed (s → ∞)"),
+    "self-collision cost": ("self-collision cost",),
     "weights by kind": ("weights by kind (all 1)",),
     "focus": ("focus (powers 0)",),
     "velocity term": ("velocity term",),
     "lag": ("lag",),
-    "leap": ("leap",),
-    "leap, growing with noise": ("leap", "its growth with noise"),
-    "price of angles": ("price of angles",),
-    "price of pinches' lengths": ("price of pinches' lengths",),
-    "prices of angles and lengths": ("price of angles", "price of pinches' lengths"),
+    "jump threshold": ("jump threshold",),
+    "jump threshold, growing with noise": ("jump threshold", "its growth with noise"),
+    "direction cost": ("direction cost",),
+    "length cost": ("length cost",),
+    "direction and length costs": ("direction cost", "length cost"),
 }
 """Name -> which of those above are put back into nothing."""
 
@@ -85,13 +87,13 @@ class Front:
 FRONTS = (
     Front(
         "Smooth against correlated",
-        "lag, leap",
-        {  # a jump_speed would make leaps of 0.05 m longer at 30 Hz
-            f"lag {1e3 * lag:g} ms, leap {'∞' if leap > 1e3 else f'{leap:g}'}": {
-                "landmarks.time_constant": lag, "landmarks.jump_threshold": leap,
+        "lag, jump threshold",
+        {  # a jump_speed would widen a threshold of 0.05 m at 30 Hz
+            f"lag {1e3 * lag:g} ms, jump {'∞' if jump > 1e3 else f'{jump:g}'}": {
+                "landmarks.time_constant": lag, "landmarks.jump_threshold": jump,
                 "landmarks.jump_speed": 0.0, "landmarks.noise": 0.0,
             }
-            for lag, leap in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
+            for lag, jump in ((0.0, 1e9), (5e-4, 0.2), (1.75e-3, 0.2), (1.75e-3, 0.1),
                               (1.75e-3, 0.05), (4e-3, 0.1), (4e-3, 0.05), (8e-3, 0.1))
         },
         FLATNESS,
@@ -105,16 +107,16 @@ FRONTS = (
         MOTION,
     ),
     Front(
-        "Accurate against clear of itself",
-        "weight of clearance",
+        "Accurate against collision-free",
+        "weight of the self-collision cost",
         {f"w_c = {w:g}": {"self_collision.weight": w} for w in (300.0, 1000.0, 3000.0, 20000.0)},
         COLLISION,
         THUMB,
-        without="clearance",
+        without="self-collision cost",
     ),
     Front(
-        "Pointing as the human against closing",
-        "prices of angle and length",
+        "Direction against pinch gap",
+        "weights of direction and length",
         {
             f"direction {d:g}, length {w:g}": {f"{VECTORS}.direction": d, f"{VECTORS}.length": w}
             for d, w in ((0.0, 0.0), (0.5, 115.0), (1.0, 115.0), (1.5, 200.0), (1.5, 50.0),
