@@ -32,6 +32,8 @@ from rich.progress import (
 )
 
 from smooth_operator import HandRecording, SmoothOperatorError, hand_names, load_hand
+from smooth_operator.baselines.geort import GeortConfig, built_in_model
+from smooth_operator.baselines.geort_model import write_geort_model
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.offline import build, execute
@@ -42,8 +44,6 @@ from smooth_operator.lab.training import (
     training_data,
 )
 from smooth_operator.lab.validation import round_trip
-from smooth_operator.methods.geort import GeortConfig, built_in_model
-from smooth_operator.methods.geort_model import write_geort_model
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import METRICS, evaluate

@@ -18,12 +18,12 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator import Retargeter
+from smooth_operator.baselines import slsqp_method
+from smooth_operator.baselines.slsqp import SlsqpResult
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.lab.benchmark.results import Row, row_method
-from smooth_operator.methods import slsqp_method
 from smooth_operator.reporting.run_report import markdown
-from smooth_operator.solvers.slsqp import SlsqpResult
 
 COLUMNS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "cos thumb": lambda m: _places(m["cosine_similarity"], 4),

@@ -111,7 +111,7 @@ def plan(path: Path) -> None:
 
 
 def geort(path: Path) -> None:
-    from smooth_operator.methods.geort_model import read_geort_model
+    from smooth_operator.baselines.geort_model import read_geort_model
 
     read_geort_model(path)
 

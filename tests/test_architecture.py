@@ -46,6 +46,7 @@ SHARED = {
     "calibration": 5,
     "synthetic": 5,
     ROOT: 7,
+    "baselines": 7,
     "compilation": 7,
     "planning": 7,
     "reporting": 7,
@@ -58,7 +59,7 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
-CORE_LINES = 14_700
+CORE_LINES = 13_100
 """Lines that everyone needs at most: the core grows only on purpose."""
 
 MAX_LINES = 400

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator.baselines.slsqp_method import SlsqpMethodConfig
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.methods.slsqp_method import SlsqpMethodConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 

@@ -23,9 +23,9 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.human.operator_file import read_operator
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.lab.offline.dataset import survey
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate

@@ -18,6 +18,15 @@ import pytest
 from trees import pincer
 
 from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator.baselines.geort import GeortConfig, built_in_model
+from smooth_operator.baselines.geort_model import (
+    GeortModel,
+    Weights,
+    finger_joints,
+    forward,
+    read_geort_model,
+    write_geort_model,
+)
 from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
@@ -49,15 +58,6 @@ from smooth_operator.lab.training.losses import Batch, GeortLoss
 from smooth_operator.lab.training.operators import FIRST_SEED, TRAINING_OPERATORS
 from smooth_operator.lab.training.session import CHECKPOINT, MODEL
 from smooth_operator.landmarks import TIPS
-from smooth_operator.methods.geort import GeortConfig, built_in_model
-from smooth_operator.methods.geort_model import (
-    GeortModel,
-    Weights,
-    finger_joints,
-    forward,
-    read_geort_model,
-    write_geort_model,
-)
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator

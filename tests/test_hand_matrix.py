@@ -18,11 +18,8 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, Status, load_hand, method_names
-from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import align_recording
-from smooth_operator.methods.geort import GeortConfig, built_in_model
-from smooth_operator.methods.geort_model import (
+from smooth_operator.baselines.geort import GeortConfig, built_in_model
+from smooth_operator.baselines.geort_model import (
     HIDDEN,
     GeortModel,
     Weights,
@@ -30,6 +27,9 @@ from smooth_operator.methods.geort_model import (
     recognition,
     write_geort_model,
 )
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import align_recording
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.synthetic import SyntheticOperator

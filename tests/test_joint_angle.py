@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from trees import limited_poses, pincer, random_rotations, unit
 
+from smooth_operator.baselines.joint_angle import JointAngleConfig, JointAngleMap
+from smooth_operator.baselines.joint_map import joint_map, robot_joint_angles
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
@@ -26,10 +28,9 @@ from smooth_operator.human.joint_angles import (
     joint_angles,
     palm_axes,
 )
-from smooth_operator.human.joint_map import human_palm_axes, joint_map, robot_joint_angles
 from smooth_operator.human.kinematics import mirror, pose_hand
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
-from smooth_operator.methods.joint_angle import JointAngleConfig, JointAngleMap
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace

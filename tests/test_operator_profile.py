@@ -17,7 +17,6 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.geometry import umeyama
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording, palm_alignment
-from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.human.operator import (
     COMPONENTS,
     Component,
@@ -26,6 +25,7 @@ from smooth_operator.human.operator import (
     tip_frames,
 )
 from smooth_operator.human.operator_file import read_operator, write_operator
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.targets import DexPilotTargets

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
+from smooth_operator.baselines.joint_angle import JointAngleMap
+from smooth_operator.baselines.published_angles import PublishedAngles
+from smooth_operator.baselines.slsqp_method import SlsqpMethod
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.anatomy import JOINTS, NUM_JOINTS, draw_anatomy
 from smooth_operator.human.kinematics import pose_hand
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.methods.joint_angle import JointAngleMap
-from smooth_operator.methods.published_angles import PublishedAngles
-from smooth_operator.methods.slsqp_method import SlsqpMethod
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

@@ -13,7 +13,7 @@ import viser
 from browser_page import new_page, settled
 
 from smooth_operator.hands.catalogue import load_hand
-from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.scenery import Scenery

@@ -9,9 +9,9 @@ import nlopt
 import numpy as np
 import pytest
 
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
+from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.errors import ConfigError
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
-from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 WIDE = np.tile([-3.0, 3.0], (4, 1))
 CENTRE = np.array([0.5, -1.0, 2.0, 0.0])

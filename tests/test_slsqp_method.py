@@ -11,19 +11,17 @@ import numpy as np
 import pytest
 
 from smooth_operator import HandFrame, HandSpec, Retargeter, Status, load_hand, method_config
+from smooth_operator.baselines import slsqp, slsqp_method
+from smooth_operator.baselines.ako_targets import AkoTargets, PinchLayout
+from smooth_operator.baselines.slsqp import SlsqpConfig
+from smooth_operator.baselines.slsqp_method import SlsqpMethod, SlsqpMethodConfig
+from smooth_operator.baselines.tip_targets import TipLayout, TipTargets
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.methods import slsqp_method
-from smooth_operator.methods.slsqp_method import SlsqpMethod, SlsqpMethodConfig
 from smooth_operator.objective.goal import FrameGoal
-from smooth_operator.objective.key_objectives import AkoTargets, PinchLayout
-from smooth_operator.objective.keyvectors import TipLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import TipTargets
-from smooth_operator.solvers import slsqp
-from smooth_operator.solvers.slsqp import SlsqpConfig
 from smooth_operator.synthetic import SyntheticOperator
 
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

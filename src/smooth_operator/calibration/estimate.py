@@ -16,7 +16,6 @@ from smooth_operator.calibration.tips import fit_tip_offsets
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
-from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.human.operator import (
     DEFAULT_COMPONENTS,
     Component,
@@ -24,6 +23,7 @@ from smooth_operator.human.operator import (
     OperatorProfile,
     tip_frames,
 )
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 

@@ -19,7 +19,7 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
-from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.methods.method import HostMethod, Method
 from smooth_operator.types import Status
 

@@ -13,20 +13,28 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.plugins import Entry, Registry
 
 _HERE: Final = "smooth_operator.methods.presets"
+_BASELINES: Final = "smooth_operator.baselines"
 
 METHODS: Final = Registry(
     "method",
     {
         "sbr": Entry(f"{_HERE}:SBR", "realtime, paper, or offline for recordings"),
         "smooth": Entry(f"{_HERE}:SMOOTH", "teleop, or offline for recordings"),
-        "joint_angle": Entry(f"{_HERE}:JOINT_ANGLE_PRESETS", "default"),
+        "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
         "keyvector": Entry(
-            f"{_HERE}:KEYVECTOR_PRESETS", "default, vector, position, slsqp or published"
+            f"{_BASELINES}.slsqp_presets:KEYVECTOR_PRESETS",
+            "default, vector, position, slsqp or published",
         ),
-        "hybrid": Entry(f"{_HERE}:HYBRID_PRESETS", "default, slsqp or published"),
-        "dexpilot": Entry(f"{_HERE}:DEXPILOT_PRESETS", "default, slsqp or published"),
-        "ako": Entry(f"{_HERE}:AKO_PRESETS", "default, slsqp or published"),
-        "geort": Entry(f"{_HERE}:GEORT", "default, or the file of a model that you trained"),
+        "hybrid": Entry(
+            f"{_BASELINES}.slsqp_presets:HYBRID_PRESETS", "default, slsqp or published"
+        ),
+        "dexpilot": Entry(
+            f"{_BASELINES}.slsqp_presets:DEXPILOT_PRESETS", "default, slsqp or published"
+        ),
+        "ako": Entry(f"{_BASELINES}.slsqp_presets:AKO_PRESETS", "default, slsqp or published"),
+        "geort": Entry(
+            f"{_BASELINES}.geort:GEORT_PRESETS", "default, or the file of a model that you trained"
+        ),
     },
 )
 """Name -> presets. The summaries list the presets, the default one first."""

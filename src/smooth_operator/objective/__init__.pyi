@@ -5,5 +5,4 @@ from smooth_operator.objective.targets import PlainTargets as PlainTargets
 from smooth_operator.objective.targets import StatelessTargets as StatelessTargets
 from smooth_operator.objective.targets import TargetPolicy as TargetPolicy
 from smooth_operator.objective.targets import Targets as Targets
-from smooth_operator.objective.targets import TipTargets as TipTargets
 from smooth_operator.objective.terms.term import LeastSquaresTerm as LeastSquaresTerm

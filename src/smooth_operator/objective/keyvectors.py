@@ -59,22 +59,6 @@ class VectorLayout(ABC):
 
 
 @dataclass(frozen=True)
-class TipLayout(VectorLayout):
-    """From the origin of the palm frame to each fingertip: positions rather than directions.
-
-    Attributes:
-        fingers: human finger names, thumb first.
-    """
-
-    fingers: tuple[str, ...]
-
-    @cached_property
-    def vectors(self) -> tuple[tuple[int | None, int], ...]:
-        """(F,) (origin, tip)."""
-        return tuple((None, tip) for tip in tips_of(self.fingers))
-
-
-@dataclass(frozen=True)
 class KeyvectorLayout(VectorLayout):
     """The paper's keyvectors; built from a hand's fingers, not listed.
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import Component, OperatorProfile
-from smooth_operator.objective.keyvectors import KeyvectorLayout, TipLayout, VectorLayout
+from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 
 
 class Targets(NamedTuple):
@@ -120,27 +120,6 @@ class PlainTargets(StatelessTargets[KeyvectorLayout]):
         """Targets of one frame."""
         weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
         return Targets(human * self.beta, weights.astype(human.dtype)), state
-
-
-@dataclass(frozen=True)
-class TipTargets(StatelessTargets[TipLayout]):
-    """Every fingertip goes where the human's is in the palm frame: positions, not directions.
-
-    Attributes:
-        beta: scale of the human position.
-    """
-
-    beta: float = 1.0
-
-    def layout(self, fingers: tuple[str, ...]) -> TipLayout:
-        """From the palm's origin to each tip."""
-        return TipLayout(fingers)
-
-    def __call__(
-        self, state: tuple[()], layout: TipLayout, human: Float[Array, "K 3"]
-    ) -> tuple[Targets, tuple[()]]:
-        """Targets of one frame."""
-        return Targets(human * self.beta, jnp.ones(len(human), human.dtype)), state
 
 
 class LatchState(NamedTuple):

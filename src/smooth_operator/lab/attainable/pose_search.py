@@ -17,6 +17,7 @@ import nlopt
 import numpy as np
 from jaxtyping import Array, Float
 
+from smooth_operator.baselines.slsqp import LINE_SEARCH_FAILED
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.differential import PointKinematics
@@ -25,7 +26,6 @@ from smooth_operator.metrics.accuracy import PINCH_DISTANCE, cosines
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.solvers.slsqp import LINE_SEARCH_FAILED
 
 Aim: TypeAlias = Literal["thumb", "all"]
 """Which mean cosine is brought as high as it goes: of the thumb's keyvectors, or of all."""

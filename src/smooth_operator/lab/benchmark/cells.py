@@ -134,7 +134,7 @@ def benchmark_code() -> str:
     """
     return code_digest(
         "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
-        "methods", "metrics", "lab/offline", "io", "formats",
+        "methods", "baselines", "metrics", "lab/offline", "io", "formats",
     )  # fmt: skip
 
 

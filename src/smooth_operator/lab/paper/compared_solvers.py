@@ -16,19 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
+from smooth_operator.baselines.slsqp import (
+    SlsqpConfig,
+    SlsqpResult,
+    ValueAndGradient,
+    slsqp_minimise,
+)
 from smooth_operator.lab.paper.rmsprop import RmspropConfig, rmsprop_minimise
 from smooth_operator.lab.paper.starts import scattered_starts, soft_mean
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
-from smooth_operator.solvers.slsqp import (
-    SlsqpConfig,
-    SlsqpResult,
-    ValueAndGradient,
-    slsqp_minimise,
-)
 
 SPREAD: Final = 0.2
 """Standard deviation of parallel starts about the last answer [rad]: the sampler's own."""

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig
+from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator.lab.paper.compared_solvers import Sampling, Slsqp, Solver, Starts
 from smooth_operator.lab.paper.experiment import Table
 from smooth_operator.lab.paper.experiment_context import (
@@ -23,8 +25,6 @@ from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.runs import Run, measure_run
 from smooth_operator.lab.paper.sizes import PUBLISHED_STARTS, Size
 from smooth_operator.lab.paper.solver_grid import SolverGrid, make_solver_grid
-from smooth_operator.methods.presets import DEXPILOT_PUBLISHED
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig
+from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator.lab.paper.budget_grid import Point, contours, grid_points, most_cycles
 from smooth_operator.lab.paper.compared_solvers import Slsqp
 from smooth_operator.lab.paper.experiment import Drawing, Outcome, Table
@@ -17,8 +19,7 @@ from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.runs import measure_run
 from smooth_operator.lab.paper.solver import percent
 from smooth_operator.lab.paper.verdicts import Direction, Verdict, judge
-from smooth_operator.methods.presets import DEXPILOT_PUBLISHED, SBR_PAPER
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
+from smooth_operator.methods.presets import SBR_PAPER
 
 PAPER_REFERENCE: Final = 0.4414
 """DexPilot's tracking loss in the paper."""

@@ -10,13 +10,13 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from smooth_operator.baselines.slsqp_presets import DEXPILOT_PUBLISHED
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.paper.compared_solvers import Solver
 from smooth_operator.lab.paper.experiment_folder import ExperimentFolder, experiment_code
 from smooth_operator.lab.paper.problems import Problem, make_problems
 from smooth_operator.lab.paper.runs import Run, run_solver
 from smooth_operator.lab.paper.sizes import Size
-from smooth_operator.methods.presets import DEXPILOT_PUBLISHED
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.parallel import TaskResult
 from smooth_operator.result_cache import Job, compute_results, content_name, find_results

@@ -84,7 +84,8 @@ class ExperimentFolder:
 def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return code_digest(
-        "hands", "objective", "solvers", "lab/paper/compared_solvers.py",
+        "hands", "objective", "solvers", "baselines/slsqp.py", "baselines/scipy_slsqp.py",
+        "lab/paper/compared_solvers.py",
         "lab/paper/budget_grid.py", "lab/paper/rmsprop.py", "lab/paper/runs.py",
         "lab/paper/starts.py",
     )  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
 
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig
 from smooth_operator.lab.paper.compared_solvers import (
     Newton,
     Rmsprop,
@@ -20,7 +21,6 @@ from smooth_operator.lab.paper.experiment_context import ExperimentContext
 from smooth_operator.lab.paper.rmsprop import RmspropConfig
 from smooth_operator.lab.paper.runs import measure_run
 from smooth_operator.lab.paper.sizes import Size
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig
 
 SAMPLING: Final = "sampling"
 TUNED: Final = "sampling, tuned"

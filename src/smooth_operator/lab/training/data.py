@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from smooth_operator.baselines.geort_model import finger_joints, human_tips
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.training.settings import VOXEL, GeortTraining
-from smooth_operator.methods.geort_model import finger_joints, human_tips
 from smooth_operator.types import HandRecording
 
 REACH_POSES: Final = 65_536

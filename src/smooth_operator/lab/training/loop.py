@@ -13,19 +13,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from smooth_operator.errors import MissingExtraError, SmoothOperatorError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.training.batches import draw_batches
-from smooth_operator.lab.training.data import TrainingData
-from smooth_operator.lab.training.losses import LOSSES, Batch, GeortLoss
-from smooth_operator.lab.training.settings import GeortTraining
-from smooth_operator.methods.geort_model import (
+from smooth_operator.baselines.geort_model import (
     HIDDEN,
     GeortModel,
     Weights,
     finger_joints,
     recognition,
 )
+from smooth_operator.errors import MissingExtraError, SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.training.batches import draw_batches
+from smooth_operator.lab.training.data import TrainingData
+from smooth_operator.lab.training.losses import LOSSES, Batch, GeortLoss
+from smooth_operator.lab.training.settings import GeortTraining
 from smooth_operator.methods.program import compiled
 
 _START = 0.8  # share of a joint's half range, within which it starts

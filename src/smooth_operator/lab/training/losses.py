@@ -14,9 +14,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.baselines.geort_model import Weights, finger_joints, forward
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.training.settings import BEND, GeortTraining
-from smooth_operator.methods.geort_model import Weights, finger_joints, forward
 
 _FLOOR: Final = 1e-6  # [m]; a robot tip that moves less has no direction (it is at a limit)
 

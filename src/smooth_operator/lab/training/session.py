@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.baselines.geort_model import GeortModel, write_geort_model
 from smooth_operator.errors import OutputError
 from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.environment import environment
@@ -15,7 +16,6 @@ from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.training.checkpoint import read_checkpoint, write_checkpoint
 from smooth_operator.lab.training.curves import plot_curves, write_curves
 from smooth_operator.lab.training.loop import GeortTrainer, TrainingState
-from smooth_operator.methods.geort_model import GeortModel, write_geort_model
 
 CHECKPOINT: Final = "checkpoint.npz"
 MODEL: Final = "model.npz"

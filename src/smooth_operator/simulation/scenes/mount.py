@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.human.palm_axes import human_palm_axes
 
 
 @dataclass(frozen=True, eq=False)

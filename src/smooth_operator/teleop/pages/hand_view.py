@@ -10,7 +10,7 @@ import trimesh
 from jaxtyping import Float, Int
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.joint_map import human_palm_axes
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
 

@@ -18,8 +18,8 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
-from smooth_operator.human.joint_map import human_palm_axes
 from smooth_operator.human.operator import FingerProfile, OperatorProfile
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.pages.aiming import Aiming
 from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls

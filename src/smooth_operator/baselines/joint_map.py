@@ -16,34 +16,14 @@ from jaxtyping import Float
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
-from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.anatomy import NUM_JOINTS, draw_anatomy
-from smooth_operator.human.joint_angles import (
-    JOINT_ANGLES,
-    PalmAxes,
-    joint_angles,
-    palm_axes,
-)
-from smooth_operator.human.kinematics import mirror, pose_hand
+from smooth_operator.human.joint_angles import JOINT_ANGLES, PalmAxes, joint_angles
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS
 
 _POSES = 128  # over which the effect of a joint on the angles is taken, by its median
 _STEP = 1e-5  # [share of a joint's range]
 _UNSEEN = 0.05  # singular values below this share of the first are no motion that angles show
 _SLIGHT = 0.1  # gains below this share of a row's greatest are left out
-
-
-def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
-    """Where a human palm comes to lie in the robot's palm frame when it is aligned to it.
-
-    A robot's own wrist and knuckles seldom span a palm as a human's do (of the mimic hand the wrist
-    lies 3 cm in front of the knuckles' plane), so the directions are those of the built-in
-    operator's hand, aligned as every frame is.
-    """
-    poses = pose_hand(draw_anatomy(0.19, 0), np.zeros((1, NUM_JOINTS)))
-    poses = poses if hand.spec.side == "right" else mirror(poses)
-    landmarks = poses.landmarks[0]
-    return palm_axes(palm_alignment(landmarks, hand).apply(landmarks), hand.spec.side)
 
 
 def joint_map(hand: Hand) -> tuple[JointMap, ...]:

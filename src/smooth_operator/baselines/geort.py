@@ -14,11 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.landmarks import WRIST
-from smooth_operator.methods.geort_model import (
+from smooth_operator.baselines.geort_model import (
     GeortModel,
     finger_joints,
     forward,
@@ -26,6 +22,10 @@ from smooth_operator.methods.geort_model import (
     read_geort_model,
     training_command,
 )
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
@@ -148,3 +148,6 @@ class Geort(Method):
         ]
         fingers, outputs, joints = np.array(columns).T
         return fingers, outputs, joints
+
+
+GEORT_PRESETS: Final = {"default": GeortConfig()}

@@ -4,7 +4,7 @@ Each finger is a chain of frames from the wrist, whose y axes lie along the bone
 stay as near to the parent's as they can. A joint follows one Euler angle of one such frame. The map
 is the authors' own, published for the joints of the mimic P0.50 hand. A joint that drives another
 one takes half of the angle, as in the authors' code, which divides each angle among the joints that
-share it. Our own method (``smooth_operator.methods.joint_angle``) measures other angles.
+share it. Our own method (``smooth_operator.baselines.joint_angle``) measures other angles.
 """
 
 from __future__ import annotations

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
+from smooth_operator.baselines.joint_map import format_map, joint_map, map_matrix
 from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.joint_angles import PalmAxes, joint_angles
-from smooth_operator.human.joint_map import format_map, human_palm_axes, joint_map, map_matrix
+from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.goal import FrameGoal
@@ -150,3 +151,6 @@ class JointAngle(Method):
         targets, _ = policy(policy.init(layout), layout, layout.human(aligned))
         goal = FrameGoal(targets.vectors, targets.weights, state.q, 0.0)
         return JointAngleState(q), MethodOutput(q, self.objective.tracking(list(q), goal))
+
+
+JOINT_ANGLE_PRESETS: Final = {"default": JointAngleConfig()}

@@ -20,18 +20,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
+from smooth_operator.baselines.joint_angle import JointAngleMap
+from smooth_operator.baselines.published_angles import PublishedAngles
+from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
+from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.joint_angle import JointAngleMap
 from smooth_operator.methods.method import HostMethod, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.methods.program import compiled
-from smooth_operator.methods.published_angles import PublishedAngles
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
-from smooth_operator.solvers.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
-from smooth_operator.solvers.slsqp import SlsqpConfig, slsqp_minimise
 
 
 @dataclass(frozen=True)

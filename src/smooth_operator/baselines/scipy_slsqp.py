@@ -2,7 +2,7 @@
 
 The descending methods as published are solved by it, with a limit of 20 iterations. Where that
 limit ends a frame, the answer is not a minimum, and the next frame goes on from it: the limit acts
-as a filter. ``smooth_operator.solvers.slsqp`` has NLopt's form of the same algorithm.
+as a filter. ``smooth_operator.baselines.slsqp`` has NLopt's form of the same algorithm.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.baselines.slsqp import SlsqpResult, Stop, ValueAndGradient
 from smooth_operator.errors import ConfigError
-from smooth_operator.solvers.slsqp import SlsqpResult, Stop, ValueAndGradient
 
 _STOPS: Final[dict[int, Stop]] = {0: "tolerance", 9: "evaluations"}
 """SciPy's exit modes; the others are failures of the line search or of the subproblem."""
