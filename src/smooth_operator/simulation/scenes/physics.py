@@ -9,6 +9,8 @@ import numpy as np
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.physics import HandPhysics
+from smooth_operator.simulation.physics_model import FURNISHED
+from smooth_operator.simulation.scenes.pads import soften_pads
 from smooth_operator.simulation.scenes.scene import OBJECT, Scene
 from smooth_operator.simulation.scenes.state import ScenePart, SceneState
 from smooth_operator.simulation.scenes.touching import Touching
@@ -59,6 +61,8 @@ class ScenePhysics(HandPhysics):
         joint = model.joint(OBJECT)
         self._at, self._moves = int(joint.qposadr[0]), int(joint.dofadr[0])
         self._body = model.body(OBJECT).id
+        tips = [model.body(FURNISHED + finger.tip.body).id for finger in hand.spec.fingers]
+        soften_pads(model, self._body, tips)
         self._needed = min(2, len(hand.fingers) - 1)
         self._gripped = 0
         self.reset_object()

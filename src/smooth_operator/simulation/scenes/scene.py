@@ -124,7 +124,8 @@ def _empty(hand: mujoco.MjSpec) -> mujoco.MjSpec:
     for name in ("timestep", "integrator", "disableflags"):
         setattr(world.option, name, getattr(hand.option, name))
     world.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    world.option.impratio = 10.0  # what is held in the fingers is not to creep out of them
+    world.option.impratio = 10.0
+    world.option.noslip_iterations = 4  # soft friction lets what is held creep out of the fingers
     for name in ("fusestatic", "balanceinertia", "boundmass", "boundinertia"):
         setattr(world.compiler, name, getattr(hand.compiler, name))
     world.visual.global_.offwidth, world.visual.global_.offheight = _WIDTH, _HEIGHT

@@ -26,7 +26,7 @@ GRIP: Final = 0.052
 """From the handle's end to where thumb and index finger take it [m]."""
 
 _HIGH: Final = 0.40  # of the wrist [m]
-_GRIPS: Final = (0.9, 0.004)
+_GRIPS: Final = (0.9, 0.002)
 
 
 @dataclass(frozen=True, eq=False)
