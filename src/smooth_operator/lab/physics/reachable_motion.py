@@ -18,8 +18,8 @@ from smooth_operator.lab.physics.measure import Case, Clip, Drawing, Measured, U
 from smooth_operator.lab.physics.plots import interval_drawings
 from smooth_operator.lab.physics.results import Figure, MeasureResults
 from smooth_operator.lab.physics.settings import PhysicsSettings
-from smooth_operator.lab.validation.reachable import human_landmarks
 from smooth_operator.landmarks import FINGERS
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording, Side, Status
 
 SECONDS: Final = 8.0
@@ -122,7 +122,7 @@ class ReachableMotion:
     )  # fmt: skip
     code: Final = (
         "lab/physics/joint_motion.py", "lab/physics/reachable_motion.py",
-        "lab/validation/reachable.py",
+        "synthetic/robot_landmarks.py",
     )  # fmt: skip
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
