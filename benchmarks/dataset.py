@@ -27,8 +27,8 @@ import tyro
 from smooth_operator import HandRecording, Retargeter, SmoothOperatorError
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.lab.offline.dataset import retarget_all, survey
+from smooth_operator.lab.offline.scan import CHUNK, Scan
 from smooth_operator.methods.program import compiled, frame_step
-from smooth_operator.methods.scan import CHUNK, Scan
 from smooth_operator.parallel import usable_cores as cores
 from smooth_operator.planning import make_request
 from smooth_operator.reporting.run_report import BenchmarkError, Report

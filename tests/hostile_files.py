@@ -93,7 +93,7 @@ def latency(path: Path) -> None:
 
 
 def operator(path: Path) -> None:
-    from smooth_operator.human.operator_file import read_operator
+    from smooth_operator.calibration.operator_file import read_operator
 
     read_operator(path)
 
@@ -178,8 +178,8 @@ def _manus() -> bytes:
 
 
 def _operator(folder: Path) -> bytes:
+    from smooth_operator.calibration.operator_file import write_operator
     from smooth_operator.human.operator import FingerProfile, OperatorProfile
-    from smooth_operator.human.operator_file import write_operator
 
     fingers = tuple(
         FingerProfile(n, f"{n}_dp", (0.04, 0.03, 0.02), 0.09, 0.1, 1.1, 0.003, 0.005, 0.002, 0.001)

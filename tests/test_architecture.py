@@ -41,6 +41,7 @@ SHARED = {
     "formats": 3,
     "parallel": 3,
     "web": 3,
+    "hand_files": 4,
     "result_cache": 4,
     "simulation": 5,
     "calibration": 5,
@@ -59,7 +60,7 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
-CORE_LINES = 13_100
+CORE_LINES = 12_000
 """Lines that everyone needs at most: the core grows only on purpose."""
 
 MAX_LINES = 400

@@ -14,6 +14,7 @@ import pytest
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.calibration.estimate import MARGIN, Calibration, _project, calibrate
 from smooth_operator.calibration.features import measure_features
+from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.calibration.prompts import Prompt, prompted, prompts
 from smooth_operator.calibration.report import closed_gaps, report
 from smooth_operator.calibration.robot import straight_pose
@@ -24,7 +25,6 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.operator import COMPONENTS, tip_frames
-from smooth_operator.human.operator_file import read_operator
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.lab.offline.dataset import survey
 from smooth_operator.landmarks import FINGERS, TIPS

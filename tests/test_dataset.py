@@ -29,8 +29,8 @@ from smooth_operator.lab.offline.dataset import Survey, retarget_all, survey
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.offline.jobs import Entry, checked
+from smooth_operator.lab.offline.scan import CHUNK, Scan, find_scan
 from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.scan import CHUNK, Scan, find_scan
 from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator

@@ -20,7 +20,6 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
 from smooth_operator.human.joint_angles import (
     JOINT_ANGLES,
     NUM_JOINT_ANGLES,
@@ -28,12 +27,13 @@ from smooth_operator.human.joint_angles import (
     joint_angles,
     palm_axes,
 )
-from smooth_operator.human.kinematics import mirror, pose_hand
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.synthetic.hand_anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
+from smooth_operator.synthetic.human_kinematics import mirror, pose_hand
 from smooth_operator.types import Status
 
 SIDES: tuple[Literal["right", "left"], ...] = ("right", "left")

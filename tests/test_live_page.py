@@ -23,9 +23,9 @@ import viser
 from browser_page import new_page
 
 from smooth_operator import HandFrame, Retargeter, load_hand
+from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.human.operator_file import read_operator
 from smooth_operator.methods.presets import PRESETS, live_presets
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator

@@ -13,10 +13,10 @@ from trees import limited_poses, mujoco_points, pincer, pincer_spec
 
 from smooth_operator import Retargeter
 from smooth_operator.errors import HandModelError
+from smooth_operator.hand_files.vendor_model import on_model
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling
-from smooth_operator.hands.published import on_model
 from smooth_operator.hands.selection import select_fingers
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.lab.discovery import discover

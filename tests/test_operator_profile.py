@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config, method_names
+from smooth_operator.calibration.operator_file import read_operator, write_operator
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.geometry import umeyama
 from smooth_operator.hands.hand import Hand
@@ -24,7 +25,6 @@ from smooth_operator.human.operator import (
     OperatorProfile,
     tip_frames,
 )
-from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.objective.close_targets import CloseTargets

@@ -20,9 +20,9 @@ from smooth_operator.baselines.published_angles import PublishedAngles
 from smooth_operator.baselines.slsqp_method import SlsqpMethod
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.anatomy import JOINTS, NUM_JOINTS, draw_anatomy
-from smooth_operator.human.kinematics import pose_hand
 from smooth_operator.landmarks import FINGERS
+from smooth_operator.synthetic.hand_anatomy import JOINTS, NUM_JOINTS, draw_anatomy
+from smooth_operator.synthetic.human_kinematics import pose_hand
 
 GLOVE = "recordings/manus_right_subject-000_run-010.npz"
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

@@ -20,6 +20,7 @@ from live_time import until
 from test_operator_profile import profile
 
 from smooth_operator import Retargeter, load_hand, method_names
+from smooth_operator.calibration.operator_file import write_operator
 from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
@@ -29,7 +30,6 @@ from smooth_operator.errors import (
     SinkError,
     UnknownNameError,
 )
-from smooth_operator.human.operator_file import write_operator
 from smooth_operator.planning import make_request
 from smooth_operator.simulation.scenes import SceneState
 from smooth_operator.simulation.tasks import read_trial

@@ -13,10 +13,10 @@ from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.landmark_filter import LandmarkFilterConfig
+from smooth_operator.lab.offline.scan import Scan
 from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.scan import Scan
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
 from smooth_operator.objective.terms.self_collision import SelfCollisionConfig

@@ -16,17 +16,11 @@ from trees import pincer
 
 from smooth_operator.cli.hands_options import Hands
 from smooth_operator.errors import ConfigError, HandModelError, OutputError, UnknownNameError
-from smooth_operator.hands.catalogue import (
-    MODELS,
-    catalogue,
-    find_hand,
-    hand_names,
-    load_hand,
-    save_hand,
-)
+from smooth_operator.hand_files.spec_writer import write_hand_spec
+from smooth_operator.hand_files.user_hands import save_hand
+from smooth_operator.hands.catalogue import MODELS, catalogue, find_hand, hand_names, load_hand
 from smooth_operator.hands.spec import HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.hands.spec_writer import write_hand_spec
 from smooth_operator.hands.user_folder import user_hands_folder
 from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_page import HandPage

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.human.anatomy import JOINTS, LOWER, UPPER, couple
-from smooth_operator.human.kinematics import pose_hand
+from smooth_operator.human.palm_axes import FLAT_HAND
 from smooth_operator.landmarks import (
     BONES,
     FROM_MANUS_25,
@@ -24,6 +23,8 @@ from smooth_operator.landmarks import (
 )
 from smooth_operator.synthetic import GESTURES, SyntheticOperator, TrackerModel, WristMotion
 from smooth_operator.synthetic.gestures import Programme
+from smooth_operator.synthetic.hand_anatomy import JOINTS, LOWER, UPPER, couple, draw_anatomy
+from smooth_operator.synthetic.human_kinematics import pose_hand
 from smooth_operator.synthetic.poses import FREE_LOWER, FREE_UPPER, pinch_postures
 from smooth_operator.types import HandFrame, HandRecording
 
@@ -546,3 +547,8 @@ def test_no_heavy_import() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_flat_hand_of_the_palm_axes_is_that_of_the_operator() -> None:
+    posed = pose_hand(draw_anatomy(0.19, 0), np.zeros((1, len(JOINTS)))).landmarks[0]
+    np.testing.assert_allclose(FLAT_HAND, posed, rtol=0, atol=1e-15)

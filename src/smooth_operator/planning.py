@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
+from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.environment import environment
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.alignment import calibrate_scale
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.human.operator_file import read_operator
-from smooth_operator.io.environment import environment
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 
+from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.console import Progressing
@@ -14,7 +15,6 @@ from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
-from smooth_operator.human.operator_file import read_operator
 from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark import (
     Settings,

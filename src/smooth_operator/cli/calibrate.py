@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from smooth_operator.calibration.estimate import calibrate
+from smooth_operator.calibration.operator_file import read_operator, write_operator
 from smooth_operator.calibration.report import report
 from smooth_operator.calibration.segments import Segment
 from smooth_operator.cli.calibrate_options import Calibrate
@@ -14,14 +15,13 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.prompting import ask
 from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.formats.checks import reading_notes
+from smooth_operator.formats.environment import environment
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
-from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.io.atomic import atomic_write
-from smooth_operator.io.environment import environment
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.calibration_picture import draw_calibration
 from smooth_operator.methods.default import DEFAULT_METHOD

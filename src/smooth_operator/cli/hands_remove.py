@@ -6,7 +6,7 @@ import sys
 
 from smooth_operator.cli.hands_options import Remove
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.catalogue import removable, remove_hand
+from smooth_operator.hand_files.user_hands import removable, remove_hand
 
 
 def remove_hand_command(options: Remove) -> None:

@@ -8,27 +8,18 @@ of a folder of them.
 from __future__ import annotations
 
 import os
-import shutil
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.hands.model_files import copy_model
 from smooth_operator.hands.model_xml import is_file
 from smooth_operator.hands.selection import FingerChoice, select_fingers
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
-from smooth_operator.hands.spec_writer import write_hand_spec
-from smooth_operator.hands.user_folder import (
-    find_specs,
-    model_folder,
-    spec_name,
-    user_hands_folder,
-)
-from smooth_operator.io.atomic import output_error
+from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.hands.user_folder import find_specs, user_hands_folder
 from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
 
@@ -116,99 +107,13 @@ def find_hand(name: str) -> HandEntry:
     own = find_specs(user_hands_folder()).get(name)
     if name in HANDS:
         if own is not None:
-            raise _shadowing(name, next(iter(own.values())))
+            raise shadowing(name, next(iter(own.values())))
         return _registered(name)
     if own is not None:
         return HandEntry(name, own, builtin=False)
     if is_target(name):
         return _described(name, HANDS.load(name))
     raise UnknownNameError("hand", name, hand_names())
-
-
-def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
-    """Puts a description into the user's folder, where ``load_hand`` finds it by name.
-
-    Args:
-        spec: the hand; a description of the same name and side is replaced.
-        comment: lines to put first in the file.
-        copy: put a copy of the model and its meshes there, too, so that the hand survives when the
-            model is moved; where that can't be done, the model stays where it is.
-
-    Returns:
-        The file.
-
-    Raises:
-        HandModelError: the name can't be one, or is that of a built-in hand or a plugin's.
-        OutputError: the file can't be written.
-    """
-    folder = user_hands_folder()
-    file = folder / spec_name(check_hand_name(spec.name), spec.side)
-    if spec.name in HANDS:
-        raise _shadowing(spec.name, file)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise output_error(folder, error) from error
-    # A relative path would count from the new file.
-    model = spec.model.absolute()
-    if copy and not model.is_relative_to(folder.absolute()):
-        model = copy_model(model, model_folder(spec.name, spec.side)) or model
-    write_hand_spec(replace(spec, model=model), file, comment=comment)
-    return file
-
-
-def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """Takes a hand out of the user's folder.
-
-    Args:
-        name: of the hand.
-        side: which of its sides; both if left out.
-
-    Returns:
-        what was deleted: spec files, and the folders with copies of their models. A model anywhere
-        else stays.
-
-    Raises:
-        UnknownNameError: the user's folder has no such hand.
-        HandModelError: the hand is built in or a plugin's, or has no description of that side.
-        OutputError: something can't be deleted.
-    """
-    gone = removable(name, side)
-    for path in gone:
-        try:
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-        except OSError as error:
-            raise output_error(path, error) from error
-    return gone
-
-
-def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """What ``remove_hand`` would delete.
-
-    Raises:
-        UnknownNameError: the user's folder has no such hand.
-        HandModelError: the hand is built in or a plugin's, or has no description of that side.
-    """
-    own = find_specs(user_hands_folder())
-    if name not in own:
-        if name in HANDS:
-            raise HandModelError(
-                f"{name!r} is {_kind(name)} and can't be removed; yours are: "
-                f"{', '.join(own) or 'none'}"
-            )
-        raise UnknownNameError("hand of your own", name, own)
-    files = own[name]
-    if side is not None and side not in files:
-        raise HandModelError(
-            f"{name!r} has no description of its {side} hand to remove, only of its "
-            f"{' and '.join(files)}"
-        )
-    sides = [one for one in files if side in (None, one)]
-    copies = [folder for one in sides if (folder := model_folder(name, one)).is_dir()]
-    return (*(files[one] for one in sides), *copies)
 
 
 def load_hand(
@@ -281,13 +186,15 @@ def _described(name: str, place: object) -> HandEntry:
     return HandEntry(own, found[own], builtin=name in HANDS.built_in)
 
 
-def _kind(name: str) -> str:
+def origin(name: str) -> str:
+    """Whose a hand of the registry is, for messages: ``a built-in hand``."""
     owner = HANDS[name].distribution
     return f"a hand of {owner}" if owner else "a built-in hand"
 
 
-def _shadowing(name: str, file: Path) -> HandModelError:
+def shadowing(name: str, file: Path) -> HandModelError:
+    """The error for a file of the user's that claims the name of another hand."""
     return HandModelError(
-        f"{name!r} is {_kind(name)}, so {os.fspath(file)} can't describe another of that name; "
+        f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another of that name; "
         "give your hand a name of its own, in the file and as the file's name"
     )

@@ -54,7 +54,7 @@ class Method(ABC):
 
     can_scan: ClassVar[bool] = True
     """Whether to try running many frames of a recording in one compiled loop
-    (``smooth_operator.methods.scan``). False where that is known to round differently."""
+    (``smooth_operator.lab.offline.scan``). False where that is known to round differently."""
 
     @property
     @abstractmethod

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.human.anatomy import JOINTS, HandAnatomy, couple, draw_anatomy
-from smooth_operator.human.kinematics import mirror, move, pose_hand
 from smooth_operator.synthetic.gestures import GESTURES, Programme
+from smooth_operator.synthetic.hand_anatomy import JOINTS, HandAnatomy, couple, draw_anatomy
+from smooth_operator.synthetic.human_kinematics import mirror, move, pose_hand
 from smooth_operator.synthetic.settings import check_range, check_seed
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator.synthetic.wrist import WristMotion

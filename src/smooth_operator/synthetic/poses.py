@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.anatomy import FREE, LOWER, UPPER, couple, draw_anatomy
-from smooth_operator.human.kinematics import dorsal, pose_hand
 from smooth_operator.landmarks import TIPS
+from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple, draw_anatomy
+from smooth_operator.synthetic.human_kinematics import dorsal, pose_hand
 
 FREE_LOWER: Float[np.ndarray, "16"] = LOWER[list(FREE)]
 FREE_UPPER: Float[np.ndarray, "16"] = UPPER[list(FREE)]

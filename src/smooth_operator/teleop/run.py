@@ -15,8 +15,8 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.building import build_retargeter
+from smooth_operator.hand_files.menagerie import drawn_on
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.menagerie import drawn_on
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter

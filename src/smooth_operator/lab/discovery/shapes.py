@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import require
-from smooth_operator.hands.model_files import resolve_in_package
+from smooth_operator.hand_files.model_files import resolve_in_package
 
 _RINGS: Final = 13  # along a cylinder or the edge of a box
 _COARSE: Final = 300  # vertices of a mesh

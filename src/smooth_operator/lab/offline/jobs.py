@@ -21,9 +21,9 @@ from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.execution import Runner, build
 from smooth_operator.lab.offline.finished import digest, identity
+from smooth_operator.lab.offline.scan import Scan, find_scan
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.scan import Scan, find_scan
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import HandRecording, Side, Status
 

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.offline.scan import Scan
 from smooth_operator.lab.offline.segments import (
     even_stamps,
     segments,
@@ -37,7 +38,6 @@ from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.program import align_frame, compiled
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.scan import Scan
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 

@@ -11,17 +11,18 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.environment import environment
 from smooth_operator.io.atomic import write_json
-from smooth_operator.io.environment import environment
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
+from smooth_operator.lab.tuning.preset_writer import write_preset_file
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.lab.tuning.variables import values_at
-from smooth_operator.methods.preset_file import PresetFile, write_preset_file
+from smooth_operator.methods.preset_file import PresetFile
 from smooth_operator.parallel import PersistentPool
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import Note, no_note

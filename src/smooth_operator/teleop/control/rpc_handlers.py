@@ -39,9 +39,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.human.operator_file import read_operator
 from smooth_operator.teleop.control.method_switcher import DriverSpec, MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.rpc_server import RpcHandler

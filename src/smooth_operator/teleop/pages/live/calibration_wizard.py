@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from smooth_operator.calibration.estimate import calibrate
+from smooth_operator.calibration.operator_file import read_operator, write_operator
 from smooth_operator.calibration.prompts import prompts
 from smooth_operator.calibration.report import report
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.human.operator_file import read_operator, write_operator
 from smooth_operator.teleop.runtime.calibration_session import CalibrationSession
 from smooth_operator.teleop.sources.live import Arrival
 

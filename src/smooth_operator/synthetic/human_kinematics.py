@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.anatomy import LOWER, UPPER, HandAnatomy
+from smooth_operator.synthetic.hand_anatomy import LOWER, UPPER, HandAnatomy
 
 # Orientation of the hand itself (x distal, z dorsal) in the frame of the landmarks.
 _HAND = np.array([np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0])

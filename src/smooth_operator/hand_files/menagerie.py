@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import HandModelError, MissingExtraError
+from smooth_operator.hand_files.vendor_model import on_model
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.published import on_model
 from smooth_operator.types import Side
 
 MENAGERIE: Final = "menagerie"
