@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ticks import make_tick
 
-from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.catalogue import hand_names, load_hand
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.lab.discovery import discover
@@ -98,6 +99,29 @@ def test_fingers_stop_at_fingers() -> None:
     physics.advance(1.0)
     assert physics.contacts > 0
     assert np.degrees(np.abs(physics.positions - hand.full_configuration(closed)).max()) > 5.0
+
+
+def test_motors_give_what_their_makers_state() -> None:
+    assert np.all(load_hand("leap_hand").torques == 0.28)
+    shadow = load_hand("shadow_hand")
+    torques = dict(zip(shadow.actuated_names, shadow.torques, strict=True))
+    assert (torques["rh_THJ5"], torques["rh_FFJ3"]) == (5.0, 2.0)
+    mimic = load_hand("mimic_p050")
+    assert np.isnan(mimic.torques).all()
+    weak = load_hand_spec(replace(mimic.spec, torque={"index_mcp2pp": 0.01}))
+    with pytest.raises(UnknownNameError, match="elbow"):
+        load_hand_spec(replace(mimic.spec, torque={"elbow": 1.0}))
+    joint = mimic.actuated_names.index("index_mcp2pp")
+    turned = []
+    for hand in (mimic, weak):
+        physics = HandPhysics(hand)
+        start = physics.positions[list(hand.actuated)][joint]
+        physics.command(hand.full_configuration(hand.limits[:, 1]))
+        physics.advance(0.04)
+        turned.append(physics.positions[list(hand.actuated)][joint] - start)
+    # 0.01 N m turns a rotor of 5e-4 kg m^2 by at most 16 mrad in 40 ms
+    assert turned[0] > 0.1
+    assert 0.0 < turned[1] < 0.5 * (0.01 / 5e-4) * 0.04**2
 
 
 def test_critically_damped_and_back_at_rest() -> None:

@@ -94,11 +94,15 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
             JointMap("i1", 0.25, {"index_mcp": 1.5, "index_pip": -0.5}),
             JointMap("r-abd", 0.0),
         ),
+        torque={"i1": 0.75, "r-abd": 2.0},
         source='our lab, "Müller"\\ \u2028\x07',
     )
     write_hand_spec(spec, tmp_path / "a.toml", comment="made by hand\n\nfor a test")
     assert read_hand_spec(tmp_path / "a.toml") == spec
     assert (tmp_path / "a.toml").read_text().startswith("# made by hand\n#\n# for a test\nformat")
+    for torque in (0.7, None):
+        write_hand_spec(replace(spec, torque=torque), tmp_path / "a.toml")
+        assert read_hand_spec(tmp_path / "a.toml").torque == torque
 
 
 @pytest.mark.parametrize("name", hand_names())
@@ -160,6 +164,8 @@ def test_a_file_from_windows(tmp_path: Path) -> None:
         ('["wrist", "thumb", "index"]', '["thumb", "index"]', "align needs three"),
         ('["wrist", "thumb", "index"]', '["wrist", 1, "index"]', "align: expected names"),
         ('["wrist", "thumb", "index"]', '["wrist", "thumb", "pinky"]', "align names"),
+        ("[neutral]", "[torque]\ni1 = 1000.0\n[neutral]", "torque of 'i1' must be above 0"),
+        ('palm = "palm"\n', 'palm = "palm"\ntorque = "x"\n', "torque: expected a finite number"),
         ("[neutral]", "[joint_map.i1]\ngain = 1\n[neutral]", "joint_map.i1.gain: no such entry"),
         ("[neutral]", "[joint_map.i1]\ngains = {index_mcp = 'x'}\n[neutral]", "gains.index_mcp"),
     ],

@@ -52,6 +52,8 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
     yield f"palm = {_text(spec.palm)}"
     yield f"wrist = {_point(spec.wrist)}"
     yield f"align = [{', '.join(_text(name) for name in spec.align)}]"
+    if isinstance(spec.torque, float | int):
+        yield f"torque = {_number(spec.torque)} # N m"
     for finger in spec.fingers:
         yield ""
         yield f"[fingers.{finger.name}]"
@@ -63,6 +65,11 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
         yield "[neutral] # rad"
         for joint, position in spec.neutral.items():
             yield f"{_key(joint)} = {_number(position)}"
+    if isinstance(spec.torque, Mapping):
+        yield ""
+        yield "[torque] # N m"
+        for joint, torque in spec.torque.items():
+            yield f"{_key(joint)} = {_number(torque)}"
     for row in spec.joint_map:
         yield ""
         yield f"[joint_map.{_key(row.joint)}]"

@@ -98,6 +98,14 @@ class Hand:
     def _addresses(self) -> list[int]:
         return [int(self.model.joint(name).qposadr[0]) for name in self.joint_names]
 
+    @property
+    def torques(self) -> Float[np.ndarray, " m"]:
+        """(m,) most torque of the actuated joints' motors [N m]; NaN where it is not known."""
+        given = self.spec.torque
+        if not isinstance(given, Mapping):
+            return np.full(len(self.actuated), np.nan if given is None else given)
+        return np.array([given.get(name, np.nan) for name in self.actuated_names])
+
     @cached_property
     def wrist(self) -> Float[np.ndarray, "3"]:
         """The wrist landmark in the palm frame [m]."""
@@ -198,7 +206,9 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     own = own_joints(model, palm)
     tree = build_tree(model, palm, landmark_points(model, spec), own)
     every = tuple(model.joint(j).name for j in range(model.njnt))
-    for name in [*spec.neutral, *(n for c in couplings for n in (c.joint, c.follows))]:
+    torques = spec.torque if isinstance(spec.torque, Mapping) else {}
+    coupled = [name for one in couplings for name in (one.joint, one.follows)]
+    for name in [*spec.neutral, *torques, *coupled]:
         if name not in every:
             raise UnknownNameError("joint", name, every)
     names = tuple(every[j] for j in own)

@@ -11,6 +11,8 @@ from smooth_operator.errors import HandModelError
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
+_MOST_TORQUE = 100.0  # [N m]; URDFs hold 1000 where nothing is known
+
 
 @dataclass(frozen=True)
 class Point:
@@ -106,6 +108,8 @@ class HandSpec:
         mirror: whether the file holds the other side and is to be mirrored on loading.
         joint_map: how joints follow human joint angles, for methods that go by them. Joints without
             a row are measured on the hand, which needs all four points of their finger.
+        torque: most torque of the motors [N m], as their maker states it: one number for all
+            joints, or joint name -> torque; None, and joints not named, where it is not known.
         source: where the figures come from, in words.
     """
 
@@ -119,6 +123,7 @@ class HandSpec:
     neutral: Mapping[str, float] = field(default_factory=dict)
     mirror: bool = False
     joint_map: tuple[JointMap, ...] = ()
+    torque: float | Mapping[str, float] | None = None
     source: str = ""
 
     @property
@@ -151,6 +156,13 @@ class HandSpec:
                 f"hand {self.name!r}: align needs three different landmarks to fix a rotation, not "
                 f"{self.align}; name fingers of {names} or 'wrist'"
             )
+        torques = self.torque if isinstance(self.torque, Mapping) else {"all": self.torque}
+        for joint, torque in torques.items():
+            if torque is not None and not 0.0 < torque < _MOST_TORQUE:
+                raise HandModelError(
+                    f"hand {self.name!r}: the torque of {joint!r} must be above 0 and below "
+                    f"{_MOST_TORQUE:g} N m, not {torque}"
+                )
         mapped = [row.joint for row in self.joint_map]
         if twice := sorted({joint for joint in mapped if mapped.count(joint) > 1}):
             raise HandModelError(

@@ -25,6 +25,9 @@
     [neutral]                           # optional: joint -> position [rad]
     i1 = 0.3
 
+    [torque]                            # optional: joint -> most torque of its motor [N m];
+    i1 = 0.7                            # or, before the tables: torque = 0.7, for all joints
+
     [joint_map.i1]                      # optional: how a joint follows human joint angles
     offset = 0.0
     gains = { index_mcp = 1.0 }
@@ -37,6 +40,7 @@ landmarks; the first and the tip are needed. For the meaning of each entry see
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -94,7 +98,7 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
     entries.check_format(FORMAT)
     entries.only(
         "format", "name", "side", "source", "model", "mirror", "palm", "wrist", "align",
-        "fingers", "neutral", "joint_map",
+        "fingers", "neutral", "torque", "joint_map",
     )  # fmt: skip
     side: Side = entries.choice("side", ("right", "left"))
     fingers = entries.table("fingers")
@@ -114,9 +118,19 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
         neutral={joint: neutral.number(joint) for joint in neutral.names},
         mirror=entries.flag("mirror", False),
         joint_map=tuple(_row(rows.table(joint), joint) for joint in rows.names),
+        torque=_torque(entries),
         source=entries.text("source", "", lines=True),
         **more,
     )
+
+
+def _torque(entries: Entries) -> float | dict[str, float] | None:
+    if "torque" not in entries.names:
+        return None
+    if not isinstance(entries.values["torque"], Mapping):
+        return entries.number("torque")
+    table = entries.table("torque")
+    return {joint: table.number(joint) for joint in table.names}
 
 
 def _finger(entries: Entries, name: str) -> FingerSpec:

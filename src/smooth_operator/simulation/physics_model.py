@@ -3,7 +3,8 @@
 Models of hands are made for kinematics or for one vendor's simulator: most lack actuators, their
 rotors or sensible damping, and where they have them, no two agree. So all hands are given the same
 servo here: its stiffness follows from the inertia that it moves and a bandwidth, its damping is
-critical, and its torque is limited, so that a finger that is blocked pushes and does not explode.
+critical, and its torque is limited to what the maker states (``HandSpec.torque``), so that a finger
+that is blocked pushes as hard as the real one.
 """
 
 from __future__ import annotations
@@ -26,8 +27,13 @@ ARMATURE: Final = 5e-4
 FURNISHED: Final = "hand/"
 """Before the names of all that is the hand's, in a model with more than a hand in it."""
 
+TORQUE: Final = 0.6
+"""Most torque of a finger's motor in a scene [N m] where its maker's figure is not known: about
+10 N at a fingertip 6 cm away."""
+
 _ACCELERATION: Final = 2000.0
-"""What a servo's torque can do to its inertia [rad/s^2]; the loop's own limit is below it."""
+"""What a servo's torque can do to its inertia [rad/s^2], where nothing lies in the hand and the
+maker's figure is not known; the loop's own limit is below it."""
 
 _STOP_S: Final = 0.005
 """Time constant of the joints' end stops [s]; MuJoCo's own give way by degrees."""
@@ -86,8 +92,12 @@ def build_physics(
     for first, second in pairs:
         exclude = spec.add_exclude()
         exclude.bodyname1, exclude.bodyname2 = first, second
-    for index, load in zip(hand.actuated, inertia, strict=True):
-        _add_servo(spec, hand.joint_names[index], float(load), bandwidth)
+    most = inertia * _ACCELERATION
+    if furnish is not None:
+        most = np.minimum(most, TORQUE)
+    torques = np.where(np.isfinite(hand.torques), hand.torques, most)
+    for name, load, torque in zip(hand.actuated_names, inertia, torques, strict=True):
+        _add_servo(spec, name, float(load), float(torque), bandwidth)
     try:
         model = spec.compile() if furnish is None else furnish(spec).compile()
     except ValueError as error:
@@ -152,7 +162,9 @@ def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
     return np.asarray(np.diag(reduced))
 
 
-def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth: float) -> None:
+def _add_servo(
+    spec: mujoco.MjSpec, joint: str, inertia: float, torque: float, bandwidth: float
+) -> None:
     """A position servo with critical damping: torque = kp (target - q) - kv dq/dt, limited."""
     omega = 2.0 * np.pi * bandwidth
     kp, kv = inertia * omega**2, 2.0 * inertia * omega
@@ -169,7 +181,7 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth: float
     actuator.inheritrange = 0.0
     actuator.ctrllimited = actuator.actlimited = False
     actuator.forcelimited = True
-    actuator.forcerange = (-inertia * _ACCELERATION, inertia * _ACCELERATION)
+    actuator.forcerange = (-torque, torque)
 
 
 def _padded(like: np.ndarray, *values: float) -> np.ndarray:

@@ -20,9 +20,6 @@ OBJECT: Final = "object"
 PLATFORM: Final = "platform"
 """Begins the names of the shapes that it may lie on."""
 
-TORQUE: Final = 0.6
-"""Most that a finger's motor gives in a scene [N m]: about 10 N at a fingertip 6 cm away."""
-
 _ALL: Final = 0xFFFF  # touches every shape that touches anything
 _STIFF: Final = 0.004  # time constant of contacts [s]; MuJoCo's default lets a card sink in
 _WIDTH, _HEIGHT = 1280, 960  # largest picture
@@ -60,9 +57,6 @@ class Scene(ABC):
 
     def furnish(self, hand: mujoco.MjSpec) -> mujoco.MjSpec:
         """The world with the hand in it; see ``physics_model``."""
-        for actuator in hand.actuators:
-            low, high = actuator.forcerange
-            actuator.forcerange = (max(low, -TORQUE), min(high, TORQUE))
         hand.option.gravity = (0.0, 0.0, -9.81)
         world = _empty(hand)
         position, quaternion = self.mount.frame
