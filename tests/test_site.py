@@ -16,10 +16,13 @@ import smooth_operator
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGES = [
     "hands",
+    "human",
+    "calibration",
     "objective",
     "solvers",
     "methods",
     "metrics",
+    "synthetic",
     "formats",
     "teleop",
     "lab",
