@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,6 +26,7 @@ from smooth_operator.lab.benchmark.settings import Settings, method_label, selec
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
+    default_preset,
     live_presets,
     loadable_presets,
     method_config,
@@ -40,6 +42,15 @@ from smooth_operator.types import HandRecording
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
 EMPTY: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class Unset(SbrConfig):
+    """Settings that have no defaults."""
+
+    name: str = field(kw_only=True)
+
+
 SPEC = MODELS / "allegro_hand.left.toml"
 
 
@@ -70,6 +81,8 @@ def test_a_method_of_ones_own_is_named_by_its_module() -> None:
     assert method_config(f"{__name__}:OWN") is OWN
     assert method_config(f"{__name__}:TWO") is OWN
     assert method_config(f"{__name__}:TWO", "slow") is TWO["slow"]
+    assert method_config("smooth_operator:SbrConfig") == SbrConfig()  # the class itself
+    assert default_preset("smooth_operator:SbrConfig") == "default"
     chosen = select_methods((f"{__name__}:TWO", f"{__name__}:TWO:slow", "sbr:paper"))
     assert [c.config for c in chosen] == [*TWO.values(), method_config("sbr", "paper")]
     labels = [method_label(c.method, c.preset) for c in chosen]
@@ -81,6 +94,7 @@ def test_a_method_of_ones_own_is_named_by_its_module() -> None:
     [
         (f"{__name__}:EMPTY", ConfigError, "has no preset"),
         (f"{__name__}:Path", ConfigError, "can't be a method: it must be a MethodConfig"),
+        (f"{__name__}:Unset", ConfigError, "not a class that needs arguments"),
         (f"{__name__}:NONE", ConfigError, "has no 'NONE'. methods by name: sbr, smooth"),
         ("srb", UnknownNameError, "Did you mean 'sbr'?"),
         ("srb:paper", UnknownNameError, "unknown method"),

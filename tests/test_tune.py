@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -32,8 +33,10 @@ from smooth_operator.methods.setting_paths import (
     numeric_settings,
     with_settings,
 )
+from smooth_operator.objective import LeastSquaresTerm
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
 TINY = SbrConfig(
@@ -73,16 +76,63 @@ def test_settings_are_known_by_their_former_names():
     assert find_setting(smooth, "polar.knee") == find_setting(smooth, "knee")
     assert find_setting(smooth, "clearance.weight") == "self_collision.weight"
     now = numeric_settings(smooth)
-    assert set(RENAMED.values()) <= set(now)
-    assert not set(RENAMED) & set(now)
-    changed = with_settings(smooth, dict.fromkeys(RENAMED, 0.25))
-    assert numeric_settings(changed) == now | dict.fromkeys(RENAMED.values(), 0.25)
     offline = PRESETS["smooth"]["offline"]
+    of_offline = {"leap": "jump"}
+    renamed = {old: new for old, new in RENAMED.items() if old not in of_offline}
+    assert renamed | of_offline == RENAMED
+    assert set(renamed.values()) <= set(now)
+    assert set(of_offline.values()) <= set(numeric_settings(offline))
+    assert not set(RENAMED) & (set(now) | set(numeric_settings(offline)))
+    changed = with_settings(smooth, dict.fromkeys(renamed, 0.25))
+    assert numeric_settings(changed) == now | dict.fromkeys(renamed.values(), 0.25)
     inner = next(path for path in numeric_settings(offline) if path.endswith("collision.weight"))
     old = inner.replace("self_collision", "clearance")
     assert numeric_settings(with_settings(offline, {old: 3.0}))[inner] == 3.0
     with pytest.raises(UnknownNameError, match=r"clearance\.weight"):
         with_settings(SBR_REALTIME, {"clearance.weight": 1.0})
+
+
+@dataclass(frozen=True)
+class TipDistance(LeastSquaresTerm):
+    """A term that a user adds: two fingertips are kept apart."""
+
+    weight: float = 20_000.0
+    distance: float = 0.04
+
+    def points(self) -> tuple[str, ...]:
+        return ("index_tip", "middle_tip")
+
+    def residuals(self, points: Any, goal: Any) -> Any:
+        gap = jnp.linalg.norm(points[0] - points[1])
+        return jnp.sqrt(self.weight) * jnp.maximum(self.distance - gap, 0.0)[None]
+
+
+WITH_TERM = replace(TINY, objective=replace(TINY.objective, terms=(TipDistance(),)))
+
+
+def test_settings_of_an_added_term_have_a_path():
+    assert find_setting(WITH_TERM, "distance") == "objective.terms.0.distance"
+    variable = parse_variable("terms.0.weight=1e3:1e5:log", WITH_TERM)
+    assert (variable.path, variable.start) == ("objective.terms.0.weight", 20_000.0)
+    changed = with_settings(WITH_TERM, {variable.path: 5e3, "objective.pose_weight": 0.5})
+    assert changed.objective.terms == (TipDistance(weight=5e3),)
+    assert changed.objective.pose_weight == 0.5
+    with pytest.raises(UnknownNameError, match="distance"):
+        with_settings(WITH_TERM, {"objective.terms.1.distance": 0.1})
+
+
+def test_settings_of_an_added_term_can_be_arguments_of_a_program():
+    recording = SyntheticOperator(seed=2).record(0.3)
+    paths = ("objective.terms.0.weight", "objective.terms.0.distance")
+    traced = TracedRun(Retargeter("shadow_dexee", config=WITH_TERM), paths)
+    found = []
+    for values in ((20_000.0, 0.02), (20_000.0, 0.09)):
+        given = dict(zip(paths, values, strict=True))
+        constant = Retargeter("shadow_dexee", config=with_settings(WITH_TERM, given))
+        found.append(traced.run(recording, given).joint_positions)
+        expected = constant.run(recording)[0].joint_positions
+        np.testing.assert_allclose(found[-1], expected, atol=2e-3)
+    assert np.abs(found[0] - found[1]).max() > 0.05
 
 
 def test_variables():

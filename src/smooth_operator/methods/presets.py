@@ -11,7 +11,7 @@ from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
-from smooth_operator.methods.registry import METHODS
+from smooth_operator.methods.registry import METHODS, as_presets
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.methods.smooth import SmoothConfig
@@ -86,15 +86,21 @@ class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
 
     def __getitem__(self, method: str) -> Mapping[str, MethodConfig]:
         found = METHODS.load(method)
-        presets = found if isinstance(found, Mapping) else {"default": found}
+        refusal = (
+            f"{METHODS.find(method).target} can't be a method: it must be a MethodConfig, its "
+            "class, or a mapping of preset names to them, not "
+        )
+        if isinstance(found, type) and not issubclass(found, MethodConfig):
+            raise ConfigError(f"{refusal}{brief(found)}")
+        try:
+            presets = as_presets(found)
+        except TypeError as error:  # a class whose fields lack defaults
+            raise ConfigError(f"{refusal}a class that needs arguments ({error})") from error
         if not presets:
             raise ConfigError(f"method {method!r} has no preset")
         for config in presets.values():
             if not isinstance(config, MethodConfig):
-                raise ConfigError(
-                    f"{METHODS.find(method).target} can't be a method: it must be a MethodConfig, "
-                    f"or a mapping of preset names to them, not {brief(config)}"
-                )
+                raise ConfigError(f"{refusal}{brief(config)}")
         return presets
 
     def __iter__(self) -> Iterator[str]:
@@ -151,7 +157,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
     is its ``paper``.
 
-    The method may be ``package.module:attribute``: a configuration, or presets by name.
+    The method may be ``package.module:attribute``: a configuration, its class, or presets by name.
 
     Raises:
         UnknownNameError: if there is no such method or preset.

@@ -1,13 +1,14 @@
 """The methods by name, built-in and of plugins; nothing here imports JAX.
 
 What a name stands for is a mapping of preset names to configurations, whose first is the
-default, or one configuration, whose preset is called ``default``.
+default, or one configuration, whose preset is called ``default``. A class of configurations
+stands for the one that it gives without arguments.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.plugins import Entry, Registry
@@ -53,6 +54,12 @@ COLORS: Final = {
 by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
 
 
+def as_presets(found: Any) -> Mapping[str, Any]:
+    """Preset name -> configuration, of what the name of a method stands for."""
+    found = found() if isinstance(found, type) else found
+    return found if isinstance(found, Mapping) else {"default": found}
+
+
 def method_color(name: str) -> str | None:
     """The colour of a method in reports, ``#rrggbb``; None if it has none of its own.
 
@@ -61,9 +68,8 @@ def method_color(name: str) -> str | None:
     if name not in METHODS.plugins:
         return COLORS.get(name)
     try:
-        found = METHODS.load(name)
+        presets = as_presets(METHODS.load(name))
     except SmoothOperatorError:  # reports go on without it
         return None
-    config = next(iter(found.values())) if isinstance(found, Mapping) else found
-    color: str | None = config.color
+    color: str | None = next(iter(presets.values())).color
     return color

@@ -34,7 +34,8 @@ def numeric_settings(config: object) -> dict[str, float | int]:
     """All numbers of a configuration, by their path: names of fields with dots between them.
 
     Args:
-        config: a dataclass, with dataclasses in its fields.
+        config: a dataclass, with dataclasses in its fields. Those in a tuple are named by their
+            place: ``objective.terms.0.weight`` is a setting of the first added term.
 
     Returns:
         path -> value, in the order of the fields; switches (true or false) are not among them.
@@ -104,14 +105,24 @@ def _current(path: str, known: Mapping[str, float | int]) -> str:
 
 
 def _numbers(config: object, prefix: str) -> Iterator[tuple[str, float | int]]:
-    if not dataclasses.is_dataclass(config):
-        return
-    for field in dataclasses.fields(config):
-        value, path = getattr(config, field.name), f"{prefix}{field.name}"
+    for name, value in _parts(config).items():
         if isinstance(value, float | int) and not isinstance(value, bool):
-            yield path, value
+            yield f"{prefix}{name}", value
         else:
-            yield from _numbers(value, f"{path}.")
+            yield from _numbers(value, f"{prefix}{name}.")
+
+
+def _parts(config: Any) -> dict[str, Any]:
+    """Field -> value of a dataclass; place -> entry of a tuple, its dataclasses alone."""
+    if isinstance(config, tuple):
+        return {str(i): one for i, one in enumerate(config) if _is_settings(one)}
+    if not _is_settings(config):
+        return {}
+    return {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+
+
+def _is_settings(value: object) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
 
 
 def _replaced(config: Any, values: Mapping[str, Any], *, checked: bool) -> Any:
@@ -123,8 +134,11 @@ def _replaced(config: Any, values: Mapping[str, Any], *, checked: bool) -> Any:
             inner.setdefault(name, {})[rest] = value
         else:
             changes[name] = value
+    parts = _parts(config)
     for name, below in inner.items():
-        changes[name] = _replaced(getattr(config, name), below, checked=checked)
+        changes[name] = _replaced(parts[name], below, checked=checked)
+    if isinstance(config, tuple):
+        return tuple(changes.get(str(i), one) for i, one in enumerate(config))
     if checked:
         return dataclasses.replace(config, **changes)
     changed = copy.copy(config)
