@@ -116,7 +116,9 @@ def test_motors_give_what_their_makers_state() -> None:
     for hand in (mimic, weak):
         physics = HandPhysics(hand)
         start = physics.positions[list(hand.actuated)][joint]
-        physics.command(hand.full_configuration(hand.limits[:, 1]))
+        pose = hand.neutral.copy()
+        pose[joint] = hand.limits[joint, 1]
+        physics.command(hand.full_configuration(pose))
         physics.advance(0.04)
         turned.append(physics.positions[list(hand.actuated)][joint] - start)
     # 0.01 N m turns a rotor of 5e-4 kg m^2 by at most 16 mrad in 40 ms

@@ -327,10 +327,12 @@ def test_one_hand_in_words(capsys: pytest.CaptureFixture[str]) -> None:
     assert said["actuated"] == list(hand.actuated_names)
     assert said["fingers"]["index"]["tip"]["body"] == "index_3"
     assert len(said["landmarks_m"]) == 21
+    assert {joint["torque"] for joint in said["joints"]} == {1.0}
     run("show", "schunk_svh", "--json")
     joints = {j["name"]: j for j in json.loads(capsys.readouterr().out)["joints"]}
     assert joints["right_hand_j5"]["follows"] == "right_hand_Thumb_Opposition"
     assert not joints["right_hand_j5"]["actuated"]
+    assert not any("torque" in joint for joint in joints.values())
 
 
 def test_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,6 +59,7 @@ def describe(hand: Hand) -> dict[str, Any]:
     """A hand as plain values, for ``--json``."""
     spec, followed = hand.spec, {c.joint: c for c in hand.couplings}
     joints = []
+    torques = _torques(hand)
     for row in joint_rows(hand):
         joint: dict[str, Any] = {
             "name": row.name,
@@ -66,6 +67,8 @@ def describe(hand: Hand) -> dict[str, Any]:
             "neutral": row.neutral,
             "actuated": row.actuated,
         }
+        if np.isfinite(torques.get(row.name, np.nan)):
+            joint["torque"] = torques[row.name]
         if (coupling := followed.get(row.name)) is not None:
             joint |= {
                 "follows": coupling.follows,
@@ -103,6 +106,10 @@ def _hand(options: Show | Render) -> Hand:
     return hand if options.model is None else drawn_on(hand, options.model)
 
 
+def _torques(hand: Hand) -> dict[str, float]:
+    return dict(zip(hand.actuated_names, hand.torques.tolist(), strict=True))
+
+
 def _point(point: Point) -> dict[str, Any]:
     return {"body": point.body, "offset_m": list(point.offset)}
 
@@ -124,8 +131,9 @@ def _print_tables(hand: Hand) -> None:
     )
 
     say("\njoints, in the model's own order")
-    joints = plain_table()
-    for header in ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "follows"):
+    joints, torques = plain_table(), _torques(hand)
+    headers = ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "torque [N m]", "follows")
+    for header in headers:
         justify: Literal["left", "right"] = "right" if "[" in header else "left"
         joints.add_column(Text(header), justify=justify, no_wrap=True)
     for row in joint_rows(hand):
@@ -134,6 +142,7 @@ def _print_tables(hand: Hand) -> None:
             f"{row.low:.4f}",
             f"{row.high:.4f}",
             f"{row.neutral:.3f}",
+            f"{torques[row.name]:.2f}" if np.isfinite(torques.get(row.name, np.nan)) else "",
             Text(row.follows),
         )
     console.print(joints)
