@@ -271,7 +271,8 @@ def test_stopping_while_writing_leaves_the_former_result(
 
 def test_metrics_are_printed_group_by_group(capsys: pytest.CaptureFixture[str]) -> None:
     from smooth_operator.cli.console import print_metrics
-    from smooth_operator.metrics import GROUPS, METRICS
+    from smooth_operator.metrics import METRICS
+    from smooth_operator.metrics.metric import GROUPS
 
     metrics: dict[str, object] = {}
     for number, metric in enumerate(METRICS):

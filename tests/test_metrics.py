@@ -12,8 +12,9 @@ from metrics_cases import RATE, WRIST, human_motion, make_trace, rotation
 
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.metrics import METRICS, evaluate, keyvectors
+from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.metrics.safety import workspace_utilisation
+from smooth_operator.metrics.trace import keyvectors
 from smooth_operator.types import Status
 
 # --- accuracy -----------------------------------------------------------------------------------

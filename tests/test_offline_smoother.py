@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import HandRecording, Retargeter, Status, align_recording
+from smooth_operator import HandRecording, Retargeter, Status
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
 from smooth_operator.lab.offline import trajectory_retargeter as trajectory_module
 from smooth_operator.lab.offline.segments import windows

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
-from smooth_operator.teleop import Sink, TeleopLoop, Tick, build_source, read_log, teleoperate
+from smooth_operator.teleop import Sink, TeleopLoop, Tick, read_log, teleoperate
+from smooth_operator.teleop.sources.registry import build_source
 
 METHOD = {"method": "joint_angle"}
 """It compiles in a second."""

@@ -1,7 +1,6 @@
 from smooth_operator import calibration as calibration
 from smooth_operator import formats as formats
 from smooth_operator import hands as hands
-from smooth_operator import human as human
 from smooth_operator import lab as lab
 from smooth_operator import methods as methods
 from smooth_operator import metrics as metrics
@@ -20,8 +19,6 @@ from smooth_operator.hands.spec import FingerSpec as FingerSpec
 from smooth_operator.hands.spec import HandSpec as HandSpec
 from smooth_operator.hands.spec import Point as Point
 from smooth_operator.human.alignment import AlignmentConfig as AlignmentConfig
-from smooth_operator.human.alignment import align_recording as align_recording
-from smooth_operator.human.alignment import calibrate_scale as calibrate_scale
 from smooth_operator.landmarks import LANDMARKS as LANDMARKS
 from smooth_operator.methods.presets import method_config as method_config
 from smooth_operator.methods.presets import method_names as method_names

@@ -15,6 +15,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+__all__ = (
+    "ConfigError", "HandModelError", "MissingExtraError", "OutputError", "RecordingError",
+    "RemoteError", "RemoteRefusedError", "SinkError", "SmoothOperatorError", "SourceError",
+    "StudyError", "UnknownNameError",
+)  # fmt: skip
+"""The public ones; the rest is for this package."""
+
 DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 

@@ -10,6 +10,12 @@ from __future__ import annotations
 
 from typing import Final
 
+__all__ = (
+    "FROM_MANUS_25", "FROM_OPENXR_26", "FROM_WEBXR_25", "LANDMARKS", "LAYOUTS",
+    "METACARPALS_MANUS_25", "METACARPALS_OPENXR_26", "METACARPALS_WEBXR_25",
+)  # fmt: skip
+"""The public ones; the rest is for this package."""
+
 FINGERS: Final = ("thumb", "index", "middle", "ring", "pinky")
 """Human finger names, thumb first."""
 

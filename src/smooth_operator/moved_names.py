@@ -101,6 +101,13 @@ A module below another old one needs no row: Python imports the outer one first,
 """
 
 FORMER: Final[dict[str, str]] = {
+    "align_recording": "human.alignment",
+    "calibrate_scale": "human.alignment",
+    "calibration.Calibration": "calibration.estimate",
+    "human.AlignmentConfig": "human.alignment",
+    "human.OperatorProfile": "human.operator",
+    "human.align_recording": "human.alignment",
+    "human.calibrate_scale": "human.alignment",
     "io.Reader": "formats.registry",
     "io.atomic_write": "io.atomic",
     "io.config_path": "formats.commands",
@@ -111,9 +118,22 @@ FORMER: Final[dict[str, str]] = {
     "io.reading_notes": "formats.checks",
     "io.to_json": "io.jsonable",
     "io.write_commands": "formats.commands",
+    "lab.discover": "lab.discovery.discover",
+    "methods.HostMethod": "methods.method",
+    "metrics.Definition": "metrics.evaluation",
+    "metrics.GROUPS": "metrics.metric",
+    "metrics.keyvectors": "metrics.trace",
+    "objective.DexPilotTargets": "objective.targets",
+    "objective.KeyvectorLayout": "objective.keyvectors",
+    "objective.PlainTargets": "objective.targets",
+    "objective.StatelessTargets": "objective.targets",
     "objective.TipTargets": "baselines.tip_targets",
     "solvers.SlsqpConfig": "baselines.slsqp",
     "solvers.slsqp_minimise": "baselines.slsqp",
+    "teleop.Arrival": "teleop.sources.live",
+    "teleop.LiveSource": "teleop.sources.live",
+    "teleop.Mailbox": "teleop.sources.live",
+    "teleop.build_source": "teleop.sources.registry",
 }
 """Name that a package once had -> the module that has it now; both below ``smooth_operator``."""
 
@@ -126,7 +146,7 @@ def former_names(package: str) -> Callable[[str], Any]:
     """
 
     def load(name: str) -> Any:
-        home = FORMER.get(f"{package.partition('.')[2]}.{name}")
+        home = FORMER.get(f"{package}.{name}".partition(".")[2])
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         import warnings  # here, for who uses an old name

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from smooth_operator import HandRecording
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats import Reader
-from smooth_operator.types import HandRecording
 
 
 def read(path, rate, side, layout):

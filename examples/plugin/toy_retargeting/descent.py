@@ -6,10 +6,9 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.goal import FrameGoal
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator import AlignmentConfig
+from smooth_operator.methods import Method, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.objective import FrameGoal, Objective, ObjectiveConfig
 
 
 @dataclass(frozen=True)

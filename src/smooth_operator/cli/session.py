@@ -9,7 +9,8 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.metrics import Definition, Trace
+from smooth_operator.metrics import Trace
+from smooth_operator.metrics.evaluation import Definition
 from smooth_operator.planning import Plan, RetargetRequest, make_request
 from smooth_operator.types import Side
 

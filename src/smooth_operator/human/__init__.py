@@ -1,5 +1,5 @@
 """The human side: alignment to the palm, scale, calibration, filtering, joint angles."""
 
-from smooth_operator.lazy_names import public_names
+from smooth_operator.moved_names import former_names
 
-__getattr__, __dir__, __all__ = public_names(__name__, __file__)
+__getattr__ = former_names(__name__)

@@ -1,4 +1,3 @@
-from smooth_operator.methods.method import HostMethod as HostMethod
 from smooth_operator.methods.method import Method as Method
 from smooth_operator.methods.method import MethodConfig as MethodConfig
 from smooth_operator.methods.method import MethodOutput as MethodOutput

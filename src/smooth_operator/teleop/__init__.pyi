@@ -12,8 +12,4 @@ from smooth_operator.teleop.sinks.runner import SinkRunner as SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink as Sink
 from smooth_operator.teleop.sinks.tick import Mode as Mode
 from smooth_operator.teleop.sinks.tick import Tick as Tick
-from smooth_operator.teleop.sources.live import Arrival as Arrival
-from smooth_operator.teleop.sources.live import LiveSource as LiveSource
-from smooth_operator.teleop.sources.live import Mailbox as Mailbox
 from smooth_operator.teleop.sources.live import ThreadedSource as ThreadedSource
-from smooth_operator.teleop.sources.registry import build_source as build_source

@@ -13,7 +13,7 @@ from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.per_finger import finger_metrics
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.metrics import Definition
+from smooth_operator.metrics.evaluation import Definition
 from smooth_operator.planning import Plan, configuration
 from smooth_operator.types import CommandTrajectory, HandRecording
 

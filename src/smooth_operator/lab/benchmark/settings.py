@@ -13,7 +13,7 @@ from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
 from smooth_operator.methods.registry import METHODS
-from smooth_operator.metrics import Definition
+from smooth_operator.metrics.evaluation import Definition
 from smooth_operator.plugins import is_target
 from smooth_operator.types import Side
 

@@ -15,8 +15,9 @@ from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.metrics import Definition, Trace, evaluate
+from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.metrics.evaluation import Definition
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory
 

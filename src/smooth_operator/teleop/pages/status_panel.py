@@ -8,7 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.metrics import GROUPS, Metric
+from smooth_operator.metrics import Metric
+from smooth_operator.metrics.metric import GROUPS
 from smooth_operator.metrics.registry import known_metrics
 from smooth_operator.teleop.pages.palette import css, finger_colors
 from smooth_operator.teleop.pages.playback import Playback
