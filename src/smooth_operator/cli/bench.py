@@ -6,12 +6,12 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 
 from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.cli.bench_options import Bench
+from smooth_operator.cli.bench_options import Bench, default_of
 from smooth_operator.cli.bench_tables import print_comparison, print_results
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.dispatch import dispatch_here
-from smooth_operator.errors import SmoothOperatorError, require
+from smooth_operator.errors import ConfigError, SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.selection import parse_fingers
@@ -45,6 +45,15 @@ def bench(options: Bench) -> None:
         require("the report (--no-report leaves it out)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     dispatch_here()  # before planning, which may start JAX
+    if options.physics is not None:
+        from smooth_operator.cli.bench_physics import bench_physics
+
+        if bench_physics(options, progress, _track(progress, "cases")):
+            raise SystemExit(SOME_FAILED)
+        return
+    for name in ("units", "quick"):
+        if getattr(options, name) != default_of(name):
+            raise ConfigError(f"--{name} needs --physics: give both, or leave it out")
     # What a user can get wrong comes before what takes long.
     settings = Settings(
         output=options.output,
@@ -95,10 +104,10 @@ def bench(options: Bench) -> None:
             print_comparison(comparison)
         written = RESULTS if options.no_report else f"{RESULTS} and {REPORT}"
         progress.note(f"wrote {options.output}: {written}")
-    failed = [row for row in rows if row["status"] != "ok"]
+    failed = sum(row["status"] != "ok" for row in rows)
     if failed:
         where = "" if options.quiet else ", see above"
-        progress.note(f"{len(failed)} of {len(rows)} cells failed{where}", matters=True)
+        progress.note(f"{failed} of {len(rows)} cells failed{where}", matters=True)
         raise SystemExit(SOME_FAILED)
 
 
@@ -129,17 +138,18 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
 
 def _track(
     progress: Progressing,
+    what: str = "cells",
 ) -> Callable[[str, int, int], contextlib.AbstractContextManager[Advance]]:
     """Progress on a terminal as a bar with the time left, elsewhere as a line for each cell."""
 
     @contextlib.contextmanager
     def phase(name: str, total: int, done: int) -> Iterator[Advance]:
         if done:
-            progress.note(f"{name}: {done} of {total} cells need no measuring again")
+            progress.note(f"{name}: {done} of {total} {what} need no measuring again")
         if done == total:
             yield lambda label, reason: None
             return
-        with progress.counter("cells") as bar:
+        with progress.counter(what) as bar:
             task = bar.add_task(name, total=total - done)
             left = total - done
 

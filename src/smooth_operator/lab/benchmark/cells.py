@@ -97,9 +97,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
     Frames, hand, configuration, seed and definitions are in it. Of two cells with one fingerprint,
     one need not be done again.
     """
-    plugins = [cell.config, *(metric.compute for metric in plugin_metrics())]
-    modules = {sys.modules[getattr(part, "__module__", __name__)] for part in plugins}
-    outside = [code for module in modules if (code := _code_outside(module))]
+    outside = outside_code(cell.config, *(metric.compute for metric in plugin_metrics()))
     return key_digest(
         {
             "frames": cell.source.digest,
@@ -109,10 +107,16 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
             "config": cell.config,
             "seed": settings.seed,
             "definition": settings.definition,
-            "files": [digest(path) for path in _files_of(cell.config)],
-            **({"plugins": sorted(outside)} if outside else {}),
+            "files": [digest(path) for path in files_of(cell.config)],
+            **({"plugins": outside} if outside else {}),
         }
     )
+
+
+def outside_code(*parts: Any) -> list[str]:
+    """Digests of the other distributions that some parts come from, as those of plugins."""
+    modules = {sys.modules[getattr(part, "__module__", __name__)] for part in parts}
+    return sorted(code for module in modules if (code := _code_outside(module)))
 
 
 @cache
@@ -150,10 +154,10 @@ def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -
     return hashlib.sha256(text).hexdigest()
 
 
-def _files_of(config: Any) -> Iterator[Path]:
+def files_of(config: Any) -> Iterator[Path]:
     """The files that a configuration names, as trained models."""
     if isinstance(config, Path) and config.is_file():
         yield config
     elif dataclasses.is_dataclass(config):
         for field in dataclasses.fields(config):
-            yield from _files_of(getattr(config, field.name))
+            yield from files_of(getattr(config, field.name))

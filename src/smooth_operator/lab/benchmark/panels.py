@@ -92,9 +92,15 @@ def _run(cell: Cell, measured: Measured, hand: Hand) -> Run:
     assert cell.source.recording is not None
     human = align_recording(cell.source.recording, hand, cell.config.alignment)
     joints = np.asarray(measured.commands.joint_positions, np.float64)
+    robot = robot_landmarks(hand, joints)
+    return Run(method_label(cell.method, cell.preset), human, robot, joints)
+
+
+def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 21 3"]:
+    """Landmarks of a robot in the palm frame [m]; NaN where it has none."""
     robot = np.full((len(joints), NUM_LANDMARKS, 3), np.nan)
     robot[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.tree.positions(joints)
-    return Run(method_label(cell.method, cell.preset), human, robot, joints)
+    return robot
 
 
 def robot_bones(hand: Hand) -> list[tuple[int, int]]:

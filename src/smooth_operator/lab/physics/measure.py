@@ -88,12 +88,16 @@ class Case:
         )  # fmt: skip
 
     @property
+    def method_label(self) -> str:
+        """What the method is called in tables."""
+        return method_label(self.method, self.preset)
+
+    @property
     def label(self) -> str:
         """For a person."""
-        method = method_label(self.method, self.preset)
         condition = f", {self.condition}" if self.condition else ""
-        where = f"{self.hand_name} {self.side}, {method}{condition}"
-        return f"{self.measure}: {where}, {self.unit.name}"
+        where = f"{self.hand_name} {self.side}, {self.method_label}{condition}"
+        return f"{where}, {self.unit.name}"
 
     @cached_property
     def hand(self) -> Hand:

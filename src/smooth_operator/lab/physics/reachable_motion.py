@@ -18,7 +18,7 @@ from smooth_operator.lab.physics.measure import Case, Clip, Drawing, Measured, U
 from smooth_operator.lab.physics.plots import interval_drawings
 from smooth_operator.lab.physics.results import Figure, MeasureResults
 from smooth_operator.lab.physics.settings import PhysicsSettings
-from smooth_operator.landmarks import FINGERS
+from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording, Side, Status
 
@@ -114,6 +114,9 @@ class ReachableMotion:
                "asked ones best.", short="lag"),
         Figure("exact", "", "up", "Share of the frames in which no fingertip is further off than "
                "0.5 mm.", short="exact frames"),
+        Figure("input_error_mm", "mm", "", "How far off the aligned landmarks of the tips are that "
+               "the method is given: what a method that follows them exactly would be off by.",
+               short="input error", main=False),
         *(
             Figure(f"tip_error_{finger}_mm", "mm", "down", f"Error of the {finger}'s tip, mean.",
                    short=finger, main=False)
@@ -143,9 +146,12 @@ class ReachableMotion:
         commands = case.commands(asked.recording)
         row = motion_figures(case.hand, asked, commands.joint_positions)
         row["held_frames"] = int((commands.status != Status.OK).sum())
+        human = align_recording(asked.recording, case.hand, case.config.alignment)
+        own = [TIPS[FINGERS.index(finger)] for finger in case.hand.fingers]
+        off = np.linalg.norm(human[:, own] - asked.tips, axis=-1)
+        row["input_error_mm"] = 1e3 * float(off[_warm(asked) :].mean())
         if not case.clip:
             return Measured(row)
-        human = align_recording(asked.recording, case.hand, case.config.alignment)
         return Measured(row, Clip(asked.recording.stamps, human, commands.joint_positions))
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
@@ -163,14 +169,13 @@ def motion_figures(
         asked: what it was asked for.
         joints: (T, n) what it was commanded [rad].
     """
-    stamps = asked.recording.stamps
-    warm = int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
+    warm = _warm(asked)
     tips = hand.tips(joints)
     error = np.linalg.norm(tips - asked.tips, axis=-1)[warm:]
     gaps, wanted = (_thumb_gaps(points)[warm:] for points in (tips, asked.tips))
     pinched = wanted < PINCH_GAP
     apart = np.abs(gaps - wanted)[pinched]
-    period = float(np.median(np.diff(stamps)))
+    period = float(np.median(np.diff(asked.recording.stamps)))
     return {
         "tip_error_mm": 1e3 * float(error.mean()),
         "tip_p95_mm": 1e3 * float(np.percentile(error, 95)),
@@ -186,6 +191,12 @@ def motion_figures(
         "asked_peak_speed_rad_s": asked.motion.peak_speed,
         "asked_overlap_mm": None if asked.motion.deepest is None else 1e3 * asked.motion.deepest,
     }
+
+
+def _warm(asked: AskedMotion) -> int:
+    """How many frames are left out."""
+    stamps = asked.recording.stamps
+    return int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
 
 
 def _thumb_gaps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "T f"]:

@@ -167,15 +167,19 @@ class MeasureResults:
 
 
 def best_of(lines: Sequence[Line], figure: Figure) -> str | None:
-    """The method that is best by a figure; None where it has no direction or all are alike."""
+    """The method that is best by a figure; None where it has no direction or all are alike.
+
+    Where less is better, the nearest to 0 is best: a lag may be below 0.
+    """
     values = {line.method: line.summaries[figure.name].value for line in lines}
     known = {method: value for method, value in values.items() if value is not None}
     if not figure.goal or len(set(known.values())) < 2:
         return None
     if figure.goal == "->1":
         return min(known, key=lambda method: abs(known[method] - 1))
-    choose = min if figure.goal == "down" else max
-    return choose(known, key=known.__getitem__)
+    if figure.goal == "down":
+        return min(known, key=lambda method: abs(known[method]))
+    return max(known, key=known.__getitem__)
 
 
 def row_method(row: Mapping[str, Any]) -> str:

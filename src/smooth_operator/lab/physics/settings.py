@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.lab.benchmark.settings import select_hands, select_methods
+from smooth_operator.lab.benchmark.settings import ALL, select_hands, select_methods
 from smooth_operator.types import Side
-
-METHODS: Final = ("smooth", "sbr", "keyvector", "ako", "dexpilot", "hybrid")
-"""What is measured where no method is named: the causal methods that need no training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +40,7 @@ class PhysicsSettings:
     output: Path
     measures: tuple[str, ...] = ()
     hands: tuple[str, ...] = ("mimic_p050",)
-    methods: tuple[str, ...] = METHODS
+    methods: tuple[str, ...] = (ALL,)
     side: Side = "right"
     recordings: tuple[str, ...] = ()
     frames: str | None = None

@@ -1,0 +1,93 @@
+"""The files of ``bench --physics``: rows as CSV for a spreadsheet, everything as JSON."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.io.atomic import atomic_write, write_json
+from smooth_operator.io.environment import environment
+from smooth_operator.lab.physics.results import IDENTITY
+from smooth_operator.lab.physics.settings import PhysicsSettings
+from smooth_operator.lab.physics.suite import COMMAND, MeasureOutcome
+from smooth_operator.planning import PROGRAM
+
+RESULTS: Final = "results.json"
+SUMMARY: Final = "summary.csv"
+
+
+def write_files(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -> list[Path]:
+    """Writes ``MEASURE.csv`` (a row a case), ``summary.csv`` (a row for each measure, hand, method,
+    condition and figure, with its interval) and ``results.json`` (all of it).
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: one can't be written.
+    """
+    paths = []
+    for outcome in outcomes:
+        rows = outcome.results.rows
+        more = dict.fromkeys(key for row in rows for key in row)
+        paths.append(settings.output / f"{outcome.measure.name}.csv")
+        _write_csv(paths[-1], list(dict.fromkeys([*IDENTITY, *more])), rows)
+    summary = [line for outcome in outcomes for line in summary_rows(outcome)]
+    paths.append(settings.output / SUMMARY)
+    _write_csv(paths[-1], list(dict.fromkeys(key for row in summary for key in row)), summary)
+    content = {
+        "program": PROGRAM,
+        "command": COMMAND,
+        "settings": settings,
+        **environment(),
+        "measures": [
+            {
+                "name": outcome.measure.name,
+                "definition": outcome.measure.definition,
+                "unit": outcome.measure.unit,
+                "figures": [_facts(figure) for figure in outcome.measure.figures],
+                "summary": summary_rows(outcome),
+                "rows": outcome.results.rows,
+            }
+            for outcome in outcomes
+        ],
+    }
+    paths.append(settings.output / RESULTS)
+    write_json(paths[-1], content, indent=1)
+    return paths
+
+
+def summary_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
+    """Each figure of each method on each hand in each condition, with its 95 % interval."""
+    return [
+        {
+            "measure": outcome.measure.name,
+            "hand": panel[0],
+            "side": panel[1],
+            "condition": panel[2],
+            "method": line.method,
+            "figure": figure.name,
+            "unit": figure.unit,
+            **dataclasses.asdict(line.summaries[figure.name]),
+        }
+        for panel in outcome.results.panels
+        for line in outcome.results.lines(panel)
+        for figure in outcome.measure.figures
+    ]
+
+
+def _facts(figure: Any) -> dict[str, Any]:
+    return {name: getattr(figure, name) for name in ("name", "unit", "goal", "meaning", "share")}
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Any]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+    with atomic_write(path) as file:
+        file.write(text.getvalue().encode())
