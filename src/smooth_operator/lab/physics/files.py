@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.formats.environment import environment
 from smooth_operator.io.atomic import atomic_write, write_json
-from smooth_operator.io.environment import environment
 from smooth_operator.lab.physics.results import IDENTITY
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.lab.physics.suite import COMMAND, MeasureOutcome
