@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError, install_command
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.ranking import HEADLINES
 from smooth_operator.lab.benchmark.recordings import Request, Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Choice

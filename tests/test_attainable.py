@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.attainable import bounds, pose_search
 from smooth_operator.lab.attainable import search as attain
 from smooth_operator.metrics.accuracy import cosines

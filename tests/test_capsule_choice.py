@@ -12,9 +12,9 @@ import pytest
 from capsule_depths import depths, ends_of
 
 from smooth_operator.hands.capsules import MOST, CapsulePairs, capsule_pairs
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.shared import fingerprint
 
 _PIECES = 5

@@ -16,9 +16,9 @@ from discovery_hands import Model, Part, make_hand, mjcf, urdf
 
 from smooth_operator.cli.hands_add_options import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.lab.discovery import Discovery, Overrules, discover

@@ -107,13 +107,13 @@ def test_names_that_are_not_public_are_found() -> None:
 import smooth_operator.teleop as teleop
 import smooth_operator.methods.sbr
 from smooth_operator import Hand, teleop, types
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.formats import read_recording, jsonable
 print(teleop.TeleopLoop, teleop.gadget, Hand.name)
 """
     assert sorted(not_public(source)) == [
         "smooth_operator.formats.jsonable",
-        "smooth_operator.hands.catalogue.load_hand",
+        "smooth_operator.hands.registry.load_hand",
         "smooth_operator.methods.sbr",
         "smooth_operator.teleop.gadget",
         "smooth_operator.types",

@@ -13,9 +13,9 @@ from discovery_hands import make_hand, mjcf, urdf
 from fuzzing import ReaderProcess, mutate_xml
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hands.catalogue import MODELS
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
+from smooth_operator.hands.registry import MODELS
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.lab.discovery import discover
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from browser_page import changed, new_page, settled
 
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.pages.hand_page import HandPage
 
 WIDTH, HEIGHT = 1000, 700

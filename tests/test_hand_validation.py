@@ -17,9 +17,9 @@ import pytest
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation import HandValidation, check_hand, round_trip

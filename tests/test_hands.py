@@ -12,9 +12,9 @@ import pytest
 from trees import limited_poses, mujoco_points, pincer, pincer_spec
 
 from smooth_operator.errors import HandModelError, UnknownNameError
-from smooth_operator.hands.catalogue import hand_names, load_hand
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.landmarks import LANDMARKS
 

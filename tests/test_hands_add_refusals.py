@@ -11,7 +11,7 @@ import pytest
 from discovery_hands import Model, make_hand, mjcf, urdf
 
 from smooth_operator.cli import main
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 
 HAND = make_hand(3)
 TEXT, XML = urdf(HAND.parts), mjcf(HAND.parts)

@@ -16,8 +16,8 @@ from smooth_operator.baselines.joint_angle import JointAngleConfig, JointAngleMa
 from smooth_operator.baselines.joint_map import joint_map, robot_joint_angles
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.joint_angles import (

@@ -16,9 +16,9 @@ from trees import (
 )
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
+from smooth_operator.hands.registry import load_hand
 
 SEEDS = range(12)
 

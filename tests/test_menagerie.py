@@ -15,8 +15,8 @@ from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, MissingExtraError, install_command
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.menagerie import drawn_on, menagerie_file
-from smooth_operator.hands.catalogue import MODELS, load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import MODELS, load_hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_page import PageSetup

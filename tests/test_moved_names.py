@@ -46,6 +46,7 @@ OLD_IMPORTS = (
     ("from smooth_operator.solvers.slsqp import SlsqpConfig", "baselines.slsqp"),
     ("from smooth_operator.human.joint_map import joint_map", "baselines.joint_map"),
     ("from smooth_operator.hands.menagerie import drawn_on", "hand_files.menagerie"),
+    ("from smooth_operator.hands.catalogue import load_hand", "hands.registry"),
     ("from smooth_operator.human.anatomy import draw_anatomy", "synthetic.hand_anatomy"),
 )
 """What the documentation of 0.1.0 and scripts of that time import -> what the error names."""

@@ -13,8 +13,8 @@ import pytest
 from trees import float64, limited_poses
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import smooth_operator
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig, reference_landmarks
 from smooth_operator.methods.method import HostMethod, Method, MethodConfig, MethodOutput
 from smooth_operator.methods.presets import PRESETS, method_config

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.physics.joint_motion import KNOT_S, PINCH_GAP, TOUCH, joint_motion
 from smooth_operator.lab.physics.reachable_motion import (

@@ -20,8 +20,8 @@ from ticks import make_tick
 from smooth_operator import Retargeter
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import Log, LogWriter, read_episode, read_log
 from smooth_operator.teleop.recording.log_episode import write_log_episode
@@ -334,7 +334,7 @@ def test_killed_at_twenty_random_moments_all_but_the_last_second_is_there(
         import numpy as np
         sys.path.insert(0, sys.argv[2])
         from ticks import make_tick
-        from smooth_operator.hands.catalogue import load_hand
+        from smooth_operator.hands.registry import load_hand
         from smooth_operator.teleop.sinks.record import RecordSink
         hand = load_hand("mimic_p050")
         for name in range(20):

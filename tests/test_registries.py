@@ -18,7 +18,7 @@ from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, UnknownNameError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import Reader
-from smooth_operator.hands.catalogue import HANDS, MODELS, catalogue, hand_names, load_hand
+from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
 from smooth_operator.lab.benchmark import cells
 from smooth_operator.lab.benchmark.cells import Cell, fingerprint
 from smooth_operator.lab.benchmark.ranking import columns
@@ -145,13 +145,13 @@ def test_a_plugins_hand_is_a_spec_file_or_a_folder(
         lambda group: offered if group == "smooth_operator.hands" else {},
     )
     assert hand_names()[len(HANDS.built_in) :] == ("cracked", "other")
-    assert {*catalogue()} == {*HANDS.built_in}
+    assert {*known_hands()} == {*HANDS.built_in}
     notes = capsys.readouterr().err
     assert "hand 'cracked' is left out: broken_plugin:CONFIG (of cracks)" in notes
     with pytest.raises(HandModelError, match="describes the hand 'allegro_hand'; expected 'other'"):
         load_hand("other")
     with pytest.raises(HandModelError, match=r"MODELS: expected one hand in .*models, not"):
-        load_hand("smooth_operator.hands.catalogue:MODELS")
+        load_hand("smooth_operator.hands.registry:MODELS")
     with pytest.raises(ConfigError, match=r"TWO can't be a hand: it must be the path of a spec"):
         load_hand(f"{__name__}:TWO")
 

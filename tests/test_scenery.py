@@ -12,7 +12,7 @@ import trimesh
 import viser
 from browser_page import new_page, settled
 
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_scene import LiveScene

@@ -11,8 +11,8 @@ import pytest
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
-from smooth_operator.hands.catalogue import hand_names, load_hand
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.lab.discovery import discover
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.teleop.sinks.registry import build_sink

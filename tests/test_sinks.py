@@ -20,8 +20,8 @@ from rich.console import Console
 from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, install_command
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.sinks.registry import SINKS, build_sink
 from smooth_operator.teleop.sinks.ros2 import Ros2Sink
 from smooth_operator.teleop.sinks.runner import SinkRunner

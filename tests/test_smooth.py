@@ -9,9 +9,9 @@ import pytest
 from trees import limited_poses
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.landmark_filter import LandmarkFilterConfig
 from smooth_operator.lab.offline.scan import Scan
 from smooth_operator.landmarks import LANDMARKS, TIPS

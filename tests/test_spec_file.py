@@ -18,7 +18,7 @@ from smooth_operator.cli.hands_options import Hands
 from smooth_operator.errors import ConfigError, HandModelError, OutputError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hand_files.user_hands import save_hand
-from smooth_operator.hands.catalogue import MODELS, catalogue, find_hand, hand_names, load_hand
+from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
 from smooth_operator.hands.spec import HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.hands.user_folder import user_hands_folder
@@ -212,7 +212,7 @@ def test_a_users_hand_is_found_by_name(tmp_path: Path, folder: Path) -> None:
     file = save_hand(pincer(tmp_path))
     assert file == folder / "pincer.right.toml"
     assert hand_names()[-1] == "pincer"
-    entry = catalogue()["pincer"]
+    entry = known_hands()["pincer"]
     assert (entry.builtin, entry.mirrored, entry.files) == (False, ("left",), {"right": file})
     right, left = load_hand("pincer"), load_hand("pincer", "left")
     q = np.array([0.1, 0.2, 0.3, 0.4])

@@ -23,7 +23,7 @@ from smooth_operator.errors import (
     StudyError,
     UnknownNameError,
 )
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.scenes.card import CARD, CardScene
 from smooth_operator.simulation.scenes.reach import opposition

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from smooth_operator.hands.catalogue import hand_names
+from smooth_operator.hands.registry import hand_names
 
 TESTS = Path(__file__).parent
 PROBE = """
 import os, signal, sys
 sys.path.insert(0, sys.argv[1])
 import conftest
-from smooth_operator.hands.catalogue import hand_names
+from smooth_operator.hands.registry import hand_names
 print(sorted(hand_names()))
 print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
 """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.tasks import TASKS

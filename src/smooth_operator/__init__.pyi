@@ -12,9 +12,9 @@ from smooth_operator.errors import SmoothOperatorError as SmoothOperatorError
 from smooth_operator.formats.commands import read_commands as read_commands
 from smooth_operator.formats.commands import write_commands as write_commands
 from smooth_operator.formats.readers import read_recording as read_recording
-from smooth_operator.hands.catalogue import hand_names as hand_names
-from smooth_operator.hands.catalogue import load_hand as load_hand
 from smooth_operator.hands.hand import Hand as Hand
+from smooth_operator.hands.registry import hand_names as hand_names
+from smooth_operator.hands.registry import load_hand as load_hand
 from smooth_operator.hands.spec import FingerSpec as FingerSpec
 from smooth_operator.hands.spec import HandSpec as HandSpec
 from smooth_operator.hands.spec import Point as Point

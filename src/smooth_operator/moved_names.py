@@ -17,6 +17,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "checkup": ("lab.validation",),
     "components": ("plugins", "teleop.components"),
     "documents": ("io.documents",),
+    "hands.catalogue": ("hands.registry",),
     "hands.discovery": ("lab.discovery",),
     "hands.menagerie": ("hand_files.menagerie",),
     "hands.model_files": ("hand_files.model_files",),

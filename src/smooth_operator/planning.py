@@ -10,8 +10,8 @@ from typing import Any, Final, Literal, TypeAlias
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.environment import environment
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.alignment import calibrate_scale
 from smooth_operator.human.operator import OperatorProfile

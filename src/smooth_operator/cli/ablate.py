@@ -12,7 +12,7 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.paper.experiment import Outcome
 from smooth_operator.lab.paper.experiment_context import Advance, Track

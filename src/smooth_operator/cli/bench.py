@@ -13,7 +13,7 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError, SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark import (

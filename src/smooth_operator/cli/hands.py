@@ -11,7 +11,7 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_options import List
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.hands.catalogue import HANDS, find_hand, hand_names, load_hand
+from smooth_operator.hands.registry import HANDS, find_hand, hand_names, load_hand
 from smooth_operator.hands.user_folder import user_hands_folder
 from smooth_operator.types import Side
 

@@ -15,8 +15,8 @@ from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_add_options import Add
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hand_files.user_hands import save_hand
-from smooth_operator.hands.catalogue import catalogue
 from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.registry import known_hands
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
 from smooth_operator.hands.stand_ins import stand_in_note
@@ -107,7 +107,7 @@ def _named(spec: HandSpec, options: Add) -> HandSpec:
     """A free name, unless one was given: what is there already is never replaced unasked."""
     if options.name is not None:
         return spec
-    builtin = {entry.name for entry in catalogue().values() if entry.builtin}
+    builtin = {entry.name for entry in known_hands().values() if entry.builtin}
     base = f"my_{spec.name}" if spec.name in builtin else spec.name
 
     def candidates() -> Iterator[str]:

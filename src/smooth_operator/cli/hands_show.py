@@ -12,8 +12,8 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_options import Render, Show
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import POINTS
 from smooth_operator.teleop.joint_rows import joint_rows

@@ -18,7 +18,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,

@@ -18,8 +18,8 @@ from smooth_operator.formats.commands import config_path, read_commands
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import FingerChoice, parse_fingers
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics import Trace, evaluate

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck

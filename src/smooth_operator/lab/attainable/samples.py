@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.attainable.search import TOLERANCE, Attained
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.recordings import Source

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.attainable.pose_search import ELASTIC, Aim, Search
 from smooth_operator.metrics.accuracy import PINCH_DISTANCE
 from smooth_operator.types import Side

@@ -15,7 +15,7 @@ from typing import Any
 
 import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.machine import Watch

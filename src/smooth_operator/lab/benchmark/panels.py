@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.quality import Measured

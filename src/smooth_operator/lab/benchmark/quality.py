@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.per_finger import finger_metrics
 from smooth_operator.lab.offline import execute, measure

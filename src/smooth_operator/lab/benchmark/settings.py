@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
-from smooth_operator.hands.catalogue import hand_names, load_hand
+from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, file_name, hand_identity
 from smooth_operator.lab.judging.targets import HumanFigures, human_figures

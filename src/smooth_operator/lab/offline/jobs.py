@@ -15,8 +15,8 @@ from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.formats.commands import encode_commands, write_encoded_commands
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.execution import Runner, build

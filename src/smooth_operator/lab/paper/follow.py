@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.paper.compared_solvers import NEWTON_CONFIG

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.settings import method_label

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.physics.joint_motion import PINCH_GAP, JointMotion, joint_motion
 from smooth_operator.lab.physics.measure import Case, Clip, Drawing, Measured, Unit

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.benchmark_folder import check_folder
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request

@@ -11,7 +11,7 @@ import jax
 
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.recordings import Request, load_sources
 from smooth_operator.lab.offline import TrajectoryRetargeter
 from smooth_operator.lab.tuning.traced import TracedRun, can_trace

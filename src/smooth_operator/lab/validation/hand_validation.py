@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.lab.validation.checks import Check, HandValidation
 from smooth_operator.lab.validation.flexion import check_flexion, check_side, find_flexion_axes

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene_registry import scene_for
 from smooth_operator.simulation.scenes.state import SceneState

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.demonstration import PERIOD_S, Demonstration

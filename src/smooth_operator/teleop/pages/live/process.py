@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.pace import Pace

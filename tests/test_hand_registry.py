@@ -1,4 +1,4 @@
-"""The hands of the catalogue: right, left, and as published."""
+"""The hands of the registry: right, left, and as published."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from smooth_operator import HandFrame, Retargeter, Status
 from smooth_operator.baselines.joint_map import joint_map
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_files.vendor_model import on_model
-from smooth_operator.hands.catalogue import MODELS, catalogue, find_hand, hand_names, load_hand
 from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
 from smooth_operator.hands.selection import parse_fingers, select_fingers
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
@@ -58,8 +58,8 @@ def human(side: str) -> np.ndarray:
 
 def test_the_names() -> None:
     assert hand_names() == NAMES
-    assert all(entry.builtin for entry in catalogue().values())
-    assert tuple(n for n, entry in catalogue().items() if entry.mirrored == ("left",)) == MIRRORED
+    assert all(entry.builtin for entry in known_hands().values())
+    assert tuple(n for n, entry in known_hands().items() if entry.mirrored == ("left",)) == MIRRORED
 
 
 @pytest.mark.parametrize(("name", "side"), HANDS)

@@ -34,7 +34,7 @@ HANDS: Final = Registry(
 
 @dataclass(frozen=True)
 class HandEntry:
-    """A hand of the catalogue.
+    """A hand of the registry.
 
     Attributes:
         name: by which it is loaded.
@@ -75,7 +75,7 @@ class HandEntry:
         return spec.mirrored if mirrored else spec
 
 
-def catalogue() -> dict[str, HandEntry]:
+def known_hands() -> dict[str, HandEntry]:
     """All hands by name: the built-in ones, those of plugins, the user's own.
 
     The user's folder is read at each call. A hand of the user's that has the name of another is
@@ -94,7 +94,7 @@ def hand_names() -> tuple[str, ...]:
 
 
 def find_hand(name: str) -> HandEntry:
-    """A hand of the catalogue.
+    """A hand of the registry.
 
     Args:
         name: its name, or ``package.module:attribute`` of the path of a spec file or folder.
