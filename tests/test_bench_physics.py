@@ -14,7 +14,7 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.physics import suite
 from smooth_operator.lab.physics.clip_records import clip_of_record, clip_record
 from smooth_operator.lab.physics.measure import Case, Clip, Drawing, Measured, Unit

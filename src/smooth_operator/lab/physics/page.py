@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator.formats.environment import environment
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.benchmark_folder import PLOTS, REPORT
 from smooth_operator.lab.benchmark.clips import make_clip
 from smooth_operator.lab.benchmark.page.player import player
