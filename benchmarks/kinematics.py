@@ -1,4 +1,4 @@
-"""Forward kinematics of many hands: the unrolled walk against MJX and MuJoCo.
+"""Forward kinematics of many hands: the unrolled program against MJX and MuJoCo.
 
     python benchmarks/kinematics.py --batches 1 64 1024 8192
 
@@ -24,7 +24,7 @@ from smooth_operator.lab.paper.fk_libraries import (
     BOUNDED,
     MJX,
     MUJOCO,
-    WALK,
+    OURS,
     Library,
     Run,
     disagreement,
@@ -89,17 +89,17 @@ def main(settings: Settings) -> None:
             rows.append([batch, name, p["p50_ms"], p["p95_ms"], p["p99_ms"], per_pose])
         for name in (MJX, MUJOCO):
             if name in medians:
-                speed = {ours: medians[name] / medians[ours] for ours in (WALK, BOUNDED, POSITIONS)}
+                speed = {ours: medians[name] / medians[ours] for ours in (OURS, BOUNDED, POSITIONS)}
                 report.add(f"{batch}/{name} over", speed)
                 ratios.append([batch, f"{name} / ours", *speed.values()])
     header = ("hands", "program", "p50 [ms]", "p95 [ms]", "p99 [ms]", "per hand [ns]")
     report.table("Forward kinematics, time per batch", header, rows)
     report.table(
-        "How many times faster, by p50", ("hands", "ratio", WALK, BOUNDED, POSITIONS), ratios
+        "How many times faster, by p50", ("hands", "ratio", OURS, BOUNDED, POSITIONS), ratios
     )
     report.notes.append(
-        f"{WALK}: `tree.walk` to the fingertips, batch last; {BOUNDED}: the same, promised that "
-        f"joints keep their limits, as the solver calls it; {POSITIONS}: the public "
+        f"{OURS}: forward kinematics to the fingertips, batch last; {BOUNDED}: the same, promised "
+        f"that joints keep their limits, as the solver calls it; {POSITIONS}: the public "
         f"`tree.positions`, all {len(hand.tree.names)} landmarks, batch first. "
         f"{MJX}: `mjx.kinematics` under vmap and jit, fingertips. All in float32 but {MUJOCO}."
     )
@@ -114,7 +114,7 @@ def programs(hand: Hand) -> dict[str, Library]:
     """name -> library: those of the experiment ``fk`` that are here, and the public interface."""
     found = {
         name: make_library(name, hand)
-        for name in (WALK, BOUNDED, MJX, MUJOCO)
+        for name in (OURS, BOUNDED, MJX, MUJOCO)
         if missing(name) is None
     }
     compiled = jax.jit(hand.tree.positions)

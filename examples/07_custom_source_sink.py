@@ -21,7 +21,7 @@ class WaveSource(teleop.ThreadedSource):
     rate_hz: float = 60.0
     label = "wave"
 
-    def run(self, running: Any) -> None:  # on a thread of its own
+    def run(self, running: Any) -> None:  # on its own thread
         for frame in SyntheticOperator(seed=5, rate_hz=self.rate_hz).frames():
             if running.stopping.wait(1 / self.rate_hz):
                 return

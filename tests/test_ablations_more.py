@@ -43,8 +43,8 @@ from smooth_operator.lab.paper.fk_libraries import (
     BOUNDED,
     MJX,
     MUJOCO,
+    OURS,
     PINOCCHIO,
-    WALK,
     Library,
     disagreement,
     make_library,
@@ -167,7 +167,7 @@ def test_every_library_that_is_here_agrees() -> None:
     hand = load_hand("mimic_p050", "left")
     q = random_poses(hand, 30, 1)
     here = [name for name in fk_libraries.LIBRARIES if missing(name) is None]
-    assert {WALK, BOUNDED, MUJOCO} <= set(here)
+    assert {OURS, BOUNDED, MUJOCO} <= set(here)
     for name in here:
         if name == MJX:
             continue  # compiles for ten seconds; every run of the experiment checks it
@@ -184,10 +184,10 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
         return Library(name, right.prepare, lambda found: right.read(found) + 1e-3)
 
     monkeypatch.setattr(fk, "make_library", wrong)
-    here = (WALK, BOUNDED, MUJOCO)
+    here = (OURS, BOUNDED, MUJOCO)
     monkeypatch.setattr(fk, "missing", lambda name: None if name in here else "not installed")
     found = fk.time_libraries(context, load_hand(context.hand))
-    assert set(found.per_pose) == {WALK, MUJOCO}
+    assert set(found.per_pose) == {OURS, MUJOCO}
     assert found.gaps[PINOCCHIO] == "not installed"
     assert "m from MuJoCo's" in found.gaps[BOUNDED]
     assert all(
@@ -209,10 +209,10 @@ def test_fk_names_what_is_missing_and_does_not_time_what_is_wrong(
 
 def test_every_round_counts_and_libraries_are_compared_round_by_round() -> None:
     walk, mujoco = [1.0, 3.0, 9.0], [4.0, 12.0, 37.0]  # the machine was busy in the last
-    found = fk.Timing((1,), {WALK: {1: walk}, MUJOCO: {1: mujoco}}, {}, {}, 0)
-    assert found.mean(WALK, 1).value == pytest.approx(3.0)  # geometric
-    assert found.mean(WALK, 1).units == 3
-    over = found.over(MUJOCO, WALK, 1)
+    found = fk.Timing((1,), {OURS: {1: walk}, MUJOCO: {1: mujoco}}, {}, {}, 0)
+    assert found.mean(OURS, 1).value == pytest.approx(3.0)  # geometric
+    assert found.mean(OURS, 1).units == 3
+    over = found.over(MUJOCO, OURS, 1)
     assert over.value == pytest.approx((4 * 4 * 37 / 9) ** (1 / 3))
     assert over.low is not None
     assert over.low > 3.8  # what slows both down alike is no difference between them

@@ -1,7 +1,8 @@
 """Plain technical English: words of the old dialect that may not come back.
 
 Say instead: for "is told" receives, reads, is passed; for "anew" again; for "beside" next to, with;
-for "at once" together, immediately; for "of which" a sentence of its own.
+for "at once" together, immediately; for "of which" a separate sentence; for "lets go of" releases,
+closes; for "what became of each" the result of each.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ PROJECT = Path(__file__).resolve().parents[1]
 SOURCE = PROJECT / "src" / "smooth_operator"
 PAGES = [*sorted((PROJECT / "docs").glob("**/*.md")), PROJECT / "README.md"]
 FORBIDDEN = re.compile(
-    r"\b(told|anew|beside|at\s+once|of\s+which)\b(?!: [a-z])", re.IGNORECASE | re.MULTILINE
+    r"\b(told|anew|beside|at\s+once|of\s+which|hasty|gulp|doomed|lets?\s+go\s+of|what\s+became\s+of)"
+    r"\b(?!: [a-z])",
+    re.IGNORECASE | re.MULTILINE,
 )
 """Not the name of an argument in the section ``Args``, with a colon after it."""
 

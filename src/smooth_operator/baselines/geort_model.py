@@ -49,7 +49,7 @@ class Weights(NamedTuple):
 def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array, "F J *batch"]:
     """What the networks answer, each between -1 and 1: its joints within their limits.
 
-    The hidden layers are smooth (SiLU): a static map hands every kink of its own on to the robot.
+    The hidden layers are smooth (SiLU): a static map passes each of its kinks on to the robot.
 
     Args:
         weights: of the networks.
@@ -95,7 +95,7 @@ def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
         if not row.any():
             raise HandModelError(
                 f"GeoRT can't serve hand {hand.name!r}: no joint moves its {finger} tip alone, and "
-                "each finger has a network of its own; use another method, such as sbr"
+                "each finger has its own network; use another method, such as sbr"
             )
     return tuple(tuple(int(i) for i in np.flatnonzero(row)) for row in own)
 

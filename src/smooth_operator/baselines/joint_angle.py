@@ -128,7 +128,7 @@ class JointAngle(Method):
 
     @cached_property
     def objective(self) -> Objective:
-        """Only to tell how far the keyvectors are off: they are not minimised."""
+        """Only to say how far the keyvectors are off: they are not minimised."""
         return Objective(self.hand, ObjectiveConfig(targets=PlainTargets()))
 
     @cached_property

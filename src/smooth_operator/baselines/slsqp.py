@@ -31,7 +31,7 @@ LINE_SEARCH_FAILED: Final = (
     getattr(nlopt, "runtime_error", RuntimeError),
 )
 """What NLopt raises of a failed line search, which float32 may end in: a RuntimeError or, by the
-version, an exception of its own that is none."""
+version, another exception."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def slsqp_minimise(
         if here != last_x:
             evaluations += 1
             last_x, last = here, objective(x)
-            if not math.isfinite(last.sum()):  # one number tells of them all
+            if not math.isfinite(last.sum()):  # one number counts them all
                 stopped_by = "rounding"
                 raise nlopt.ForcedStop("the objective is not finite")
         value = float(last[0])

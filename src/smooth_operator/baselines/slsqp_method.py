@@ -1,8 +1,8 @@
 """Optimisation-based methods: an objective, minimised by SLSQP from a warm start.
 
-Newton steps within the compiled program come first, since the objective's exact Hessian is at hand
-there, and SLSQP has to estimate it again in every frame; SLSQP goes on from what they found, unless
-that is a minimum already.
+Newton steps within the compiled program come first, since the objective's exact Hessian is
+available there, and SLSQP has to estimate it again in every frame; SLSQP goes on from what they
+found, unless that is a minimum already.
 
 DexPilot, AKO, the keyvector method and the hybrid of it with joint angles differ in their targets,
 weights and starting point only.

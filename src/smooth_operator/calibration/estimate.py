@@ -42,7 +42,7 @@ _FRAMES: Final = 300  # of one pinch finger, evenly over its segments, that are 
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of one pose.
+    """The result of one pose.
 
     Attributes:
         pose: its name.
@@ -201,7 +201,7 @@ def _pinches(
         mine = _used(segments, f"pinch_{finger}")
         frames = _rows(mine, usable)
         if len(frames):
-            # Not all of a prompted pinch is one: the operator takes a while, or lets go early.
+            # Not all of a prompted pinch is one: the operator takes a while, or opens early.
             gap = features.gaps[frames, FINGERS.index(finger) - 1]
             frames = frames[gap <= np.percentile(gap, 80)]
             chosen = np.linspace(0, len(frames) - 1, min(_FRAMES, len(frames))).astype(int)

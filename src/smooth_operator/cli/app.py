@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Raises:
         SmoothOperatorError: what would have been a message, with ``--debug`` or
-            ``SMOOTH_OPERATOR_DEBUG=1``; its traceback then tells where it came from.
+            ``SMOOTH_OPERATOR_DEBUG=1``; its traceback then shows where it came from.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     _never_fail_on_a_character()

@@ -23,7 +23,7 @@ method), report.html (everything in one file: tables, plots, clips), plots/, and
 results are not measured again. Latency is measured at the end, with no other work.
 
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in
-operator, which is used if there is none. It may bring settings of its own after an @:
+operator, which is used if there is none. It may bring its own settings after an @:
 glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,100:900.
 
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is

@@ -137,7 +137,7 @@ def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
     if twice:
         raise ConfigError(
             f"{len(twice)} outputs would have the same name, such as {twice[0]}; convert their "
-            "inputs into folders of their own"
+            "inputs into separate folders"
         )
     return targets
 

@@ -27,7 +27,7 @@ _SHOWN_FAILURES = 40
 
 
 def retarget_folder(options: Retarget) -> None:
-    """Retargets what is not done yet, and tells what became of everything.
+    """Retargets what is not done yet, and reports every result.
 
     Raises:
         SmoothOperatorError: with the reason; what is finished stays.
@@ -103,7 +103,7 @@ def summarise(entries: Iterable[Entry], seconds: float) -> dict[str, Any]:
     """Counts, speed, and each recording by name.
 
     Args:
-        entries: what became of each.
+        entries: result of each.
         seconds: how long those of this run took together, the start of workers included [s].
     """
     by_name = sorted(entries, key=lambda entry: entry.name)
@@ -195,7 +195,7 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
             f"repeating the last good command: {_count(summary['held'], 'frame')}", soft_wrap=True
         )
     console.print(line, markup=False, soft_wrap=True)
-    console.print(f"what became of each: {output / SUMMARY}", markup=False, soft_wrap=True)
+    console.print(f"result of each: {output / SUMMARY}", markup=False, soft_wrap=True)
 
 
 def _count(number: int, what: str) -> str:

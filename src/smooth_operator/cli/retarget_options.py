@@ -21,7 +21,7 @@ timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration
 written with it, as OUT.json.
 
 Of a folder, every recording in it, however deep, is retargeted to the same path in the folder
-named by --output, several in parallel; latency_ms is then NaN, and summary.json says what became
+named by --output, several in parallel; latency_ms is then NaN, and summary.json has the result
 of each. Run the same command again to go on where it was stopped, or to add new recordings:
 what is whole and unchanged is kept, and the bytes are the same as if nothing had happened.
 

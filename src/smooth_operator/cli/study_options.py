@@ -1,6 +1,6 @@
 """Options of ``smooth-operator study`` and of its subcommands.
 
-A further subcommand: write its options as a dataclass in a file of its own (as
+A further subcommand: write its options as a dataclass in its own file (as
 ``study_analyze_options.py``) and its work in another (``study_analyze.py``), then add one line to
 ``What``.
 """

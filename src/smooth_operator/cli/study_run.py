@@ -109,7 +109,7 @@ def _found(target: str | Path, plan: Plan) -> StudyStore:
         store = open_study(target, name=plan.protocol.name)
     except UnknownNameError:
         return open_study(target, plan)
-    # Who was enrolled on a page stands in the store, but not in the file if that went wrong.
+    # Who was enrolled on a page is in the store, but not in the file if that went wrong.
     known, erased = store.plan, store.erased
     new = [one for one in plan.enrolled if one.code not in (*known.codes, *erased)]
     try:

@@ -147,7 +147,7 @@ def _answered(
 
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
-    """The fingers that are driven: as asked for, or as the configuration tells."""
+    """The fingers that are driven: as asked for, or as the configuration says."""
     if options.fingers is not None:
         return parse_fingers(options.fingers)
     known = config.get("fingers")
@@ -155,7 +155,7 @@ def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
-    """The scale that the method used, where the configuration tells."""
+    """The scale that the method used, where the configuration says."""
     try:
         return AlignmentConfig(scale=config["config"]["alignment"]["scale"])
     except (KeyError, TypeError):

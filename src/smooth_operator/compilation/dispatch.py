@@ -9,7 +9,7 @@ from typing import Any
 def dispatch_here() -> None:
     """Makes JAX run CPU programs on the calling thread; call it before JAX is first used.
 
-    JAX hands a program to a thread of its own, so that the caller can go on with something else. A
+    JAX hands a program to its own thread, so that the caller can go on with something else. A
     retargeter has nothing else to do, and being woken takes longer than its smaller programs:
     measured, one evaluation of an objective for SLSQP takes 25 to 40 µs directly, and 48 to 80 µs
     handed over. Where JAX has started already, nothing changes.

@@ -115,7 +115,7 @@ def without_outliers(recording: HandRecording) -> HandRecording:
 
     A frame is flagged whose palm is less than half or more than twice the usual length, such as one
     in another unit; a landmark, that is more than three palm lengths from the wrist. How many
-    frames are concerned stands in ``meta["implausible_frames"]``, if any.
+    frames are concerned is in ``meta["implausible_frames"]``, if any.
     """
     points, valid = recording.landmarks, recording.valid
     assert valid is not None  # filled in by HandRecording

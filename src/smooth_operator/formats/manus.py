@@ -49,7 +49,7 @@ def manus_nodes(
     else:
         raise RecordingError(
             f"{where}: a MANUS recording has {_NUM_NODES} nodes, this one {item.shape[1]} and no "
-            "'keypoint_ids' to tell which they are; export it again with the ids"
+            "'keypoint_ids' to say which they are; export it again with the ids"
         )
 
     if "quaternion_order" in arrays:

@@ -1,4 +1,4 @@
-"""Telling what a file is from its first bytes, and refusing what can't be a recording."""
+"""What a file is, from its first bytes, and refusing what can't be a recording."""
 
 from __future__ import annotations
 

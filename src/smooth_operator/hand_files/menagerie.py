@@ -1,7 +1,7 @@
 """Hands with their real meshes from MuJoCo Menagerie, by its package: the extra ``menagerie``.
 
 The package holds no models itself: it fetches a hand's archive (0.3 to 1.5 MB) when it is first
-asked for and keeps it in a cache of its own; its environment variable ``MENAGERIE_ROOT`` names a
+asked for and keeps it in its own cache; its environment variable ``MENAGERIE_ROOT`` names a
 checkout of Menagerie to use instead.
 """
 

@@ -2,9 +2,9 @@
 
 A hand's tree is tiny and fixed, so nothing of it is interpreted at run time: for every keypoint the
 chain of joints above it is written out as straight-line arithmetic over arrays whose *last* axis
-is the batch, and a vector is walked from the keypoint to the palm. No rotation matrix is ever
-formed. That is what lets a compiler fuse the forward kinematics of thousands of hands into one loop
-of vector instructions, on a CPU as on a GPU.
+is the batch, and a vector is rotated joint by joint from the keypoint to the palm. No rotation
+matrix is ever formed. That is what lets a compiler fuse the forward kinematics of thousands of
+hands into one loop of vector instructions, on a CPU as on a GPU.
 
 The constants between joints are put in the form of Denavit and Hartenberg: every joint turns about
 its own z axis, and the rotation between two joints is factored Rz(a) Rx(b) Rz(c), whose z parts are

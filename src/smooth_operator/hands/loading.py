@@ -1,7 +1,7 @@
 """From an MJCF or URDF file to a compiled MuJoCo model, with the couplings that it declares.
 
 MuJoCo's own compiler reads both formats. What it leaves to us: URDF ``mimic`` (which it drops),
-models whose meshes are not at hand (kinematics needs none of them), inertias that no real body has,
+models whose meshes are missing (kinematics needs none of them), inertias that no real body has,
 and mirroring a right hand into a left one.
 """
 
@@ -28,7 +28,7 @@ NO_ROOM: Final = 0.25
 _ROOM: Final = 0.75
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 
-# Without a listener of its own MuJoCo writes its warnings to a file in the working folder.
+# Without its own listener MuJoCo writes its warnings to a file in the working folder.
 _LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(_LOGGER.warning)
@@ -90,7 +90,7 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
 
 
 def _check_finite(model: mujoco.MjModel, path: Path) -> None:
-    """MuJoCo compiles a NaN that stands in a position or an axis."""
+    """MuJoCo compiles a NaN in a position or an axis."""
     for kind, fields in (("body", ("pos", "quat")), ("jnt", ("pos", "axis", "range"))):
         for field in fields:
             broken = np.flatnonzero(~np.isfinite(getattr(model, f"{kind}_{field}")).all(axis=1))
@@ -166,7 +166,7 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
         HandModelError: MuJoCo can't compile it.
     """
     _, meshes, _ = _compiled(path, mirror)
-    # afresh: compiling fills in what is then no longer derived
+    # again: compiling fills in what is then no longer derived
     spec = _read(path, mirror)
     if meshes:
         _drop_meshes(spec, meshes)
@@ -187,7 +187,7 @@ def _compiled(path: Path, mirror: bool) -> tuple[mujoco.MjModel, frozenset[str],
     every = frozenset(mesh.name for mesh in _read(path, mirror).meshes)
     some = _unreadable_meshes(path, mirror)
     for meshes in dict.fromkeys((some, every)):
-        spec = _read(path, mirror)  # afresh: a spec that failed to compile can't be edited
+        spec = _read(path, mirror)  # again: a spec that failed to compile can't be edited
         lost = _drop_meshes(spec, meshes)
         try:
             return spec.compile(), meshes, lost
@@ -198,7 +198,7 @@ def _compiled(path: Path, mirror: bool) -> tuple[mujoco.MjModel, frozenset[str],
 
 
 def _unreadable_meshes(path: Path, mirror: bool) -> frozenset[str]:
-    """Names of the meshes that MuJoCo can't read, each tried in a model of its own."""
+    """Names of the meshes that MuJoCo can't read, each tried in its own model."""
     spec = _read(path, mirror)
     out = set()
     for mesh in spec.meshes:
@@ -349,7 +349,7 @@ def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]
 def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]]:
     """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first.
 
-    Joints with an actuator of their own, or on an earlier tendon, are left out: this one does not
+    Joints with their own actuator, or on an earlier tendon, are left out: this one does not
     lead them.
     """
     taken, tendons = _actuated(model), []
@@ -372,7 +372,7 @@ def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]
 
 
 def _actuated(model: mujoco.MjModel) -> set[int]:
-    """Joints with an actuator of their own."""
+    """Joints with their own actuator."""
     return {
         int(model.actuator_trnid[i, 0])
         for i in range(model.nu)

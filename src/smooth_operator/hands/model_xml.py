@@ -11,7 +11,7 @@ from typing import Final
 from smooth_operator.errors import HandModelError
 
 _MOST_BYTES: Final = 50_000_000
-"""Model files have 5 to 500 kB, since meshes are files of their own."""
+"""Model files have 5 to 500 kB, since meshes are separate files."""
 _MOST_HEIGHTS: Final = 4_000_000
 """Points of a terrain; MuJoCo allocates what a file asks for, whatever that is."""
 _DECLARED: Final = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
@@ -50,7 +50,7 @@ def read_model_xml(path: Path) -> ElementTree.Element:
     if size > _MOST_BYTES:
         raise HandModelError(
             f"{path} has {size} bytes; expected an MJCF or URDF file of at most {_MOST_BYTES}: put "
-            "meshes and terrain into files of their own"
+            "meshes and terrain into separate files"
         )
     try:
         root = ElementTree.fromstring(decode_xml(data, path))

@@ -48,7 +48,7 @@ class HandEntry:
 
     @property
     def mirrored(self) -> tuple[Side, ...]:
-        """The sides that have no description of their own."""
+        """The sides that have no separate description."""
         sides: tuple[Side, ...] = ("right", "left")
         return tuple(side for side in sides if side not in self.files)
 
@@ -196,5 +196,5 @@ def shadowing(name: str, file: Path) -> HandModelError:
     """The error for a file of the user's that claims the name of another hand."""
     return HandModelError(
         f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another of that name; "
-        "give your hand a name of its own, in the file and as the file's name"
+        "give your hand its own name, in the file and as the file's name"
     )

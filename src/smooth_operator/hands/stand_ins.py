@@ -30,7 +30,7 @@ SPACING_SHARE: Final = 0.42
 _THUMB: Final = 1.1  # thumbs are thicker
 _PALM: Final = 1.3  # half the thickness of a palm over a finger's radius
 _TIP: Final = 0.9  # a tip landmark lies about this share of a radius beyond the capsule's end
-_SHORTEST: Final = 0.003  # bones shorter than this carry no capsule of their own [m]
+_SHORTEST: Final = 0.003  # bones shorter than this carry no capsule [m]
 Piece: TypeAlias = tuple[int, np.ndarray, np.ndarray]
 """A stretch of a bone: the body that carries it, and its two ends in the world [m]."""
 

@@ -62,7 +62,7 @@ def palm_alignment(
         config: scale policy.
 
     Returns:
-        the transform into the palm frame; its ``condition`` tells a degenerate palm
+        the transform into the palm frame; its ``condition`` shows a degenerate palm
         (below ``MIN_CONDITION``).
     """
     source = landmarks[..., list(hand.align_indices), :]

@@ -61,7 +61,7 @@ def as_presets(found: Any) -> Mapping[str, Any]:
 
 
 def method_color(name: str) -> str | None:
-    """The colour of a method in reports, ``#rrggbb``; None if it has none of its own.
+    """The colour of a method in reports, ``#rrggbb``; None if it has none.
 
     A plugin's method has that of its settings, ``MethodConfig.color``.
     """

@@ -5,7 +5,7 @@ retargeter of the same hand and configuration, and for a hand that is described 
 of another, which is served by the other's program with the landmarks reflected. By construction it
 then has equal joint positions for mirrored poses, bit for bit.
 
-Hands of one structure but other figures (left and right as published) have programs of their own.
+Hands of one structure but other figures (left and right as published) have their own programs.
 Figures as arguments instead of constants would let them share one: tried by lifting all 5,900 of
 ``realtime`` and 1,900 of ``paper`` out of the program, which then took 3.5 and 2.1 times as long
 per frame, since the compiler could no longer fold them, nor fuse across them.

@@ -229,7 +229,7 @@ class Objective:
 
     @cached_property
     def tree(self) -> KinematicTree:
-        """Kinematics of the hand's landmarks and of the points that terms have of their own."""
+        """Kinematics of the hand's landmarks and of the points that terms add."""
         own: dict[str, tuple[int, np.ndarray]] = {}
         for term in self.point_terms:
             own.update(term.own_points())

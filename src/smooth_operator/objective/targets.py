@@ -34,8 +34,8 @@ StateT = TypeVar("StateT")
 class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     """Maps the human's vectors to the targets of the robot's, frame by frame.
 
-    A policy is immutable. What it remembers between frames is a state of its own type: a pytree of
-    arrays, made by ``init``, taken and returned by every call. Subclasses are frozen dataclasses.
+    A policy is immutable. What it remembers between frames is in its state: a pytree of arrays,
+    made by ``init``, taken and returned by every call. Subclasses are frozen dataclasses.
     """
 
     @abstractmethod

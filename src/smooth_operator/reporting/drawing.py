@@ -25,7 +25,7 @@ INK: Final = "#20262d"
 GRID: Final = "#8a939c"
 
 _SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3", "#b05fb8")
-"""Colours of names that have none of their own, such as presets that are no default."""
+"""Colours of names that have none, such as presets that are no default."""
 
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
 """Shapes, so that nothing depends on colour alone."""
@@ -37,7 +37,7 @@ _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 def colors_of(methods: Iterable[str]) -> dict[str, str]:
     """A colour for each method: its own, or one that follows from its name.
 
-    The order of the names makes no difference. Names without a colour of their own get different
+    The order of the names makes no difference. Names without a colour get different
     ones, as long as there are enough.
     """
     names = list(dict.fromkeys(methods))

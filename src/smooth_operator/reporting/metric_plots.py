@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette for colour-blind readers; widths and dashes still tell in grey print.
+# Okabe and Ito's palette for colour-blind readers; widths and dashes differ in grey print.
 _HUMAN: Final = {"color": "#E69F00", "linewidth": 1.8, "label": "human (aligned)"}
 _ROBOT: Final = {"color": "#0072B2", "linewidth": 1.0, "label": "robot"}
 _LIMIT: Final = {"color": "#D55E00", "linewidth": 1.0, "linestyle": (0, (5, 3)), "label": "limits"}

@@ -142,7 +142,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def cell(value: object) -> str:
-    """How a value stands in a table; a dash where there is none."""
+    """How a value is written in a table; a dash where there is none."""
     if value is None:
         return "–"
     if not isinstance(value, float):

@@ -28,7 +28,7 @@ def key_digest(key: object) -> str:
 
 
 def content_name(prefix: str, key: object) -> str:
-    """Name of a result that nothing but its key tells apart."""
+    """Name of a result that only its key identifies."""
     return f"{prefix}-{key_digest(key)[:20]}"
 
 

@@ -9,7 +9,7 @@ from typing import Final
 from smooth_operator.errors import ConfigError
 
 SPEEDING: Final = 500.0
-"""Price of a joint's change beyond the speed limit [1/rad^2]; what a frame asks is worth a few."""
+"""Cost of a joint's change beyond the speed limit [1/rad^2]; what a frame asks is worth a few."""
 
 
 @dataclass(frozen=True)

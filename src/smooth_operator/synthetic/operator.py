@@ -1,4 +1,4 @@
-"""The synthetic operator: a seeded human hand in motion, where no tracker is at hand."""
+"""The synthetic operator: a seeded human hand in motion, where there is no tracker."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Parts that a user names in one word with settings: ``replay:glove.npz,speed=2``.
 
-Sources and sinks are frozen dataclasses of settings in modules of their own; a registry says which
+Sources and sinks are frozen dataclasses of settings in separate modules; a registry says which
 word means which.
 """
 

@@ -44,7 +44,7 @@ def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
 
 
 def names_of(host: str) -> tuple[str, ...]:
-    """The names that stand in the certificate of a server that listens on ``host``."""
+    """The names in the certificate of a server that listens on ``host``."""
     if is_local(host):
         return LOCAL
     if host not in ("0.0.0.0", "::"):

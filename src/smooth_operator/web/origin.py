@@ -1,4 +1,4 @@
-"""Where a request comes from, as far as it tells."""
+"""Where a request comes from, as far as it says."""
 
 from __future__ import annotations
 

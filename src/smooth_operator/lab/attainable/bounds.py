@@ -79,7 +79,7 @@ class Settings:
         recordings: named as for ``smooth-operator bench``; the built-in operator, if left out.
         data: folder of the recordings that are always looked at.
         hand: robot hand.
-        methods: METHOD, METHOD:PRESET or METHOD:FILE.toml; the first stands in the tables, all are
+        methods: METHOD, METHOD:PRESET or METHOD:FILE.toml; the first is in the tables, all are
             starts of the search and points of the picture.
         gaps: limits of a pinch's gap beyond the human's [mm]; no limit is always among them.
         frames: of each recording to look at, about, evenly spread.

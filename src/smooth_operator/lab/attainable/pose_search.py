@@ -35,7 +35,7 @@ SECOND = 0.01
 SIZE = 1e-3
 """Weight of thumb vectors' lengths, in squares of 50 mm: the same."""
 ELASTIC = 10.0
-"""Price of each millimetre that a gap is too wide: far above what it could gain in cosine."""
+"""Cost of each millimetre that a gap is too wide: far above what it could gain in cosine."""
 BLOCK = 256
 """Poses that descend together."""
 STEPS = 200
@@ -294,7 +294,7 @@ class Search:
         near = np.flatnonzero(over > -0.015)  # others are too far to be met from here
 
         count = len(start)
-        slack = near >= len(self.pairs.pairs)  # a gap may be too wide, at its price
+        slack = near >= len(self.pairs.pairs)  # a gap may be too wide, at its cost
 
         def value(x: np.ndarray, gradient: np.ndarray) -> float:
             if gradient.size:

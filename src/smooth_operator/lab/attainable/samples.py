@@ -121,7 +121,7 @@ def spread(
 ) -> float | None:
     """Thumb cosine where the pinch gap is limited in the mean only: frames share it out.
 
-    Each frame takes one of its answers to the limits, wider where that gains most; a price on the
+    Each frame takes one of its answers to the limits, wider where that gains most; a cost on the
     gap, the same for all, finds which (exact but for the last frame to be widened).
 
     Args:

@@ -1,9 +1,9 @@
 """For each frame the best pose that keeps to its limits.
 
-A frame is a problem of its own: of all poses within the joint limits, without two parts that are
+A frame is a separate problem: of all poses within the joint limits, without two parts that are
 deeper in each other than allowed and whose pinch gaps are not wider than allowed, the one whose
 keyvectors point most like the human's. It has many local optima, so the search goes in three steps:
-many starts descend with a rising price on what breaks a limit; the best of them are finished by
+many starts descend with a rising cost on what breaks a limit; the best of them are finished by
 SLSQP, which keeps the limits; and frames try what their neighbours and the other gap limits have
 found, until nobody gains any more. What is kept has been checked with the exact shapes
 (``penetration_depths``).
@@ -144,7 +144,7 @@ class _Run:
         return Attained(self.poses, value, self.excess, tuple(gains))
 
     def frames(self, g: int) -> np.ndarray:
-        """Those that the g-th limit is a problem of its own for, and not solved to perfection."""
+        """Those that the g-th limit is a separate problem for, and not solved to perfection."""
         last = g == len(self.task.gaps) - 1
         return np.flatnonzero((self.pinching | last) & ~(self.merit[g] > 1 - RISE))
 

@@ -1,4 +1,4 @@
-"""Two benchmarks side by side, cell by cell: what became better, what worse."""
+"""Two benchmarks side by side, cell by cell: what is better, what is worse."""
 
 from __future__ import annotations
 

@@ -276,6 +276,6 @@ def _line(color: str, style: Any, label: str) -> Any:
 
 
 def _cut(text: str, length: int = 23) -> str:
-    if len(text) > length:  # the ends tell recordings apart
+    if len(text) > length:  # the ends distinguish recordings
         text = f"{text[: length // 2]}…{text[len(text) + 1 - length // 2 :]}"
     return f" {text}" if text.startswith("_") else text  # a legend would leave it out

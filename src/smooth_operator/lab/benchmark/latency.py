@@ -1,8 +1,9 @@
 """Latency, measured alone: one process, no other worker, methods taking turns.
 
-With other workers a latency says how busy the machine is, not how fast a method. So it has
-a phase of its own. Methods take turns in short blocks, each with its own state, so that whatever
-else the machine does hits all alike; who begins changes from round to round.
+With other workers a latency says how busy the machine is, not how fast a method is. So
+latencies are measured in a separate phase. Methods take turns in short blocks, each with its own
+state, so that other load of the machine affects all alike; the first one changes from round to
+round.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Latency:
         load: load average of the machine over the minute before the end; it remembers what ran
             before. None where the system does not say.
         others: share of the machine's cores that other processes took meanwhile; None where the
-            system does not tell.
+            system does not say.
         reason: why there are no samples; None where there are.
     """
 

@@ -1,7 +1,7 @@
 """The recordings of a benchmark: files, folders, the synthetic operator; the broken ones, too.
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
-and may bring settings of its own after an ``@``, separated by commas: a range of frames, a rate, a
+and may bring its own settings after an ``@``, separated by commas: a range of frames, a rate, a
 side, an order of landmarks; for the built-in operator also the noise of its tracker, the length of
 its hand and its tempo. ``glove.npz@:500``, ``video.npz@30hz,mano``, ``synthetic:3@left,100:300``,
 ``synthetic:3@0.5mm``, ``synthetic:3@17.5cm,1.2x``.

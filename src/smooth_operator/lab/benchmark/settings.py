@@ -31,7 +31,7 @@ class Settings:
         recordings: files, folders, or ``synthetic``; see ``lab.benchmark.recordings``.
         hands: names of robot hands.
         methods: names as ``select_methods`` takes them.
-        frames: ``A:B``, of each recording that brings no range of its own.
+        frames: ``A:B``, of each recording that brings no range.
         rate: frames a second of recordings without stamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
         side: side of recordings that do not say theirs.

@@ -36,7 +36,7 @@ Track: TypeAlias = Callable[[str, int, int], AbstractContextManager[Advance]]
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """What became of a cell.
+    """The result of a cell.
 
     Attributes:
         cell: the cell.
@@ -95,7 +95,7 @@ def run_suite(
         note: called with kept cells that can't be used.
 
     Returns:
-        What became of each cell, in their order.
+        The result of each cell, in their order.
 
     Raises:
         OutputError: a result can't be written.

@@ -118,7 +118,7 @@ def find_layout(
             confidence = max(confidence, 0.95)
         side = side_given
 
-    # An unclear thumb has no side of its own: the side of the hand then says where the index is.
+    # An unclear thumb has no clear side: the side of the hand then says where the index is.
     towards = 1.0 if (sideways >= 0 if clear >= 0.3 else side == "right") else -1.0
     place = {i: towards * float((0.7 * bases[i] + 0.3 * middle[i]) @ lateral) for i in others}
     ranked = sorted(others, key=lambda i: place[i], reverse=True)
@@ -171,7 +171,7 @@ def _names(said: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
 
 
 def _spoken(said: list[str | None]) -> tuple[str, ...]:
-    """What names say of fingers other than the thumb; nothing unless each has one of its own."""
+    """What names say of fingers other than the thumb; nothing unless each has one."""
     named = tuple(name for name in said if name is not None and name != "thumb")
     return named if len(set(named)) == len(said) else ()
 

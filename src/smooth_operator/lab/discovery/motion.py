@@ -105,7 +105,7 @@ class Reach:
 def find_bending(
     skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...]
 ) -> tuple[Bending, ...]:
-    """How each finger bends; the others tell what a finger alone leaves open."""
+    """How each finger bends; the others decide what a finger alone leaves open."""
     rest = skeleton.place(skeleton.reference)
     ends = np.array([tip.position for tip in tips])
     return tuple(_bending(skeleton, chain, rest, ends, i) for i, chain in enumerate(chains))

@@ -65,7 +65,7 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     if bodies or joints:
         notes.append(
             f"{bodies} bodies and {joints} joints have no name in the file, and are called body_1, "
-            "joint_1 and so on, in its order; name the joints there, or no driver can tell what a "
+            "joint_1 and so on, in its order; name the joints there, or no driver knows what a "
             "command is for"
         )
     loops = sum(

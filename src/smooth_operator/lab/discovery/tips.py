@@ -142,7 +142,7 @@ def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.n
         if np.linalg.norm(step) > 5e-3:
             break
     before = float(np.linalg.norm(step))
-    # The centre of mass of a rod is half-way. A link without inertia of its own has none.
+    # The centre of mass of a rod is half-way. A link without its own inertia has none.
     mass = at.world(chain.last, np.asarray(skeleton.model.body_ipos[chain.last], float)) - anchor
     mass = mass - (mass @ axis) * axis
     reach = 2 * float(np.linalg.norm(mass))

@@ -10,7 +10,7 @@ Tables are ``without`` (each part taken out of the whole), ``alone`` (each part 
 ``fronts`` (what is traded for what, with a picture) and ``hands`` (against sbr on other hands, with
 the lines of "better than sbr" that are missed); all of them, if none is named. With ``--data`` a
 cell holds the folder's glove recording (frames 0-499), ``human_alex`` (the first 1749) and 12 s of
-the built-in operator; without it the built-in operator alone. What rows change stands in
+the built-in operator; without it the built-in operator alone. What rows change is in
 ``smooth_parts``, as data. What was measured is kept: the same command, or one with another row,
 goes on where the last one stopped, as long as the method's own code is the same.
 """

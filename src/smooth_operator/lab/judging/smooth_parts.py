@@ -140,7 +140,7 @@ LIKE_ANY_VALUE = frozenset({
     "landmarks.jump_speed", "landmarks.noise", f"{VECTORS}.direction", f"{VECTORS}.length",
     f"{TARGETS}.apart",
 })  # fmt: skip
-"""Settings whose 0 needs no program of its own, see ``setting_rows``."""
+"""Settings whose 0 needs no separate program, see ``setting_rows``."""
 
 TUNED_ON = {
     "glove, frames 0–499": f"{GLOVE}@0:500",

@@ -49,7 +49,7 @@ def check_folders(folder: Path, output: Path) -> None:
     """
     if folder.resolve().is_relative_to(output.resolve()):
         raise OutputError(
-            f"can't write into {str(output)!r}: the recordings are there; give a folder of its own "
+            f"can't write into {str(output)!r}: the recordings are there; give a separate folder "
             "to the results"
         )
 
@@ -110,7 +110,7 @@ def retarget_all(
         cluster: as there.
 
     Yields:
-        what became of each, as they finish.
+        the result of each, as they finish.
     """
     repeated = False
     for result in run_tasks(retarget_one, jobs, workers=workers, cluster=cluster):

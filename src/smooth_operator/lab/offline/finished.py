@@ -34,7 +34,7 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 
 
 def identity(path: Path) -> dict[str, Any]:
-    """What tells whether a file is still the same: its size, date and digest.
+    """What shows whether a file is still the same: its size, date and digest.
 
     Raises:
         RecordingError: it can't be read.
@@ -76,7 +76,7 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
     try:
         if config is None or _but_rate(config["request"]) != _but_rate(request):
             return None
-        if config["rate"] not in (None, request["rate"]):  # None: it has stamps of its own
+        if config["rate"] not in (None, request["rate"]):  # None: it has stamps
             return None
         if config["versions"][PROGRAM] != package_version():
             return None

@@ -90,7 +90,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Entry:
-    """What became of one recording.
+    """The result of one recording.
 
     Attributes:
         name: its path in the folder.
@@ -190,7 +190,7 @@ _SHELF_SIZE: Final = 4
 
 
 def _tools(todo: Plan, *, reuse: bool) -> _Tools:
-    if not reuse:  # a scale of its own is a program of its own, not worth a second, longer one
+    if not reuse:  # each scale is a program, not worth compiling a longer one
         return _Tools(build(todo)[0], None)
     key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
     if key not in _SHELF:

@@ -53,7 +53,7 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], seen: Bool[np.ndarray, " T
 
     Args:
         points: (T, N, 3) [m].
-        seen: (T,) frames that count; of those, three in a row tell something.
+        seen: (T,) frames that count; the noise needs three of those in a row.
     """
     usable = seen[2:] & seen[1:-1] & seen[:-2]
     if not usable.any():

@@ -1,12 +1,12 @@
 """A recording retargeted as a whole: smooth in both directions of time, and without lag.
 
 The method's own answers, frame by frame, choose the basin. From there all frames are solved jointly
-(``trajectory_solver``): what each asks, and the price of motion between them.
+(``trajectory_solver``): what each asks, and the cost of motion between them.
 Frames without a usable hand ask nothing, and go where motion is cheapest, as long as the gap is
 short; over a longer one the last pose is held. Either way their status says what they were.
 
 A long stretch is solved in windows. Each begins at the end of what the one before has settled, and
-looks further ahead than motion's price reaches back, so that memory does not grow with the
+looks further ahead than motion's cost reaches back, so that memory does not grow with the
 recording but for its frames, and time does in proportion.
 """
 
@@ -116,7 +116,7 @@ class TrajectoryRetargeter:
         return self.causal.warm_up()
 
     def priced(self, config: TrajectoryMethodConfig) -> TrajectoryRetargeter:
-        """The same with other prices of motion, without compiling anything.
+        """The same with other costs of motion, without compiling anything.
 
         Args:
             config: of the same frame-by-frame method.

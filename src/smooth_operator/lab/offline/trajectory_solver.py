@@ -6,7 +6,7 @@ What is minimised over q(1) .. q(T) is::
         + sum_t s(t)/2 |p(q(t)) - p(q(t-1)) - d(t)|^2
 
 with derivatives by finite differences, points p of a pose that are to move by d from frame to
-frame, and a steep price on joints faster than a limit. The Hessian (of the points' motion Gauss and
+frame, and a high cost on joints faster than a limit. The Hessian (of the points' motion Gauss and
 Newton's) is banded, since a difference joins four frames at most, so a Newton step takes time and
 memory in proportion to T (a banded Cholesky factor). It is the fixed-interval smoother of control
 theory with any cost in place of a measurement's: the past and the future count alike, and so
@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float
 from smooth_operator.solvers.trajectory import SPEEDING, TrajectoryConfig
 
 ORDERS: Final = 3
-"""Highest derivative that has a price; a frame is joined to so many before and after it."""
+"""Highest derivative that has a cost; a frame is joined to so many before and after it."""
 
 FrameCosts: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(T, m) poses to each frame's cost (T,), gradient (T, m) and Hessian (T, m, m)."""
@@ -86,7 +86,7 @@ def smooth_trajectory(
         start: (T, m) poses [rad].
         stamps: (T,) strictly increasing times [s].
         limits: (m, 2) bounds [rad].
-        config: prices.
+        config: costs.
         fixed: so many frames at the beginning stay as they are: the end of what was solved before.
         led: points that are to move as others do; None for none.
     """
@@ -147,7 +147,7 @@ def smooth_trajectory(
 def motion_price(
     stamps: Float[np.ndarray, " T"], config: TrajectoryConfig
 ) -> Float[np.ndarray, "4 T"]:
-    """The price of motion as a quadratic form over the frames, alike for every joint.
+    """The cost of motion as a quadratic form over the frames, alike for every joint.
 
     Returns:
         (4, T) its lower diagonals: [k, t] couples the frames t and t + k; twice the weighted sum of

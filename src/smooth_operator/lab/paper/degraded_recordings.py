@@ -79,7 +79,7 @@ def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -
     """What a tracker with noise and losses makes of a recording.
 
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
-    command all the same. The recording's own noise, where a real tracker made it, is in both.
+    command anyway. The recording's own noise, where a real tracker made it, is in both.
     """
     seen = led(clean)
     ticks = TrackerStream(model, clean.rate_hz).next(len(seen))

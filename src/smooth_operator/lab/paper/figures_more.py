@@ -145,7 +145,7 @@ def sweep_figure(
     from matplotlib.lines import Line2D
 
     looks, folded = looks_of(labels), len(columns) == 1
-    # one column alone is folded into two, each panel with an axis of its own
+    # one column alone is folded into two, each panel with its own axis
     across, down = (2, -(-len(rows) // 2)) if folded else (len(columns), len(rows))
     gap = 0.85 if folded else 0.2
     width, height = 2.65 + 3.2 * across + gap, 0.75 + 2.05 * down

@@ -27,9 +27,9 @@ from smooth_operator.lab.paper.fk_libraries import (
     LIBRARIES,
     MJX,
     MUJOCO,
+    OURS,
     PINOCCHIO,
     PYTORCH,
-    WALK,
     Library,
     Run,
     disagreement,
@@ -271,21 +271,21 @@ def _crossing(found: Timing, name: str, rivals: Sequence[str]) -> str:
 def _own_verdict(found: Timing) -> Verdict:
     rivals = [name for name in (MJX, PINOCCHIO, PYTORCH, MUJOCO) if name in found.per_pose]
     batches = [batch for batch in found.batches if batch >= 64]
-    claimed = "ours: the unrolled walk is faster than any of them from a batch of 64 on"
-    if WALK not in found.per_pose or not rivals or not batches:
-        why = found.gaps.get(WALK, "there is nothing to compare it with")
+    claimed = "ours: the unrolled program is faster than any of them from a batch of 64 on"
+    if OURS not in found.per_pose or not rivals or not batches:
+        why = found.gaps.get(OURS, "there is nothing to compare it with")
         return Verdict(
             claimed, "no claim", "not measured", "not shown",
             f"Not compared: {why}. Verdict: not shown.",
         )  # fmt: skip
-    ratios = {(batch, name): found.over(name, WALK, batch) for batch in batches for name in rivals}
+    ratios = {(batch, name): found.over(name, OURS, batch) for batch in batches for name in rivals}
     held = judge(Direction(1.0, upwards=True), list(ratios.values()))
     closest = min(ratios, key=lambda at: ratios[at].value)
     largest = found.batches[-1]
     each = ", ".join(f"{name} × {ratios[largest, name].shown(3)}" for name in rivals)
     bound = (
         " With the promise that joints keep their limits, as the solver calls it, a pose takes "
-        f"{found.mean(BOUNDED, largest).shown(3)} ns, not {found.mean(WALK, largest).shown(3)}."
+        f"{found.mean(BOUNDED, largest).shown(3)} ns, not {found.mean(OURS, largest).shown(3)}."
         if BOUNDED in found.per_pose else ""
     )  # fmt: skip
     return Verdict(
@@ -294,7 +294,7 @@ def _own_verdict(found: Timing) -> Verdict:
         f"at {largest:,}: {each}",
         held,
         f"Ours, not the paper's: at {largest:,} poses the others take {each} times as long as the "
-        f"unrolled walk; the closest is {closest[1]} at a batch of {closest[0]:,}, "
+        f"unrolled program; the closest is {closest[1]} at a batch of {closest[0]:,}, "
         f"× {ratios[closest].shown(3)}.{bound} Verdict: {held}.",
     )
 

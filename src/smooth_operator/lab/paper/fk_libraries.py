@@ -26,7 +26,7 @@ from smooth_operator.lab.paper.fk_urdf import write_urdf
 AGREEMENT: Final = 1e-5
 """Fingertips that differ by less are the same [m]; float32 is good to about 1e-7."""
 
-WALK: Final = "smooth-operator"
+OURS: Final = "smooth-operator"
 BOUNDED: Final = "smooth-operator, within limits"
 MJX: Final = "MJX"
 PINOCCHIO: Final = "Pinocchio"
@@ -34,7 +34,7 @@ PYTORCH: Final = "PyTorch Kinematics"
 MUJOCO: Final = "MuJoCo C"
 
 _NEEDS: Final = {
-    WALK: (("jax",), "jax"),
+    OURS: (("jax",), "jax"),
     BOUNDED: (("jax",), "jax"),
     MJX: (("mujoco.mjx",), "mujoco-mjx"),
     PINOCCHIO: (("pinocchio",), "pin"),
@@ -73,7 +73,7 @@ def missing(name: str) -> str | None:
     modules, distribution = _NEEDS[name]
     for module in modules:
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # MJX tells of what it can do without
+            with contextlib.redirect_stdout(io.StringIO()):  # MJX lists what it can do without
                 importlib.import_module(module)
         except ImportError as error:
             absent = isinstance(error, ModuleNotFoundError) and (
@@ -99,8 +99,8 @@ def make_library(name: str, hand: Hand) -> Library:
         name: one of ``LIBRARIES``, for which ``missing`` found nothing.
         hand: the robot hand.
     """
-    if name in (WALK, BOUNDED):
-        return _walk(hand, name)
+    if name in (OURS, BOUNDED):
+        return _own_program(hand, name)
     return {MJX: _mjx, PINOCCHIO: _pinocchio, PYTORCH: _pytorch, MUJOCO: _mujoco}[name](hand)
 
 
@@ -117,14 +117,14 @@ def disagreement(library: Library, hand: Hand, q: Float[np.ndarray, "N n"]) -> f
     return float(np.linalg.norm(library.tips(q) - truth, axis=-1).max())
 
 
-def _walk(hand: Hand, name: str) -> Library:
+def _own_program(hand: Hand, name: str) -> Library:
     bounded, tips = name == BOUNDED, len(hand.tip_names)
 
-    def walk(q: Array) -> Array:
+    def positions(q: Array) -> Array:
         points = hand.tree.forward_kinematics(list(q), hand.tip_names, within_limits=bounded)
         return jnp.stack([jnp.broadcast_to(c, q.shape[1:]) for p in points for c in p])
 
-    compiled = jax.jit(walk)
+    compiled = jax.jit(positions)
 
     def prepare(q: np.ndarray) -> Run:
         there = jnp.asarray(np.ascontiguousarray(q.T), jnp.float32)  # batch last

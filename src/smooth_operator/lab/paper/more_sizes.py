@@ -77,5 +77,5 @@ _SIZES: Final = {"quick": QUICK, "default": DEFAULT, "published": PUBLISHED}
 
 
 def more_size(context: ExperimentContext) -> MoreSize:
-    """How much is computed at a size; as by default where it has a name of its own."""
+    """How much is computed at a size; as by default where it has its own name."""
     return _SIZES.get(context.size.name, DEFAULT)

@@ -31,7 +31,7 @@ class Settings:
         recordings: as ``lab.benchmark.recordings`` takes them; the built-in operator
             where there are none.
         hand: name of the robot hand.
-        frames: ``A:B`` of each recording that brings no range of its own.
+        frames: ``A:B`` of each recording that brings no range.
         size: quick, default or published.
 
     Raises:

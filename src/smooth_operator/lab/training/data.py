@@ -62,7 +62,7 @@ class TrainingData:
 
     @property
     def digest(self) -> str:
-        """Tells this data from any other; a resumed training must have the same."""
+        """Identifies this data; a resumed training must have the same."""
         digest = hashlib.sha256()
         for part in (self.train, self.validation):
             if part is not None:
@@ -156,7 +156,7 @@ def _point_set(tips: Float[np.ndarray, "T F 3"], distance: float) -> PointSet:
     pinched = gaps < distance  # NaN compares as False
     at = np.flatnonzero(pinched.any(axis=-1))
     together = np.moveaxis(tips[at], 0, -1)
-    # a tip that was not seen takes part in no pinch, but its network is asked all the same
+    # a tip that was not seen takes part in no pinch, but its network is asked anyway
     together = np.where(np.isfinite(together), together, points[:, :, :1])
     return PointSet(
         points.astype(np.float32), counts, together.astype(np.float32), pinched[at].T.copy()

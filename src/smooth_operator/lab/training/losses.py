@@ -74,12 +74,12 @@ class GeortLoss:
             for output, joint in enumerate(joints):
                 low, high = (float(limit) for limit in hand.limits[joint])
                 rows[joint] = (low + high) / 2 + (high - low) / 2 * unit[finger, output]
-        walked = hand.tree.forward_kinematics(
+        placed = hand.tree.forward_kinematics(
             hand.full_configuration_rows(rows), hand.tip_names, within_limits=True
         )
         like = unit[0, 0]
         return jnp.stack(
-            [jnp.stack([jnp.broadcast_to(c, like.shape) for c in point]) for point in walked]
+            [jnp.stack([jnp.broadcast_to(c, like.shape) for c in point]) for point in placed]
         ).astype(like.dtype)
 
     def __call__(

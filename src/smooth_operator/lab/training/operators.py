@@ -28,7 +28,7 @@ def synthetic_recordings(
 
     Returns:
         ``TRAINING_OPERATORS`` recordings to train on, and ``HELD_OUT_OPERATORS`` of other
-        people to validate on; their names tell the seeds.
+        people to validate on; their names hold the seeds.
     """
     count = TRAINING_OPERATORS + HELD_OUT_OPERATORS
     low, high = _LENGTHS

@@ -29,7 +29,7 @@ class TrainingSession:
     """Trains into a folder.
 
     The folder gets ``checkpoint.npz``, ``model.npz`` (the networks so far, ready to use),
-    ``model.json`` (how they were trained, as it also stands in the model), ``losses.csv`` and, at
+    ``model.json`` (how they were trained, as the model also has it), ``losses.csv`` and, at
     the end, ``losses.png``. Each file is whole or not there. A training that was stopped and
     resumed ends in the same bytes as one that was not, on the same machine.
 

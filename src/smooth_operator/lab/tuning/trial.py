@@ -87,7 +87,7 @@ _traced: dict[tuple[Any, ...], TracedRun | None] = {}
 
 
 _whole: dict[tuple[Any, ...], TrajectoryRetargeter] = {}
-"""The last one for whole recordings; its prices need no compiling."""
+"""The last one for whole recordings; its costs need no compiling."""
 
 
 def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:

@@ -2,7 +2,7 @@
 
 The contrasts are those of a fitted model, so they correlate as the model's covariance says, and not
 as a balanced one-way layout would: the p-value of one is the probability that the largest of them
-all is as far out. Where contrasts have degrees of freedom of their own, each p-value uses its own.
+all is as far out. Where contrasts have their own degrees of freedom, each p-value uses its own.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ def fit_gee(
     sizes = np.bincount(groups)
     correctable = bool(np.max(_leverages(design, groups)) < _ALONE)
     try:
-        # A fit that leaves the numbers is refused below, in words of its own.
+        # A fit that leaves the numbers is refused below, with its own message.
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = estimating_equations.GEE(

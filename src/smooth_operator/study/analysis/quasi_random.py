@@ -2,7 +2,7 @@
 
 Where nested quadrature would need too many nodes. The variables are taken one after the other and
 mapped to the unit cube (Genz 1992); a t adds its chi variable as one more direction. Independent
-scramblings tell the error. Seeds are fixed: the same data give the same p-value.
+scramblings give the error. Seeds are fixed: the same data give the same p-value.
 """
 
 from __future__ import annotations

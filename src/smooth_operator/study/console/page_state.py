@@ -63,7 +63,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
 
 
 def step_view(progress: Progress, named: Named) -> dict[str, Any]:
-    """What is due for an operator, with the rubric of the task at hand."""
+    """What is due for an operator, with the rubric of the current task."""
     step, protocol = progress.step, progress.plan.protocol
     view: dict[str, Any] = {
         "operator": progress.operator,
@@ -179,7 +179,7 @@ def operator_view(plan: Plan, current: Progress | None) -> dict[str, Any]:
 
 
 def asked_key(progress: Progress, step: Step) -> str:
-    """Tells one questionnaire from all others, one that is asked again after an undo included."""
+    """Identifies one questionnaire, one that is asked again after an undo included."""
     undone = sum(isinstance(record.event, Undone) for record in progress.records)
     block = step.block
     where = "" if block is None else f"{block.task.name}/{block.number}"

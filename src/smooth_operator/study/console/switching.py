@@ -70,7 +70,7 @@ class Heard:
 
 
 class Switch:
-    """Tells the teleoperation what to run, and sees whether it still does.
+    """Selects what the teleoperation runs, and sees whether it still runs it.
 
     Args:
         teleop: what is switched.

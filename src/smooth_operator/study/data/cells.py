@@ -90,7 +90,7 @@ class Checked:
         Args:
             column: which.
             expected: what to say that was expected.
-            allowed: takes a number, tells whether it is.
+            allowed: takes a number, returns whether it is.
             optional: whether the field may be empty.
         """
         found = []

@@ -36,7 +36,7 @@ _KINDS: Final = {
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
-"""Columns that tell a table although others are missing."""
+"""Columns that identify a table although others are missing."""
 
 
 def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] = ()) -> StudyData:

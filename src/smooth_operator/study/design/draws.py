@@ -27,7 +27,7 @@ def shuffled(items: Iterable[str], seed: int, what: str) -> list[str]:
 
 
 def blind_labels(names: Sequence[str], taken: Collection[str], seed: int) -> dict[str, str]:
-    """Names of trees for conditions, drawn so that none tells which condition it is.
+    """Names of trees for conditions, drawn so that none shows which condition it is.
 
     Args:
         names: of the conditions.

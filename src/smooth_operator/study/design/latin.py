@@ -58,7 +58,7 @@ class Balance:
 
     @property
     def spread_of_places(self) -> int:
-        """Most minus least often that a condition stands in a place; 0 is balanced."""
+        """Most minus least often that a condition is in a place; 0 is balanced."""
         n = len(self.conditions)
         counts = [self.places[name, place] for name in self.conditions for place in range(n)]
         return max(counts) - min(counts)

@@ -21,7 +21,7 @@ def schedule_csv(plan: Plan, *, blind: bool = False) -> str:
 
     Args:
         plan: of the study.
-        blind: leave out what tells which label is which condition.
+        blind: leave out what shows which label is which condition.
     """
     columns = [name for name in COLUMNS if not (blind and name in ("condition", "row"))]
     return csv_text(
@@ -64,7 +64,7 @@ def schedule_table(plan: Plan, *, blind: bool = True) -> list[list[str]]:
 
 
 def schedule_text(plan: Plan) -> str:
-    """A sheet of plain text to hang on the wall; it doesn't tell what the labels mean."""
+    """A sheet of plain text to hang on the wall; it doesn't say what the labels mean."""
     protocol = plan.protocol
     rows = schedule_table(plan)
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]

@@ -133,7 +133,7 @@ def assumptions_for(
         if lacking:
             raise StudyError(
                 f"what {what} of {', '.join(lacking)} is to be expected? Give it, as "
-                f"{lacking[0]}=VALUE; only the paper's four methods have values of their own"
+                f"{lacking[0]}=VALUE; only the paper's four methods have their own values"
             )
         found[what] = {name: float(values[name]) for name in conditions}
     return Assumptions(**found, **more)  # type: ignore[arg-type]

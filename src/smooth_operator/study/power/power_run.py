@@ -1,6 +1,6 @@
 """Thousands of simulated studies over many processes; what is done is kept, and not done again.
 
-Each study has a seed of its own, from what it is and not from who computes it: any number of
+Each study has its own seed, from what it is and not from who computes it: any number of
 workers, and any interruption, give the same figures.
 """
 
@@ -58,7 +58,7 @@ class PowerSettings:
     Attributes:
         protocol: of the study; its operators are scaled to each of ``operators``.
         truth: what is assumed.
-        operators: numbers of operators, each a study design of its own.
+        operators: numbers of operators, each its own study design.
         studies: simulated studies of each number and each truth.
         per_task: analyse each task by itself as well.
         seed: of all of it.

@@ -226,7 +226,7 @@ class StudyStore:
             return gone
 
     def close(self) -> None:
-        """Lets go of the database."""
+        """Closes the database."""
         self._engine.dispose()
 
     def __enter__(self) -> StudyStore:
@@ -280,7 +280,7 @@ class StudyStore:
             raise OSError(f"{self._engine.url.database} was replaced by another file")
 
     def _file_now(self) -> int | None:
-        """What tells the file of SQLite from another one at its place."""
+        """What distinguishes the file of SQLite from another one at its place."""
         if self._engine.dialect.name != "sqlite" or not self._engine.url.database:
             return None
         return os.stat(self._engine.url.database).st_ino

@@ -24,7 +24,7 @@ from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.types import Side
 
 _DEBOUNCE_S: Final = 0.4
-"""A slider that has not moved for so long has been let go of [s]."""
+"""A slider that has not moved for so long was released [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class DriverSpec:
 
 
 class MethodSwitcher:
-    """Builds retargeters on a thread of its own; the loop goes on with the old ones until then.
+    """Builds retargeters on a separate thread; the loop goes on with the old ones until then.
 
     What is asked for while one is built replaces it: only the newest is handed over.
 
@@ -163,7 +163,7 @@ class MethodSwitcher:
         return self._request
 
     def _settle(self, outcome: DriverSpec | Exception) -> None:
-        """Tell who waits; a request that is settled stays so."""
+        """Notify who waits; a request that is settled stays so."""
         _tell(self._request, outcome)
 
     def _run(self) -> None:

@@ -15,7 +15,7 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}.
     {"do": "trial"}
         how the trial stands. With "begin": true a trial begins, with the object at its start, and
-        "about": {...} stands in its record; with "finish": true it ends, the operator can do no
+        "about": {...} is put into its record; with "finish": true it ends, the operator can do no
         more; with "cancel": true it is forgotten. "side" says which one, if there are two:
         {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
          "line": "not-done", "text": ..., "reason": "on the table", "time_s": null, "ended": null,

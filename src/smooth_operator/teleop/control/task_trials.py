@@ -134,7 +134,7 @@ def with_task(sinks: Sequence[str | Sink], task: str | None) -> tuple[str | Sink
         return tuple(sinks)
     if any(isinstance(sink, str) and sink.partition(":")[0] == "mujoco" for sink in sinks):
         raise ConfigError(
-            f"--task {task} brings a simulation of its own; leave out --sink mujoco, or --task and "
+            f"--task {task} brings its own simulation; leave out --sink mujoco, or --task and "
             f"write --sink mujoco:task={task}"
         )
     return (*sinks, f"mujoco:task={task}")

@@ -63,7 +63,7 @@ def _reader() -> Iterator[Callable[[float], str]]:
                     key = msvcrt.getwch()
                     if key not in ("\x00", "\xe0"):
                         return key
-                    msvcrt.getwch()  # of an arrow, whose second character is no key of its own
+                    msvcrt.getwch()  # of an arrow, whose second character is no key
                 time.sleep(0.01)
             return ""
 

@@ -20,7 +20,7 @@ from smooth_operator.teleop.pages.palette import PALM, finger_colors, linear
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
 _FRAME: Final = 0.03  # length of the palm frame's axes [m]
 _FOV: Final = np.deg2rad(40.0)
-_GHOST: Final = 0.5  # opacity of the shape, so that landmarks inside it are seen
+_TRANSLUCENT: Final = 0.5  # opacity of the shape, so that landmarks inside it are seen
 
 
 class HandPage(PageServer):
@@ -86,7 +86,7 @@ class HandPage(PageServer):
                 mesh.vertices,
                 mesh.faces,
                 color=PALM if owner < 0 else tuple(colors[owner].tolist()),
-                opacity=_GHOST,
+                opacity=_TRANSLUCENT,
                 side="double",
             )
             for body, mesh in view.meshes.items()

@@ -19,7 +19,7 @@ from smooth_operator.teleop.pages.timeline import HEIGHT
 
 _TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
 _TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses
-_REST = 0.3  # a slider that has not moved for this long has been let go of [s]
+_REST = 0.3  # a slider that has not moved for this long was released [s]
 
 
 class PlaybackServer(PageServer):
@@ -197,7 +197,7 @@ class PlaybackServer(PageServer):
         self._fit(client.client_id, None)
 
     def _fit(self, client: int, canvas_width: float | None) -> None:
-        with self._change():  # browsers come and go on threads of their own
+        with self._change():  # browsers come and go on their own threads
             self._jobs.append(lambda: self._panel.fit(client, canvas_width))
 
     def _run(self) -> None:

@@ -104,7 +104,7 @@ class Panel:
     def _build_side_panel(self, gui: viser.GuiApi) -> None:
         gui.main_panel.dock_right()
         if any(run.metrics for run in self._runs):
-            # A panel of its own: on a phone it starts folded, so that the hands stay visible.
+            # A separate panel: on a phone it starts folded, so that the hands stay visible.
             panel = gui.add_panel()
             with panel.add_tab("Metrics", icon=viser.Icon.TABLE):
                 gui.add_html(metrics_table(self._runs))

@@ -83,7 +83,7 @@ class Scene:
         for label in self._labels:
             label.visible = not overlay
         for robot in self._robots:
-            robot.set_ghost(overlay)
+            robot.set_translucent(overlay)
 
     def set_keyvectors(self, visible: bool) -> None:
         """Show or hide the thumb-to-tip lines."""

@@ -13,7 +13,7 @@ from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, wit
 from smooth_operator.teleop.pages.page_layout import FOREARM, view_axes
 from smooth_operator.teleop.pages.playback import Playback
 
-_GHOST = 0.45  # opacity of the robot when the human hand stands inside it
+_TRANSLUCENT = 0.45  # opacity of the robot when the human hand is drawn inside it
 
 
 class RobotView:
@@ -46,9 +46,9 @@ class RobotView:
         self._hand.draw(self._playback.qpos[frame])
         self._balls.draw(self._playback.robot_tips[frame], pinched)
 
-    def set_ghost(self, ghost: bool) -> None:
+    def set_translucent(self, translucent: bool) -> None:
         """Make the hand see-through, for looking at the human hand inside it."""
-        self._hand.set_opacity(_GHOST if ghost else None)
+        self._hand.set_opacity(_TRANSLUCENT if translucent else None)
 
     def bounds(self, samples: int = 16) -> Float[np.ndarray, "N 3"]:
         """(N, 3) corners of the bodies' boxes at some frames, in the model's world frame [m]."""

@@ -1,4 +1,4 @@
-"""Token authentication for viser's server, which has none of its own.
+"""Token authentication for viser's server, which has none.
 
 viser listens, serves its files and speaks over a WebSocket; here it answers only requests that
 ``smooth_operator.web.auth`` lets pass.

@@ -124,7 +124,7 @@ def read_hdf5_episode(
 def read_hdf5_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None = None
 ) -> HandRecording:
-    """The hand frames of an episode, which has an order of landmarks of its own.
+    """The hand frames of an episode, which has its own order of landmarks.
 
     Raises:
         RecordingError: as ``read_hdf5_episode``; there are no frames in it.

@@ -1,4 +1,4 @@
-"""The process that opens an HDF5 file, as a script of its own.
+"""The process that opens an HDF5 file, as a separate script.
 
 libhdf5 loops for ever over some damaged files, within compiled code that no signal handler of
 Python interrupts, and its memory is not bounded by anything in the file. So it runs here, under

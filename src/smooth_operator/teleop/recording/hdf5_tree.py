@@ -1,4 +1,4 @@
-"""The groups and arrays of an HDF5 file, read by a process of their own."""
+"""The groups and arrays of an HDF5 file, read by a separate process."""
 
 from __future__ import annotations
 

@@ -266,7 +266,7 @@ class LogWriter:
         )
 
     def flush(self, *, sync: bool = False) -> None:
-        """Hand everything written so far to the operating system, as a chunk of its own.
+        """Hand everything written so far to the operating system, as a separate chunk.
 
         Args:
             sync: also wait until it is on the disk, against a power cut (milliseconds).

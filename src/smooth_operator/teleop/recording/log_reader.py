@@ -138,7 +138,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 def read_log_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None = None
 ) -> HandRecording:
-    """The hand frames of a log, which has stamps, a side and an order of landmarks of its own.
+    """The hand frames of a log, which has stamps, a side and its own order of landmarks.
 
     Raises:
         RecordingError: as ``read_log``; no frames in it; another side than ``side``.

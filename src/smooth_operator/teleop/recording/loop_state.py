@@ -65,8 +65,8 @@ class LoopTrack:
     """The loop over all commands of a log; T is their number.
 
     Attributes:
-        numbers: (T,) of the ticks; -1 where the log does not tell.
-        modes: (T,) what the loop did; empty where the log does not tell.
+        numbers: (T,) of the ticks; -1 where the log does not say.
+        modes: (T,) what the loop did; empty where the log does not say.
         times: (T,) when each command was ready, by the loop's clock [s].
         received: (T,) when the frame that it answers came in [s]; NaN where it answers none.
         tracker_stamps: (T,) the frame's stamp by the tracker's own clock [s], or NaN.
@@ -93,7 +93,7 @@ class LoopTrack:
 def read_loop_track(
     commands: Sequence[int], messages: Mapping[int, Mapping[str, Any]]
 ) -> LoopTrack | None:
-    """Put together what the messages tell.
+    """Put together what the messages hold.
 
     Args:
         commands: sequence numbers of the commands.

@@ -32,7 +32,7 @@ class Controls:
         self._quit = threading.Event()
 
     def pause(self) -> None:
-        """Let go of the clutch: the robot holds."""
+        """Release the clutch: the robot holds."""
         self.change(lambda hand: hand.supervisor.pause())
 
     def resume(self) -> None:

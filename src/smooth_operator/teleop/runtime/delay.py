@@ -12,7 +12,7 @@ _WINDOW_S = 10.0
 class TrackerDelay:
     """Delay of each frame above the fastest of the last seconds.
 
-    Two clocks that were never compared tell only how the delay varies: the difference of arrival
+    Two clocks that were never compared show only how the delay varies: the difference of arrival
     and stamp is the delay and a constant, whose smallest value lately stands for the fastest way.
     The window is short enough to follow clocks that drift apart. Stamps of a recording that is
     played at another speed are scaled to ours.

@@ -1,4 +1,4 @@
-"""What a log of the loop tells of its timing."""
+"""The timing that a log of the loop holds."""
 
 from __future__ import annotations
 

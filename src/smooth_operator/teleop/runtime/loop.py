@@ -24,7 +24,7 @@ class TeleopLoop:
     """Drives robot hands from a source until stopped.
 
     A frame is answered as soon as it comes, so that nothing is added to its age; where none comes,
-    commands go out at the loop's pace all the same, held or easing as the policies say. Commands of
+    commands go out at the loop's pace, held or easing as the policies say. Commands of
     a hand never exceed the rate (``RateLimiter``), but for the first
     one of an emergency stop, which waits for nothing.
 
@@ -207,7 +207,7 @@ class TeleopLoop:
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:
-        """A thread that tells the sinks when the loop has fallen silent."""
+        """A thread that notifies the sinks when the loop has fallen silent."""
         done = threading.Event()
         self._beat = self.mailbox.clock()
 

@@ -173,7 +173,7 @@ class HandPipeline:
     def _answer(self, arrival: Arrival, now: float) -> tuple[Result, dict[str, float]]:
         """The method's answer to a frame, and how long its stages took [ms]."""
         start = self._clock()
-        if self.supervisor.afresh:
+        if self.supervisor.starts_again:
             self._state = self.retargeter.init()
         state, result = self.retargeter.step(self._state, arrival.frame)
         solved = self._clock()

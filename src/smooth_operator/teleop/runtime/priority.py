@@ -36,7 +36,7 @@ def low_jitter() -> Iterator[None]:
     """The loop before the rest of this process: short turns for other threads, few collections.
 
     What exists now is left out of garbage collection meanwhile: a compiled model is a great many
-    objects, which each collection would walk through.
+    objects, which each collection would visit.
     """
     # nor at the end of the process, when it would delay the end by seconds after Ctrl-C
     atexit.unregister(gc.freeze)

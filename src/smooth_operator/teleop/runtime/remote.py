@@ -5,7 +5,7 @@ socket is all that the other end needs (``RemoteTeleop``
 is one):
 
     {"do": "stop"}    emergency stop          {"do": "release"}  ends it
-    {"do": "pause"}   lets go of the clutch   {"do": "resume"}   takes it
+    {"do": "pause"}   releases the clutch   {"do": "resume"}   takes it
     {"do": "quit"}    ends the run            {"do": "status"}   changes nothing
 
     {"ok": true, "modes": {"right": "stopped"}, "rate_hz": 99.8}
@@ -16,7 +16,7 @@ for an earlier stop. A status does not reach the loop, so that it may be asked f
 
 Who starts the loop may add commands; those of ``smooth-operator teleop`` are in
 ``smooth_operator.teleop.control.rpc_handlers``. An added command may take long, as compiling a
-method does: each is done on a thread of its own, so that a stop is answered meanwhile, and
+method does: each is done on its own thread, so that a stop is answered meanwhile, and
 ``busy`` in the status says what is under way.
 """
 

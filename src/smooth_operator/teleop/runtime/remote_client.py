@@ -1,4 +1,4 @@
-"""The other end of ``teleop --control``: a console that tells a running teleoperation what to do.
+"""The other end of ``teleop --control``: a console that commands a running teleoperation.
 
     teleop = RemoteTeleop("tcp://127.0.0.1:5558")
     teleop.request("method", method="dexpilot", preset="default")
@@ -28,7 +28,7 @@ _BUSY: Final = json.dumps({"do": "status"}).encode()
 class RemoteTeleop:
     """A running ``smooth-operator teleop --control ADDRESS``. Safe from any thread.
 
-    Every request has a connection of its own, so that a teleoperation may end and be started again
+    Every request has its own connection, so that a teleoperation may end and be started again
     between two of them, and none waits for another: a stop is not held up by a method that is
     being compiled.
 

@@ -181,7 +181,7 @@ class RpcServer:
         return {**self._modes(), **self._status(), "busy": list(self._under_way)}
 
     def _done(self, message: _Message) -> bytes:
-        """One of the others, on a thread of its own."""
+        """One of the others, on its own thread."""
         try:
             return _encoded({"ok": True, **self._handlers[message.command](message.fields)})
         except SmoothOperatorError as error:

@@ -49,7 +49,7 @@ class Supervisor:
         return why
 
     @property
-    def afresh(self) -> bool:
+    def starts_again(self) -> bool:
         """Whether the operator is new to the robot: what a method remembers means nothing then."""
         return not self.mode.moves and self.mode is not Mode.HOLDING
 
@@ -84,7 +84,7 @@ class Supervisor:
         return x * x * (3 - 2 * x)
 
     def pause(self) -> None:
-        """Let go of the clutch."""
+        """Release the clutch."""
         self._paused = True
 
     def resume(self) -> None:
@@ -106,7 +106,7 @@ class Supervisor:
 
     @property
     def paused(self) -> bool:
-        """Whether the clutch is let go, in an emergency stop, too; safe from any thread."""
+        """Whether the clutch is released, in an emergency stop, too; safe from any thread."""
         return self._paused
 
     @property

@@ -26,7 +26,7 @@ _END_S: Final = 20.0
 
 
 class Recorder:
-    """Writes ticks on a thread of its own, until it is closed or the disk fails.
+    """Writes ticks on its own thread, until it is closed or the disk fails.
 
     Args:
         files: side -> file.

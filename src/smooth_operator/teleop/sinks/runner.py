@@ -2,7 +2,7 @@
 
 A sink that raises is closed, its error kept for the report at the end, and opened again after a
 while. Closing and opening may take long (a model to compile, a file to finish), so both happen on a
-thread of their own, and the loop never waits for them.
+separate thread, and the loop never waits for them.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class SinkRunner:
                 entry.missed += 1
 
     def stalled(self, seconds: float) -> None:
-        """Tell every sink that is open that no command has come for so long.
+        """Notify every open sink that no command has come for so long.
 
         It does not wait for a ``send`` that hangs.
         """
@@ -250,7 +250,7 @@ class _Entry:
         if self._clock() < self._retry_at:
             return
         with self._moving:
-            if not self._has_failed():  # it was let go meanwhile
+            if not self._has_failed():  # it was released meanwhile
                 return
             try:
                 self.sink.open(hands, config)
@@ -259,7 +259,7 @@ class _Entry:
                 return
             with self._change:
                 self._closed = False
-                if self._has_failed():  # else it was let go meanwhile, and is closed next
+                if self._has_failed():  # else it was released meanwhile, and is closed next
                     self.state = "open"
 
     def health(self) -> SinkHealth:

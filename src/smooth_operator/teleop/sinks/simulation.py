@@ -37,7 +37,7 @@ _NUMBERS: Final = itertools.count(1)
 class Simulation(Sink):
     """Each hand on a fixture in MuJoCo, its joints driven by position servos, in real time.
 
-    The physics runs on a thread of its own. When commands stop, the hands stay where they are. The
+    The physics runs on its own thread. When commands stop, the hands stay where they are. The
     page draws ``state`` with the command.
 
     Attributes:

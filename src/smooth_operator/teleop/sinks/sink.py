@@ -18,7 +18,7 @@ class Sink(ABC):
     """Where commands go: a robot, a simulation, a file, a bus.
 
     Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and never waits
-    for the far side: a sink that may have to wait keeps the newest command for a thread of its own.
+    for the far side: a sink that may have to wait keeps the newest command for its own thread.
     A sink that raises is closed, opened again after a while, and does not stop the others.
     """
 
@@ -44,7 +44,7 @@ class Sink(ABC):
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Find out what would keep the sink from opening, before anything slow is done.
 
-        Nothing stays open. Without a check of its own, a sink fails when it is opened.
+        Nothing stays open. Without its own check, a sink fails when it is opened.
 
         Raises:
             SmoothOperatorError: as ``open``.

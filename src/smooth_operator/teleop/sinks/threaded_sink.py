@@ -31,7 +31,7 @@ class Link(Protocol):
 
 
 class ThreadedSink(Sink):
-    """A sink that hands the newest command of each hand to a link, on a thread of its own.
+    """A sink that hands the newest command of each hand to a link, on its own thread.
 
     A command that the link has not yet taken when the next one comes is overwritten: a robot gets
     the newest or nothing, never a queue. Subclasses are frozen dataclasses of settings.

@@ -43,7 +43,7 @@ class Mode(enum.Enum):
     EASING = "easing"
     """The tracker is lost: the robot goes to its safe pose, and stays there."""
     PAUSED = "paused"
-    """The operator let go of the clutch: the last command is held."""
+    """The operator released the clutch: the last command is held."""
     STOPPED = "stopped"
     """Emergency stop: the robot brakes and stands until it is released by hand."""
 

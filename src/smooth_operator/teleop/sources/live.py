@@ -1,6 +1,6 @@
 """What every live source is to the loop: frames with stamps, the newest one only.
 
-A source runs on a thread of its own and posts what it receives into a mailbox with one place per
+A source runs on its own thread and posts what it receives into a mailbox with one place per
 hand. A frame that nobody has taken when the next one comes is overwritten, so nothing ever queues
 up, and the loop always answers the newest.
 """
@@ -242,7 +242,7 @@ class LiveSource(Protocol):
 
 
 class ThreadedSource(ABC):
-    """A source with a thread of its own; subclasses say what runs on it.
+    """A source with its own thread; subclasses say what runs on it.
 
     Subclasses are frozen dataclasses of settings, and keep what changes in ``Running``.
     """

@@ -26,7 +26,7 @@ _AT_ONCE: Final = 10_000
 
 
 class ZmqInbox:
-    """An open ZeroMQ socket with a context of its own.
+    """An open ZeroMQ socket with its own context.
 
     Connecting needs no publisher: it may start later, and start again.
 

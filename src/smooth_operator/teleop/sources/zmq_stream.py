@@ -17,7 +17,7 @@ from smooth_operator.types import Side
 class ZmqSource(StreamSource):
     """Each message a hand, as ``smooth_operator.teleop.sources.payload`` says.
 
-    A message may have a topic before it, as a part of its own or as the words that ``topic`` gives.
+    A message may have a topic before it, as a separate part or as the words that ``topic`` gives.
 
     Attributes:
         address: of the publisher; it need not be there yet.

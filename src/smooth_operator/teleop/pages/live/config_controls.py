@@ -117,7 +117,7 @@ class ConfigControls:
         value = field["value"]
         box = self._gui.add_checkbox(f"{name}: fixed", value is not None, hint=hint)
         start = min(max(1.0, field["low"]), field["high"]) if value is None else value
-        # made as it is to be: a message of its own may reach a new browser before the slider does
+        # made as it is to be: a separate message may reach a new browser before the slider does
         slider = self._slider(name, field, start, hint, off=value is None)
 
         def toggle(_: Any) -> None:

@@ -1,4 +1,4 @@
-"""The live page as the loop sees it: a process that asks what to show and tells what was clicked.
+"""The live page as the loop sees it: a process that asks what to show and sends what was clicked.
 
 viser, its WebSockets and the kinematics for drawing take a tenth of a core for each hand, in
 Python. In the loop's own process each of those milliseconds may come just when a frame does, and

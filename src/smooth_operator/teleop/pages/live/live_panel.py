@@ -1,4 +1,4 @@
-"""The controls of the live page; each tells the loop's process what was asked for."""
+"""The controls of the live page; each sends the loop's process what was asked for."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _STOPPED: Final = "STOPPED\nrelease it below"
 
 
 class LivePanel:
-    """Builds the controls and shows what the loop tells.
+    """Builds the controls and shows what the loop sends.
 
     Args:
         server: where to build.
@@ -96,7 +96,7 @@ class LivePanel:
         panel.dock_below(gui.main_panel)
 
     def show(self, seen: Mapping[str, Any], delay: float = 0.0) -> None:
-        """Show what the loop tells.
+        """Show what the loop sends.
 
         Args:
             seen: what ``LiveSession.look`` gave.
@@ -203,8 +203,8 @@ class LivePanel:
         self._pictures_box = gui.add_checkbox("Camera picture", True, visible=False)
         self._pictures_box.on_update(asked(lambda event: self._want_pictures(event.target.value)))
         if scene.simulated:
-            ghost = gui.add_checkbox("Simulated hand", True, hint="see-through, where it is")
-            ghost.on_update(asked(lambda event: scene.set_simulated(event.target.value)))
+            simulated = gui.add_checkbox("Simulated hand", True, hint="see-through, where it is")
+            simulated.on_update(asked(lambda event: scene.set_simulated(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         view.on_click(asked(lambda event: scene.aiming.aim(event.client)))
 

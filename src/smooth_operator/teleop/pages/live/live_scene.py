@@ -31,7 +31,7 @@ from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
-_GHOST: Final = 0.45  # opacity of a hand that another stands in
+_TRANSLUCENT: Final = 0.45  # opacity of a hand that overlaps another
 _WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
 _LABEL: Final = 0.016  # from there to the label [m]
 _LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
@@ -45,7 +45,7 @@ _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up
 
 
 class LiveScene:
-    """Builds the nodes once, then shows what the loop tells.
+    """Builds the nodes once, then shows what the loop sends.
 
     Every palm is turned so that one looks at it with the fingers up.
 
@@ -139,7 +139,7 @@ class LiveScene:
                 view.scenery.show(seen["parts"].get(side, ()))
                 view.face(seen["views"].get(side), seen["poses"].get(side))
             self.aiming.centre, self.aiming.half = self._arrange()
-            self._floor.visible = not self.has_task  # which stands on a floor of its own
+            self._floor.visible = not self.has_task  # which stands on its own floor
             for client in self._server.get_clients().values():
                 self.aiming.aim(client)
         for side, view in self._sides.items():
@@ -199,7 +199,7 @@ class _SideView:
                 owner,
                 f"{model_root}/simulated",
                 color=SIMULATED,
-                opacity=_GHOST,
+                opacity=_TRANSLUCENT,
                 scale=_WITHIN,
             )
             if simulated
@@ -277,7 +277,7 @@ class _SideView:
         self._roots["human"].position = robot if overlay else human
         self._roots["robot"].position = robot
         self._labels[0].visible = not overlay
-        self._robot.set_opacity(_GHOST if overlay else None)
+        self._robot.set_opacity(_TRANSLUCENT if overlay else None)
 
     def set_keyvectors(self, visible: bool) -> None:
         for lines in self._lines.values():

@@ -48,8 +48,8 @@ class LiveSession:
         sinks: those that it was begun with; of a simulated hand among them the state is shown, and
             what it works on.
         folder: where recordings and calibrations go.
-        switcher: builds methods; one of its own if left out.
-        blind: nothing that is shown tells which method drives the hands, and none can be chosen.
+        switcher: builds methods; a new one if left out.
+        blind: nothing on the page shows which method drives the hands, and none can be chosen.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from smooth_operator.teleop.pages.palette import PALM, SIMULATED, css, finger_colors
 
-# Okabe and Ito's colours; the sign and the word say the same to who can't tell them apart.
+# Okabe and Ito's colours; the sign and the word say the same to who can't distinguish them.
 _MODES: Final[dict[str, tuple[str, str, str]]] = {
     "waiting": ("◌", "waiting for the tracker", "#999999"),
     "tracking": ("▶", "tracking", "#009e73"),
@@ -179,7 +179,7 @@ def calibration(state: Mapping[str, Any]) -> str:
         return _figures(state["figures"])
     return (
         f'<div id="live-prompt" data-phase="idle" style="{_BOX}">About a minute: one pose after '
-        "another is shown here, and then what they tell of your hand.</div>"
+        "another is shown here, and then what they say about your hand.</div>"
     )
 
 

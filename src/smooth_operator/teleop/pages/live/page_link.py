@@ -12,7 +12,7 @@ class LoopEnded(Exception):
 
 
 class Link:
-    """Asks the loop's process what to show, and tells it what was clicked.
+    """Asks the loop's process what to show, and sends it what was clicked.
 
     Args:
         incoming: answers.

@@ -131,7 +131,7 @@ class Layout:
             raise RecordingError(
                 f"{names[0]} and {names[1]} hold commands for different joints "
                 f"({', '.join(self.joints or ())} and {', '.join(other.joints or ())}); write the "
-                "commands of each robot hand to a LeRobot dataset of its own"
+                "commands of each robot hand to its own LeRobot dataset"
             )
         more = tuple(stage for stage in other.stages if stage not in self.stages)
         return Layout(

@@ -302,7 +302,7 @@ def _recording(
     valid = numbers(table, "landmarks_valid", 21, file).astype(bool)
     optional: dict[str, Any] = {}
     for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4))):
-        # Where other tools dropped what says so, the column itself tells.
+        # Where other tools dropped what says so, the column itself decides.
         if own.get(key, key in table.column_names):
             values = numbers(table, key, shape[0] * shape[1], file)
             optional[key] = values.reshape(count, *shape).astype(np.float64)

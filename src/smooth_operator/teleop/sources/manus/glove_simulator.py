@@ -144,7 +144,7 @@ class Prepared:
         Args:
             faults: what goes wrong.
             seed: of the faults.
-            start: tells this start of the glove from any other, in the messages' sessions.
+            start: distinguishes this start of the glove from any other, in the messages' sessions.
         """
         draw = random.Random(seed)
         count = next(iter(self.hands.values())).count

@@ -53,7 +53,7 @@ class Picture:
 
 
 class Camera:
-    """Reads a camera on a thread of its own, so that none of its pictures grows old in a queue.
+    """Reads a camera on its own thread, so that none of its pictures grows old in a queue.
 
     Args:
         name: number, device or address of the camera.
@@ -87,7 +87,7 @@ class Camera:
             return picture
 
     def close(self) -> None:
-        """Let go of the camera; a second call does nothing."""
+        """Release the camera; a second call does nothing."""
         self._stopping.set()
         self._thread.join(5.0)
 

@@ -228,7 +228,7 @@ class Video(_Pictures):
 
 @dataclass
 class Counts:
-    """What became of a video's pictures.
+    """What was found in a video's pictures.
 
     Attributes:
         pictures: how many there were.

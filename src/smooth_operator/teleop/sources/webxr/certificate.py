@@ -59,7 +59,7 @@ def get_certificate(
 ) -> Certificate:
     """The certificate for these names: the one that was kept, or a new one.
 
-    Each set of names has a file of its own, so that a laptop that goes to and fro between two
+    Each set of names has its own file, so that a laptop that goes to and fro between two
     networks doesn't have its headset ask each time.
 
     Args:
