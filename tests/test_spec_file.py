@@ -243,7 +243,7 @@ def test_a_spec_file_brings_its_side(tmp_path: Path) -> None:
 
 def test_built_in_names_are_taken(tmp_path: Path, folder: Path) -> None:
     mine = replace(pincer(tmp_path), name="shadow_hand")
-    with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*of its own"):
+    with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*its own name"):
         save_hand(mine)
     folder.mkdir()
     write_hand_spec(mine, folder / "shadow_hand.right.toml")
