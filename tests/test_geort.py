@@ -737,7 +737,7 @@ def test_the_command_says_what_is_wrong(
 
 
 def test_the_file_of_a_model_stands_for_a_preset(tmp_path: Path) -> None:
-    built_in = files("smooth_operator.methods") / "models" / "geort_mimic_p050.npz"
+    built_in = files("smooth_operator.baselines") / "models" / "geort_mimic_p050.npz"
     (tmp_path / "mine.npz").write_bytes(built_in.read_bytes())
     path = tmp_path / "mine.npz"
     assert method_config("geort", str(path)) == GeortConfig(model=path)
