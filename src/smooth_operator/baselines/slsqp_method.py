@@ -10,6 +10,7 @@ weights and starting point only.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +24,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.baselines.published_angles import PublishedAngles
 from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
-from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
+from smooth_operator.baselines.slsqp import SlsqpConfig, ValueAndGradient, slsqp_minimise
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
@@ -31,6 +32,7 @@ from smooth_operator.methods.method import HostMethod, MethodOutput, ObjectiveMe
 from smooth_operator.methods.program import compiled
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.targets import Targets
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
 
@@ -89,20 +91,20 @@ class SlsqpMethodState(NamedTuple):
 
 
 class SlsqpProblem(NamedTuple):
-    """One frame, ready to be solved.
+    """One frame, ready to be solved; in few arrays, since each costs 2 to 5 us per frame.
 
     Attributes:
-        goal: targets and weights.
+        targets: vectors and weights of the frame.
         start: (m,) where SLSQP is to begin [rad].
         optimality: (2,) the objective there, and the largest component of its gradient that the
             limits leave free (the KKT residual), where Newton steps came before; NaN otherwise.
-        targets: state of the target policy after this frame.
+        policy: state of the target policy after this frame.
     """
 
-    goal: FrameGoal
+    targets: Targets
     start: Float[Array, " m"]
     optimality: Float[Array, "2"]
-    targets: Any
+    policy: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +153,12 @@ class SlsqpMethod(HostMethod):
         evaluate(neutral, FrameGoal(*zeros, jnp.asarray(neutral), jnp.float32(0)))
         return evaluate
 
+    @cached_property
+    def _velocity_weight(self) -> Float[Array, ""]:
+        """lambda_vel on the device; to put it there takes 70 us."""
+        weight: Array = jnp.float32(self.config.objective.velocity_weight)
+        return weight
+
     def init(self, seed: int) -> SlsqpMethodState:
         """Neutral pose, the target policy's first state; nothing here is random."""
         return SlsqpMethodState(
@@ -171,12 +179,8 @@ class SlsqpMethod(HostMethod):
         targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))
         previous = jnp.asarray(state.q)
         start = previous if self.joint_angles is None else self.joint_angles.positions(aligned)
-        goal = FrameGoal(
-            targets.vectors,
-            targets.weights.astype(jnp.float32),
-            previous,
-            jnp.float32(config.velocity_weight),
-        )
+        targets = Targets(targets.vectors, targets.weights.astype(jnp.float32))
+        goal = FrameGoal(*targets, previous, jnp.float32(config.velocity_weight))
         optimality = jnp.full(2, jnp.nan, jnp.float32)
         if self.config.approach.iterations:
             low, high = (jnp.asarray(side, jnp.float32) for side in self.hand.limits.T)
@@ -188,33 +192,42 @@ class SlsqpMethod(HostMethod):
             )
             free = jnp.clip(start - gradient, low, high) - start
             optimality = jnp.stack([cost, jnp.abs(free).max()])
-        return SlsqpProblem(goal, start, optimality, policy_state)
+        return SlsqpProblem(targets, start, optimality, policy_state)
 
     def solve(
         self, state: SlsqpMethodState, problem: SlsqpProblem
     ) -> tuple[SlsqpMethodState, MethodOutput]:
         """SLSQP, unless the start is a minimum already."""
-        evaluate, goal, solver = self.evaluate, problem.goal, self.config.solver
+        evaluate, solver = self.evaluate, self.config.solver  # compiled with the first frame
+        start = np.asarray(problem.start)
         value, residual = np.asarray(problem.optimality).tolist()
         if isinstance(solver, SlsqpConfig) and residual <= solver.optimality:
-            x = np.asarray(problem.start, np.float64)
+            x = start.astype(np.float64)
         else:
+            # on the device, since the goal goes into every evaluation
+            previous, weight = jnp.asarray(state.q), self._velocity_weight
+            goal = FrameGoal(*problem.targets, previous, weight)
 
             def objective(q: np.ndarray) -> np.ndarray:
                 return np.asarray(evaluate(q.astype(np.float32), goal))
 
-            start, limits = np.asarray(problem.start), self.hand.limits
-            if isinstance(solver, SlsqpConfig):
-                found = slsqp_minimise(objective, start, limits, solver)
-            else:
-                found = scipy_slsqp_minimise(objective, start, limits, solver)
-            x, value = found.x, found.value
+            x, value = self._slsqp(objective, start)
         q = x.astype(np.float32)
-        before = goal._replace(
-            previous=np.asarray(state.q), velocity_weight=self.config.objective.velocity_weight
-        )
-        regular = float(self.objective.regularisation(x, before))
-        after = SlsqpMethodState(q, problem.targets)
-        if not np.isfinite(value):  # finite nowhere: the frame gets the status SOLVER_FAILED
+        velocity_weight = self.config.objective.velocity_weight
+        on_host = FrameGoal(*problem.targets, np.asarray(state.q), velocity_weight)
+        regular = float(self.objective.regularisation(x, on_host))
+        after = SlsqpMethodState(q, problem.policy)
+        if not math.isfinite(value):  # finite nowhere: the frame gets the status SOLVER_FAILED
             q = np.full_like(q, np.nan)
         return after, MethodOutput(q, np.float32(value - regular))
+
+    def _slsqp(
+        self, objective: ValueAndGradient, start: Float[np.ndarray, " m"]
+    ) -> tuple[Float[np.ndarray, " m"], float]:
+        """The minimum that SLSQP finds from a start, and the objective there."""
+        solver, limits = self.config.solver, self.hand.limits
+        if isinstance(solver, SlsqpConfig):
+            found = slsqp_minimise(objective, start, limits, solver)
+        else:
+            found = scipy_slsqp_minimise(objective, start, limits, solver)
+        return found.x, found.value

@@ -182,7 +182,7 @@ class SquaredJointTerm(JointTerm):
     def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
         """See ``JointTerm``."""
         weight, centre, _ = self.square(goal)
-        total: AnyKind = weight * ((q - centre.astype(q.dtype)) ** 2).sum(axis=-1)
+        total: AnyKind = weight * ((q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)
         return total
 
     def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
