@@ -656,6 +656,22 @@ def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre() -> None:
     assert len(tight["times"]) == 40  # many clips share the page
 
 
+def test_a_clip_holds_the_points_of_objects() -> None:
+    hand = load_hand()
+    stamps = np.arange(100) / 100
+    points = np.random.default_rng(4).uniform(-0.1, 0.1, (100, 21, 3))
+    joints = np.zeros((100, len(hand.joint_names)))
+    seen = Run("m", points, points, joints, objects=points[:, 5:9])
+    panel = Panel(("r", "h", "right"), hand, stamps, (seen, replace(seen, objects=None)), ((0, 3),))
+    clip = make_clip(panel, {"m": "#000000"}, hands=3)
+    there, absent = (pane["objects"] for pane in clip["panes"])
+    robot = np.frombuffer(base64.b64decode(clip["panes"][0]["robot"]), "<i2").reshape(-1, 21, 3)
+    objects = np.frombuffer(base64.b64decode(there), "<i2").reshape(-1, clip["objectPoints"], 3)
+    np.testing.assert_array_equal(objects, robot[:, 5:9])
+    assert absent is None
+    assert clip["objectEdges"] == [[0, 3]]
+
+
 def test_the_window_is_where_the_human_moves_most() -> None:
     hand = load_hand()
     human = np.zeros((500, 21, 3))

@@ -56,12 +56,13 @@ class Counting:
         k = case.unit.data
         if k == 1 and case.method == "ako" and case.condition == "wet":
             raise ConfigError("the object <fell>")
-        row = {"error_mm": 1.0 + k, "held": 8 + k, "objects": 10, "why": "slip"}
+        row = {"error_mm": 1.0 + k, "held": min(8 + k, 10), "objects": 10, "why": "slip"}
         if not case.clip:
             return Measured(row)
         hand, stamps = case.hand, np.arange(60) / 60
         joints = np.tile(hand.full_configuration(hand.neutral), (60, 1))
-        return Measured(row, Clip(stamps, np.zeros((60, 21, 3)), joints))
+        corners = np.full((60, 2, 3), 0.01)
+        return Measured(row, Clip(stamps, np.zeros((60, 21, 3)), joints, corners, [(0, 1)]))
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
         return interval_drawings(self.name, results, self.figures, colors)
@@ -173,6 +174,9 @@ def test_files_and_report(
     assert [float(dry[k]) for k in ("value", "low", "high")] == pytest.approx(
         [2, 2 - half, 2 + half]
     )
+    with (tmp_path / "differences.csv").open(encoding="utf-8") as file:
+        differences = list(csv.DictReader(file))
+    assert {(row["method"], row["less"]) for row in differences} == {("smooth", "ako")}
     held = summary["wet", "ako", "held"]
     ends = [float(held[name]) for name in ("value", "low", "high")]
     assert ends == pytest.approx([0.9, *wilson(18, 20)])
@@ -180,7 +184,9 @@ def test_files_and_report(
     assert content["measures"][0]["rows"][0]["why"] == "slip"
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "the object &lt;fell&gt;" in page
+    assert page.count("Difference from smooth") == 2
     assert page.count('class="player"') == 2  # a clip for each condition, both methods in it
+    assert page.count('"objectEdges":[[0,1]]') == 2
     assert {path.name for path in (tmp_path / "plots").iterdir()} == {
         f"reachable-{condition}.{kind}" for condition in ("dry", "wet") for kind in ("png", "svg")
     }
@@ -189,14 +195,38 @@ def test_files_and_report(
     assert "1 of 12 cases failed" in printed.err
 
 
-def test_the_best_is_nearest_to_zero_where_less_is_better() -> None:
-    rows: list[Any] = [
-        {"hand": "h", "side": "right", "condition": "", "method": method, "preset": "teleop",
-         "unit": "a", "status": "ok", "reason": None, "error_mm": value}
-        for method, value in (("smooth", -0.5), ("sbr", 0.2), ("ako", 3.0))
+def rows_of(method: str, values: Sequence[float | None]) -> list[Any]:
+    """A row for each unit, with the error and one object of two held."""
+    return [
+        {"hand": "h", "side": "right", "condition": "", "method": method, "preset": "any",
+         "unit": f"u{k}", "status": "ok", "reason": None, "error_mm": value, "held": k % 2,
+         "objects": 2}
+        for k, value in enumerate(values)
     ]  # fmt: skip
+
+
+def test_differences_are_taken_unit_by_unit() -> None:
+    """The units differ by metres, the methods by millimetres."""
+    one, other = (
+        rows_of("sbr", [1e3, 2e3, 3e3, None]),
+        rows_of("ako", [1e3 + 1, 2e3 + 2, 3e3 + 3, 7]),
+    )
+    results = MeasureResults([ERROR, HELD], [*one, *other])
+    found = results.differences(("h", "right", ""), "sbr:any")
+    assert list(found) == ["ako:any"]
+    error = found["ako:any"]["error_mm"]
+    half = 4.302652730 * 1.0 / math.sqrt(3)
+    assert (error.value, error.count) == (pytest.approx(2.0), 3)
+    assert (error.low, error.high) == pytest.approx((2 - half, 2 + half))
+    held = found["ako:any"]["held"]
+    assert (held.value, held.low, held.high, held.count) == (0, 0, 0, 4)
+
+
+def test_the_best_is_nearest_to_zero_where_less_is_better() -> None:
+    values = {"smooth": -0.5, "sbr": 0.2, "ako": 3.0}
+    rows = [row for method, value in values.items() for row in rows_of(method, [value])]
     results = MeasureResults([ERROR], rows)
-    assert best_of(results.lines(("h", "right", "")), ERROR) == "sbr:teleop"
+    assert best_of(results.lines(("h", "right", "")), ERROR) == "sbr:any"
 
 
 @pytest.mark.parametrize(

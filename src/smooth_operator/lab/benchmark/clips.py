@@ -35,7 +35,8 @@ def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, 
     Returns:
         ``times`` of the frames [s]; ``humans`` and ``robots``, each (frames, 21, 3) int16 in base64
         little-endian, in units of 0.1 mm about the middle of the clip, turned so that x is right, y
-        up and z towards the viewer; -32768 stands for what is not there; and how to draw them.
+        up and z towards the viewer; -32768 stands for what is not there; each method's ``objects``,
+        (frames, points, 3), where there are some; and how to draw them.
     """
     cut = panel.window(SECONDS)
     stamps = panel.stamps[cut]
@@ -67,19 +68,25 @@ def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, 
                 "color": colors[run.method],
                 "human": at,
                 "robot": _packed(robot - middle),
+                "objects": None
+                if run.objects is None
+                else _packed(run.objects[chosen] @ basis.T - middle),
             }
         )
+    objects = [run.objects.shape[1] for run in panel.runs if run.objects is not None]
     return {
         "times": [round(float(t), 3) for t in panel.stamps[chosen]],
         "reach": round(reach / _UNIT),
         "humans": [_packed(human - middle) for human in humans],
         "humanBones": [list(bone) for bone in BONES],
         "robotBones": [list(bone) for bone in robot_bones(panel.hand)],
+        "objectPoints": max(objects, default=0),
+        "objectEdges": [list(edge) for edge in panel.edges],
         "panes": panes,
     }
 
 
-def _packed(points: Float[np.ndarray, "F 21 3"]) -> str:
+def _packed(points: Float[np.ndarray, "F k 3"]) -> str:
     finite = np.isfinite(points)
     units = np.rint(np.where(finite, points, 0.0) / _UNIT).clip(-32767, 32767)
     return base64.b64encode(np.where(finite, units, _ABSENT).astype("<i2").tobytes()).decode()

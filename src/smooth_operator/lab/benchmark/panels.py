@@ -28,12 +28,14 @@ class Run:
         human: (T, 21, 3) the human as the method saw it; NaN where a frame was not usable.
         robot: (T, 21, 3) the robot's landmarks; NaN where it has none.
         joints: (T, n) joint positions [rad].
+        objects: (T, p, 3) points of objects; None for none.
     """
 
     method: str
     human: Float[np.ndarray, "T 21 3"]
     robot: Float[np.ndarray, "T 21 3"]
     joints: Float[np.ndarray, "T n"]
+    objects: Float[np.ndarray, "T p 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +47,14 @@ class Panel:
         hand: the robot hand.
         stamps: (T,) time since the first frame [s].
         runs: the methods that served it, one at least.
+        edges: pairs of the runs' object points that a line joins.
     """
 
     key: tuple[str, str, str]
     hand: Hand
     stamps: Float[np.ndarray, " T"]
     runs: tuple[Run, ...]
+    edges: tuple[tuple[int, int], ...] = ()
 
     @property
     def title(self) -> str:

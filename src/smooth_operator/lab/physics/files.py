@@ -5,24 +5,25 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.atomic import atomic_write, write_json
-from smooth_operator.lab.physics.results import IDENTITY
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.lab.physics.suite import COMMAND, MeasureOutcome
 from smooth_operator.planning import PROGRAM
 
 RESULTS: Final = "results.json"
 SUMMARY: Final = "summary.csv"
+DIFFERENCES: Final = "differences.csv"
 
 
 def write_files(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -> list[Path]:
     """Writes ``MEASURE.csv`` (a row a case), ``summary.csv`` (a row for each measure, hand, method,
-    condition and figure, with its interval) and ``results.json`` (all of it).
+    condition and figure, with its interval), ``differences.csv`` (the same of each pair of methods,
+    unit by unit) and ``results.json`` (all of it).
 
     Returns:
         The files.
@@ -32,13 +33,14 @@ def write_files(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -
     """
     paths = []
     for outcome in outcomes:
-        rows = outcome.results.rows
-        more = dict.fromkeys(key for row in rows for key in row)
         paths.append(settings.output / f"{outcome.measure.name}.csv")
-        _write_csv(paths[-1], list(dict.fromkeys([*IDENTITY, *more])), rows)
+        _write_csv(paths[-1], outcome.results.rows)
     summary = [line for outcome in outcomes for line in summary_rows(outcome)]
     paths.append(settings.output / SUMMARY)
-    _write_csv(paths[-1], list(dict.fromkeys(key for row in summary for key in row)), summary)
+    _write_csv(paths[-1], summary)
+    differences = [line for outcome in outcomes for line in difference_rows(outcome)]
+    paths.append(settings.output / DIFFERENCES)
+    _write_csv(paths[-1], differences)
     content = {
         "program": PROGRAM,
         "command": COMMAND,
@@ -80,13 +82,36 @@ def summary_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
     ]
 
 
+def difference_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
+    """Each figure of each method less that of each method after it, unit by unit."""
+    results = outcome.results
+    return [
+        {
+            "measure": outcome.measure.name,
+            "hand": panel[0],
+            "side": panel[1],
+            "condition": panel[2],
+            "method": method,
+            "less": against,
+            "figure": figure,
+            **dataclasses.asdict(summary),
+        }
+        for panel in results.panels
+        for k, against in enumerate(results.methods)
+        for method, own in results.differences(panel, against).items()
+        if results.methods.index(method) < k
+        for figure, summary in own.items()
+    ]
+
+
 def _facts(figure: Any) -> dict[str, Any]:
     return {name: getattr(figure, name) for name in ("name", "unit", "goal", "meaning", "share")}
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Any]) -> None:
+def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    columns = dict.fromkeys(key for row in rows for key in row)
     text = io.StringIO()
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer = csv.DictWriter(text, list(columns), restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
     with atomic_write(path) as file:

@@ -17,9 +17,10 @@ from smooth_operator.lab.benchmark.page.player import player
 from smooth_operator.lab.benchmark.page.tables import facts_table, header
 from smooth_operator.lab.benchmark.panels import Panel, Run, robot_landmarks
 from smooth_operator.lab.physics.measure import Clip
-from smooth_operator.lab.physics.results import Line, best_of
+from smooth_operator.lab.physics.results import Line, Summary, best_of
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.lab.physics.suite import COMMAND, MeasureOutcome, failed_rows
+from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.html import (
     Html,
@@ -98,6 +99,8 @@ def _section(outcome: MeasureOutcome, plots: Plots, colors: Mapping[str, str], h
         inside = [_table(outcome, lines, colors, main=True)]
         if not all(figure.main for figure in measure.figures):
             inside.append(details("All figures", _table(outcome, lines, colors, main=False)))
+        if len(lines) > 1:
+            inside.append(_differences(outcome, panel, colors))
         clips = outcome.clips.get(panel, {})
         if clips:
             inside.append(player(make_clip(_panel(panel, clips), colors, hands)))
@@ -130,15 +133,46 @@ def _table(
     return table(heads, body, "sortable")
 
 
+def _differences(
+    outcome: MeasureOutcome, panel: tuple[str, str, str], colors: Mapping[str, str]
+) -> Html:
+    """By how much the other methods exceed the default one, or the first."""
+    results, figures = outcome.results, [f for f in outcome.measure.figures if f.main]
+    methods = [line.method for line in results.lines(panel)]
+    against = DEFAULT_METHOD if DEFAULT_METHOD in methods else methods[0]
+    body = [
+        [name_cell(method, colors[method]), *(_difference(own[f.name]) for f in figures)]
+        for method, own in results.differences(panel, against).items()
+        if method in methods
+    ]
+    words = (
+        f"Figure of the method less that of {against}, unit by unit, with Student's t interval "
+        "(95 %). Bold: the interval excludes 0."
+    )
+    heads = [Html("method"), *(header(figure) for figure in figures)]
+    inside = join([table(heads, body), paragraph(words, "soft")])
+    return details(f"Difference from {against}", inside)
+
+
+def _difference(summary: Summary) -> Html:
+    text = escape(summary.text())
+    if summary.low is None or summary.high is None or summary.low <= 0 <= summary.high:
+        return text
+    return element("b", text)
+
+
 def _panel(key: tuple[str, str, str], clips: Mapping[str, Clip]) -> Panel:
     """Clips of several methods on one clock: one that ends earlier stays at its last frame."""
     name, side, condition = key
     hand = load_hand(name, as_side(side))
     stamps = max((clip.stamps for clip in clips.values()), key=lambda own: float(own[-1]))
     runs = tuple(_run(method, clip, hand, stamps) for method, clip in clips.items())
-    return Panel((condition, name, side), hand, stamps - stamps[0], runs)
+    edges = next((tuple(clip.edges) for clip in clips.values() if clip.edges), ())
+    return Panel((condition, name, side), hand, stamps - stamps[0], runs, edges)
 
 
 def _run(method: str, clip: Clip, hand: Hand, stamps: np.ndarray) -> Run:
     at = np.searchsorted(clip.stamps, stamps).clip(0, len(clip.stamps) - 1)
-    return Run(method, clip.human[at], robot_landmarks(hand, clip.joints[at]), clip.joints[at])
+    joints = clip.joints[at]
+    objects = None if clip.objects is None else clip.objects[at]
+    return Run(method, clip.human[at], robot_landmarks(hand, joints), joints, objects)

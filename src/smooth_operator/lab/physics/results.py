@@ -8,17 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 from smooth_operator.lab.benchmark.settings import method_label
-from smooth_operator.lab.paper.intervals import Samples, mean_of
+from smooth_operator.lab.paper.intervals import Samples, independent, mean_of
 from smooth_operator.metrics import Metric
 
 Row: TypeAlias = dict[str, float | int | str | None]
 """What came of a case: a number for each figure (None where it can't be measured), and any other
 numbers and short texts, all with a JSON form."""
-
-IDENTITY: Final = (
-    "measure", "hand", "side", "method", "preset", "condition", "unit", "status", "reason",
-)  # fmt: skip
-"""The first columns of every row; ``status`` is ok or error, with the ``reason`` of an error."""
 
 _Z: Final = 1.959963984540054  # of the normal distribution, for 95 %
 
@@ -126,13 +121,18 @@ class Line:
     failed: tuple[str, ...]
 
 
+Difference: TypeAlias = dict[str, Summary]
+"""Name of a figure -> by how much one method exceeds another."""
+
+
 @dataclass(frozen=True, eq=False)
 class MeasureResults:
     """All rows of a measure.
 
     Attributes:
         figures: its figures.
-        rows: with the columns ``IDENTITY`` and the figures.
+        rows: each begins with ``measure``, ``hand``, ``side``, ``method``, ``preset``,
+            ``condition``, ``unit``, ``status`` (ok or error) and ``reason`` (of an error).
     """
 
     figures: Sequence[Figure]
@@ -164,6 +164,50 @@ class MeasureResults:
             failed = dict.fromkeys(str(row["reason"]) for row in rows if row["status"] != "ok")
             lines.append(Line(method, summaries, len(rows), tuple(failed)))
         return lines
+
+    def differences(self, panel: tuple[str, str, str], against: str) -> dict[str, Difference]:
+        """By how much each other method's figures exceed those of one, unit by unit.
+
+        Both methods had the same units, so that what units have in common cancels. A share is taken
+        within each unit.
+
+        Args:
+            panel: hand, side and condition.
+            against: the one method.
+
+        Returns:
+            method -> name of a figure -> the mean difference with Student's t interval.
+        """
+        own = {method: self._by_unit(panel, method) for method in self.methods}
+        return {
+            method: {
+                figure.name: _difference(values[figure.name], own[against][figure.name])
+                for figure in self.figures
+            }
+            for method, values in own.items()
+            if method != against
+        }
+
+    def _by_unit(
+        self, panel: tuple[str, str, str], method: str
+    ) -> dict[str, dict[str, float | None]]:
+        """Name of a figure -> unit -> mean or share."""
+        groups: dict[str, list[Row]] = {}
+        for row in self.of(panel, method):
+            if row["status"] == "ok":
+                groups.setdefault(str(row["unit"]), []).append(row)
+        return {
+            figure.name: {unit: summarise(figure, rows).value for unit, rows in groups.items()}
+            for figure in self.figures
+        }
+
+
+def _difference(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> Summary:
+    points = [x - y for unit, x in a.items() if x is not None and (y := b.get(unit)) is not None]
+    if not points:
+        return Summary(None, None, None, 0)
+    mean = mean_of(independent(points))
+    return Summary(mean.value, mean.low, mean.high, mean.units)
 
 
 def best_of(lines: Sequence[Line], figure: Figure) -> str | None:

@@ -1,4 +1,5 @@
-// Plays the landmarks embedded in the page: human in grey, robot in its method's colour.
+// Plays the landmarks embedded in the page: human in grey, robot in its method's colour, objects
+// as lines.
 (() => {
   "use strict";
   addEventListener("beforeprint", () => {
@@ -19,6 +20,7 @@
     const clip = JSON.parse(player.querySelector("script").textContent);
     const humans = clip.humans.map(unpack);
     const robots = clip.panes.map((pane) => unpack(pane.robot));
+    const objects = clip.panes.map((pane) => pane.objects && unpack(pane.objects));
     const canvases = [...player.querySelectorAll("canvas")];
     const button = player.querySelector("button");
     const slider = player.querySelector("input");
@@ -32,7 +34,7 @@
       const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
       const scale = (0.47 * size) / clip.reach;
       const place = (i) => {
-        const k = 3 * (21 * at + i);
+        const k = 3 * ((style.points || 21) * at + i);
         if (points[k] === ABSENT) return null;
         const x = cy * points[k] + sy * points[k + 2];
         const z = cy * points[k + 2] - sy * points[k];
@@ -69,6 +71,10 @@
         context.globalAlpha = 0.28;
         skeleton(context, humans[clip.panes[i].human], frame, clip.humanBones, size,
           { width: size / 42, color: ink });
+        context.globalAlpha = 0.8;
+        if (objects[i])
+          skeleton(context, objects[i], frame, clip.objectEdges, size,
+            { width: size / 190, color: ink, points: clip.objectPoints });
         context.globalAlpha = 1;
         skeleton(context, robots[i], frame, clip.robotBones, size,
           { width: size / 95, dot: size / 95, color: clip.panes[i].color });
