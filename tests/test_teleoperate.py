@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
+from smooth_operator.hand_files.spec_writer import temporary_spec
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import Sink, TeleopLoop, Tick, read_log, teleoperate
 from smooth_operator.teleop.sources.registry import build_source
 
@@ -47,6 +49,23 @@ class Kept(Sink):
 
     def close(self) -> None:
         self.closed += 1
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_hand_may_be_an_object(side: str, tmp_path: Path) -> None:
+    """A loaded hand, a description or its file; the other side is the mirror image."""
+    hand = load_hand("leap_hand", "right", fingers=("thumb", "index", "middle"))
+    kept = Kept()
+    teleoperate("synthetic", [kept], hand=hand, side=side, duration=0.4, **METHOD)  # type: ignore[arg-type]
+    assert kept.config["hand"] == hand.name
+    assert {tick.side for tick in kept.ticks} == {side}
+    assert kept.ticks[-1].command.names == hand.joint_names
+    with temporary_spec(hand.spec.mirrored) as text:
+        again = load_hand(text, side)
+        assert (again.name, again.spec.side, again.fingers) == (hand.name, side, hand.fingers)
+    assert not Path(text).exists()
+    with temporary_spec("leap_hand") as text:
+        assert text == "leap_hand"
 
 
 def test_a_run_is_one_call_from_text_or_objects_to_a_summary(

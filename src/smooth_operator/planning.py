@@ -13,6 +13,8 @@ from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
+from smooth_operator.hands.spec import HandSpec
+from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.human.alignment import calibrate_scale
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.default import DEFAULT_METHOD
@@ -32,7 +34,7 @@ class RetargetRequest:
     """What is to be done to a recording, or to each of many; see ``make_request``.
 
     Attributes:
-        hand: name of the robot hand.
+        hand: name of the robot hand, or its description.
         method: name of the method.
         preset: name of its preset.
         config: its configuration; that of the preset, so that workers need not know the name.
@@ -46,7 +48,7 @@ class RetargetRequest:
         operator: the calibrated operator; None for none.
     """
 
-    hand: str
+    hand: str | HandSpec
     method: str
     preset: str
     config: MethodConfig
@@ -59,10 +61,27 @@ class RetargetRequest:
     fingers: Mapping[str, str] | None = None
     operator: OperatorProfile | None = None
 
+    @property
+    def hand_name(self) -> str:
+        """Name of the robot hand."""
+        return self.hand.name if isinstance(self.hand, HandSpec) else self.hand
+
+    def load_hand(self, side: Side) -> Hand:
+        """The robot hand of one side, with the fingers that are asked for.
+
+        Raises:
+            UnknownNameError: there is no such hand, or it has no such finger.
+            HandModelError: the hand's files can't be used, or the fingers can't be chosen so.
+        """
+        hand = self.hand
+        if isinstance(hand, HandSpec) and hand.side != side:
+            hand = hand.mirrored
+        return load_hand(hand, side, fingers=self.fingers)
+
 
 def make_request(
     *,
-    hand: str = "mimic_p050",
+    hand: str | Path | HandSpec = "mimic_p050",
     method: str = DEFAULT_METHOD,
     preset: str | None = None,
     seed: int = 0,
@@ -82,7 +101,7 @@ def make_request(
         ConfigError: the operator's file can't be used.
     """
     return RetargetRequest(
-        hand,
+        read_hand_spec(hand) if isinstance(hand, Path) else hand,
         method,
         default_preset(method) if preset is None else preset,
         method_config(method, preset),
@@ -152,7 +171,7 @@ def resolve(
     Raises:
         UnknownNameError, HandModelError, ConfigError, RecordingError: as ``plan``.
     """
-    robot = load_hand(asked.hand, side, fingers=asked.fingers)
+    robot = asked.load_hand(side)
     return robot, resolve_config(asked, robot, recording)
 
 
@@ -231,7 +250,7 @@ def live_configuration(
     return {
         "program": PROGRAM,
         "command": command,
-        "hand": asked.hand,
+        "hand": asked.hand_name,
         "fingers": asked.fingers,
         "method": asked.method,
         "preset": asked.preset,

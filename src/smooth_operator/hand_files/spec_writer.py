@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import tempfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from smooth_operator.errors import HandModelError
@@ -36,6 +38,22 @@ def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> N
             file.write(text.encode("utf-8"))
     except OSError as error:
         raise output_error(path, error) from error
+
+
+@contextmanager
+def temporary_spec(hand: str | HandSpec) -> Iterator[str]:
+    """A hand as text, for another process: its name, or the path of a file with its description.
+
+    Yields:
+        The text, for ``load_hand``; the file is deleted at the end.
+    """
+    if isinstance(hand, str):
+        yield hand
+        return
+    with tempfile.TemporaryDirectory(prefix="smooth-operator-") as folder:
+        file = Path(folder) / "hand.toml"
+        write_hand_spec(hand.mirrored if hand.mirror else hand, file)
+        yield str(file)
 
 
 def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:

@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.building import build_retargeter
 from smooth_operator.hand_files.menagerie import drawn_on
+from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.spec import HandSpec
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
@@ -74,7 +76,7 @@ def teleoperate(
     source: str | LiveSource = "synthetic",
     sinks: Sequence[str | Sink] = (),
     *,
-    hand: str = "mimic_p050",
+    hand: str | Path | HandSpec | Hand = "mimic_p050",
     side: Side | Literal["both"] = "right",
     method: str = DEFAULT_METHOD,
     preset: str | None = None,
@@ -113,8 +115,9 @@ def teleoperate(
     Args:
         source: where hand frames come from: an object, or text such as ``replay:glove.npz``.
         sinks: where commands go: objects, or text such as ``zmq:tcp://127.0.0.1:5556``.
-        hand: name of the robot hand.
-        side: which hand; ``both`` drives two robots.
+        hand: name of the robot hand, the path of a spec file, a description or a loaded hand.
+        side: which hand; ``both`` drives two robots. The other side of a hand that is given as a
+            description is its mirror image.
         method: name of the retargeting method.
         preset: of the method; None for its default.
         seed: of all random numbers.
@@ -152,7 +155,7 @@ def teleoperate(
     wanted = with_task(sinks, task)
     acting = [build_sink(sink) if isinstance(sink, str) else sink for sink in wanted]
     asked = make_request(
-        hand=hand,
+        hand=hand.spec if isinstance(hand, Hand) else hand,
         method=method,
         preset=preset,
         seed=seed,
@@ -301,18 +304,19 @@ def _begun_page(
         return
     from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
 
-    setup = PageSetup(
-        asked.hand,
-        sides,
-        asked.fingers,
-        page.host,
-        page.port,
-        simulated_hands(acting) is not None,
-        blind,
-        None if page.model is None else str(page.model),
-    )
-    with LivePage(setup) as begun:
-        yield begun
+    with temporary_spec(asked.hand) as hand:
+        setup = PageSetup(
+            hand,
+            sides,
+            asked.fingers,
+            page.host,
+            page.port,
+            simulated_hands(acting) is not None,
+            blind,
+            None if page.model is None else str(page.model),
+        )
+        with LivePage(setup) as begun:
+            yield begun
 
 
 def _show_page(

@@ -16,7 +16,6 @@ from smooth_operator.formats.commands import encode_commands, write_encoded_comm
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found
 from smooth_operator.lab.offline.execution import Runner, build
@@ -70,7 +69,7 @@ def _hand(asked: RetargetRequest) -> Hand:
     """The robot hand of a request, of the side that it names; a right one if it names none."""
     operator = asked.operator
     side = asked.side or ("right" if operator is None else operator.side)
-    return load_hand(asked.hand, side, fingers=asked.fingers)
+    return asked.load_hand(side)
 
 
 @dataclass(frozen=True)
