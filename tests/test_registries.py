@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
 from smooth_operator.lab.benchmark import cells
 from smooth_operator.lab.benchmark.cells import Cell, fingerprint
+from smooth_operator.lab.benchmark.quality import Task, measure_cell
 from smooth_operator.lab.benchmark.ranking import columns
 from smooth_operator.lab.benchmark.settings import Settings, method_label, select_methods
 from smooth_operator.lab.offline.discovery import find_recordings
@@ -35,6 +37,8 @@ from smooth_operator.methods.presets import (
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
+from smooth_operator.metrics.registry import REGISTRY as METRIC_REGISTRY
+from smooth_operator.metrics.registry import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
@@ -226,6 +230,7 @@ def _fails(trace: Trace) -> float:
 
 
 TRAVEL = Metric("travel", "rad", "down", "way of all joints", compute=_travel, short="way")
+TAKEN = Metric("flatness", "", "up", "of another")
 SEVERAL = (TRAVEL, Metric("fails", "", "up", "never there", "motion", _fails))
 
 
@@ -262,6 +267,28 @@ def test_a_plugins_metric_is_measured_and_shown(
     printed = capsys.readouterr().out
     assert re.search(r"travel +3 +rad +↓ +way of all joints", printed)
     assert re.search(r"fails +– +↑ +never there", printed)
+
+
+def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(METRIC_REGISTRY, "_added", {})
+    add_metrics(["flatness", f"{__name__}:SEVERAL"])
+    assert [metric.name for metric in plugin_metrics()] == ["travel", "fails"]
+    for target, error, says in [
+        (f"{__name__}:OWN", ConfigError, "can't be a metric"),
+        (f"{__name__}:TAKEN", ConfigError, "there is a metric 'flatness' already"),
+        ("flatnes", UnknownNameError, "Did you mean 'flatness'?"),
+    ]:
+        with pytest.raises(error, match=re.escape(says)):
+            add_metrics([target])
+
+
+def test_a_worker_of_a_benchmark_measures_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(METRIC_REGISTRY, "_added", {})
+    config, recording = method_config("joint_angle"), SyntheticOperator(seed=1).record(0.2)
+    task = Task(recording, "mimic_p050", "joint_angle", "default", config, 0, "sound")
+    assert "travel" not in measure_cell(task).metrics
+    more = dataclasses.replace(task, metrics=(f"{__name__}:TRAVEL",))
+    assert measure_cell(more).metrics["travel"] > 0
 
 
 def test_directions_of_metrics_are_said_in_one_place() -> None:

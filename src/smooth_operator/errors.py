@@ -135,15 +135,20 @@ class UnknownNameError(SmoothOperatorError, KeyError):
     def __init__(self, kind: str, name: str, available: Iterable[str], more: str = "") -> None:
         name = name if len(name) <= 80 else f"{name[:77]}..."  # of a file, perhaps a damaged one
         known = sorted(available)
-        bare = {one.lstrip("-"): one for one in known}  # the dashes of options are like any others
-        close = get_close_matches(name.lstrip("-"), bare, n=1)
-        hint = f" Did you mean {bare[close[0]]!r}?" if close else ""
+        hint = did_you_mean(name, known)
         self.message = f"unknown {kind} {name!r}.{hint} Available: {', '.join(known) or 'none'}."
         self.message += f" {more}" if more else ""
         super().__init__(self.message)
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return self.message
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`` Did you mean 'sbr'?``, for a message; empty where no known name is close."""
+    bare = {one.lstrip("-"): one for one in known}  # the dashes of options are like any others
+    close = get_close_matches(name.lstrip("-"), bare, n=1)
+    return f" Did you mean {bare[close[0]]!r}?" if close else ""
 
 
 _SHOWN: Final = 80

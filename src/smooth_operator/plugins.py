@@ -113,6 +113,7 @@ class Registry(Mapping[str, Entry]):
     ) -> None:
         self.kind = kind
         self.built_in = dict(built_in)
+        self._added: dict[str, Entry] = {}
         self.needs, self.advice = needs, advice
 
     @property
@@ -122,9 +123,20 @@ class Registry(Mapping[str, Entry]):
 
     @property
     def plugins(self) -> dict[str, Entry]:
-        """Name -> part of installed distributions."""
-        offered = _installed(self.group)
+        """Name -> part of installed distributions, and those that were added."""
+        offered = {**_installed(self.group), **self._added}
         return {name: entry for name, entry in offered.items() if name not in self.built_in}
+
+    def add(self, name: str, entry: Entry) -> None:
+        """Adds a part to this process alone, such as one that the command line names.
+
+        Raises:
+            ConfigError: a built-in part has the name, or an installed one that is another.
+        """
+        taken = self.get(name)
+        if taken is not None and taken.target != entry.target:
+            raise ConfigError(f"{entry.target}: there is a {self.kind} {name!r} already; rename it")
+        self._added[name] = entry
 
     def __getitem__(self, name: str) -> Entry:
         return self.built_in[name] if name in self.built_in else self.plugins[name]

@@ -66,6 +66,7 @@ def bench(options: Bench) -> None:
         side=options.side,
         seed=options.seed,
         definition=options.definition,
+        metrics=_words(options.metrics),
         latency_frames=options.latency_frames,
         workers=options.workers,
         cluster=options.cluster,

@@ -91,6 +91,10 @@ Examples:
     definition: Literal["sound", "paper"] = "sound"
     """How the metrics are defined; paper is as published."""
 
+    metrics: Annotated[str, arg(metavar="MODULE:NAME")] = ""
+    """Further metrics: package.module:NAME of a Metric, with commas between them
+    (docs/how-to/plugins.md). The built-in ones and those of plugins are measured anyway."""
+
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Processes that measure quality: one for each core if left out, 0 for none but this
     one. Latency is measured alone in any case."""

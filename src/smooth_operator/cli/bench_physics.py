@@ -21,7 +21,7 @@ from smooth_operator.lab.physics.results import Figure, Line, MeasureResults, be
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.lab.physics.suite import MeasureOutcome, failed_rows, plan_cases, run_cases
 
-_NOT_HERE: Final = ("fingers", "operator", "definition", "latency_frames", "compare")
+_NOT_HERE: Final = ("fingers", "operator", "definition", "metrics", "latency_frames", "compare")
 _WIDTH_OF_INTERVALS: Final = 120
 """Of a terminal that has room for the intervals [characters]."""
 

@@ -9,11 +9,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, brief
+from smooth_operator.errors import (
+    ConfigError,
+    DocumentError,
+    SmoothOperatorError,
+    brief,
+    did_you_mean,
+)
 from smooth_operator.io.documents import read_toml
 
 _T = TypeVar("_T", bound=str)
@@ -47,8 +52,7 @@ class Entries:
         """Refuses entries other than the known ones."""
         for name in self.values:
             if name not in known:
-                close = get_close_matches(name, known, n=1)
-                hint = f" Did you mean {close[0]!r}?" if close else ""
+                hint = did_you_mean(name, known)
                 raise self.error(name, f"no such entry.{hint} Known here: {', '.join(known)}")
 
     def check_format(self, version: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 from smooth_operator.errors import ConfigError
@@ -26,15 +27,35 @@ def find_metric(name: str) -> Metric:
         UnknownNameError: there is none.
         ConfigError: it is a plugin's, and can't be loaded or is no ``Metric`` of that name.
     """
-    found = REGISTRY.load(name)
-    offered = found if isinstance(found, tuple) else (found,)
-    for metric in offered:
+    for metric in _offered(name):
         if isinstance(metric, Metric) and (metric.name == name or name not in REGISTRY):
             return metric
     raise ConfigError(
         f"{REGISTRY.find(name).target} can't be a metric: it must be a Metric called "
         f"{name!r}, or a tuple of metrics in which one is called so"
     )
+
+
+def _offered(name: str) -> tuple[object, ...]:
+    found: object = REGISTRY.load(name)
+    return found if isinstance(found, tuple) else (found,)
+
+
+def add_metrics(targets: Iterable[str]) -> None:
+    """Adds metrics to this process: ``evaluate`` then measures them as it does those of plugins.
+
+    Args:
+        targets: ``package.module:attribute`` of a ``Metric`` or of a tuple of them.
+
+    Raises:
+        UnknownNameError: a text is neither that nor the name of a metric, which is measured anyway.
+        ConfigError: one can't be loaded, is no metric, or has the name of another metric.
+    """
+    for target in targets:
+        find_metric(target)
+        for metric in () if target in REGISTRY else _offered(target):
+            if isinstance(metric, Metric):
+                REGISTRY.add(metric.name, Entry(target, metric.meaning))
 
 
 def known_metrics() -> tuple[Metric, ...]:

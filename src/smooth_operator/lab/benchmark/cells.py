@@ -109,6 +109,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
             "definition": settings.definition,
             "files": [digest(path) for path in files_of(cell.config)],
             **({"plugins": outside} if outside else {}),
+            **({"metrics": sorted(settings.metrics)} if settings.metrics else {}),
         }
     )
 

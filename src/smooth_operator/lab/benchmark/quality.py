@@ -14,6 +14,7 @@ from smooth_operator.lab.benchmark.per_finger import finger_metrics
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.metrics.evaluation import Definition
+from smooth_operator.metrics.registry import add_metrics
 from smooth_operator.planning import Plan, configuration
 from smooth_operator.types import CommandTrajectory, HandRecording
 
@@ -31,6 +32,7 @@ class Task:
         seed: of its random numbers.
         definition: of the metrics.
         fingers: robot finger -> human finger that drives it; None for all.
+        metrics: further metrics, for ``add_metrics``.
     """
 
     recording: HandRecording
@@ -41,6 +43,7 @@ class Task:
     seed: int
     definition: Definition
     fingers: Mapping[str, str] | None = None
+    metrics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,7 @@ def measure_cell(task: Task) -> Measured:
     Raises:
         SmoothOperatorError: the method can't serve the hand, or the recording can't be used.
     """
+    add_metrics(task.metrics)
     hand = load_hand(task.hand, task.recording.side, fingers=task.fingers)
     todo = Plan(
         task.recording, hand, task.method, task.preset, task.config, task.seed, task.fingers

@@ -37,6 +37,7 @@ class Settings:
         side: side of recordings that do not say theirs.
         seed: of the methods' random numbers.
         definition: of the metrics.
+        metrics: ``package.module:attribute`` of further metrics, besides those of plugins.
         latency_frames: frames to measure latency over; 0 measures none.
         workers: processes for the quality of cells; None for one per core, 0 for none.
         cluster: address of a Ray cluster instead of processes on this machine.
@@ -45,7 +46,7 @@ class Settings:
 
     Raises:
         ConfigError: a number is negative.
-        UnknownNameError: there is no such hand, method or preset.
+        UnknownNameError: there is no such hand, method, preset or metric.
     """
 
     output: Path
@@ -58,6 +59,7 @@ class Settings:
     side: Side | None = None
     seed: int = 0
     definition: Definition = "sound"
+    metrics: tuple[str, ...] = ()
     latency_frames: int = LATENCY_FRAMES
     workers: int | None = None
     cluster: str | None = None

@@ -14,6 +14,7 @@ from smooth_operator.lab.benchmark.latency import Latency, measure_latency
 from smooth_operator.lab.benchmark.quality import Measured, Task, measure_cell
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.benchmark.settings import Settings, select_methods
+from smooth_operator.metrics.registry import add_metrics
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.result_cache import (
     Job,
@@ -67,6 +68,7 @@ def plan_cells(settings: Settings) -> list[Cell]:
             read, a folder that holds something else.
     """
     check_folder(settings.output)
+    add_metrics(settings.metrics)
     requests = [
         parse_request(
             text,
@@ -164,7 +166,7 @@ def _task(cell: Cell, settings: Settings) -> Task:
     assert cell.source.recording is not None  # those without are not begun
     return Task(
         cell.source.recording, cell.hand, cell.method, cell.preset, cell.config, settings.seed,
-        settings.definition, cell.fingers,
+        settings.definition, cell.fingers, settings.metrics,
     )  # fmt: skip
 
 
