@@ -25,6 +25,11 @@ from smooth_operator.simulation.tasks.trial import TaskRun
 from smooth_operator.simulation.tasks.trial_loop import RATE_HZ, perform
 from smooth_operator.types import as_side
 
+DEFAULT_HAND: Final = "mimic_p050"
+"""Whose demonstrations are meant where no hand is named."""
+
+_FOLDER: Final = files("smooth_operator.simulation.tasks") / "demonstrations"
+
 PERIOD_S: Final = 1.0 / RATE_HZ
 """Between commands [s]; a command is the pose of the end of its period."""
 
@@ -56,23 +61,68 @@ class Demonstration:
         return np.asarray(self.poses[k] + (self.poses[k + 1] - self.poses[k]) * share)
 
 
-def load_demonstration(task: str) -> Demonstration:
-    """The demonstration of a task.
+def demonstrated_hands(task: str) -> list[str]:
+    """Names of the hands that have a demonstration of a task, the default hand first.
 
     Raises:
         UnknownNameError: there is no such task.
-        StudyError: its file does not fit the hand.
     """
     if task not in TASKS:
         raise UnknownNameError("task", task, TASKS)
-    file = files("smooth_operator.simulation.tasks") / "demonstrations" / f"{task}.json"
-    content = json.loads(file.read_text(encoding="utf-8"))
-    hand = load_hand(content["hand"], content["side"])
+    hands = [hand.name for hand in _FOLDER.iterdir() if (hand / f"{task}.json").is_file()]
+    return sorted(hands, key=lambda name: (name != DEFAULT_HAND, name))
+
+
+def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
+    """The demonstration of a task.
+
+    Args:
+        task: which.
+        hand: name of the robot hand; None for the default one.
+
+    Raises:
+        UnknownNameError: there is no such task.
+        StudyError: the hand has no demonstration of it, or the file does not fit the hand.
+    """
+    names = demonstrated_hands(task)
+    name = DEFAULT_HAND if hand is None else hand
+    if name not in names:
+        raise StudyError(
+            f"hand {name!r} has no demonstration of task {task!r}; the hands with one are "
+            f"{', '.join(names)} (lab.physics.demonstration_search makes one)"
+        )
+    return read_demonstration((_FOLDER / name / f"{task}.json").read_text(encoding="utf-8"))
+
+
+def read_demonstration(text: str) -> Demonstration:
+    """A demonstration from the text of its JSON file.
+
+    Raises:
+        StudyError: it does not fit the hand.
+    """
+    content = json.loads(text)
+    task, hand = content["task"], load_hand(content["hand"], content["side"])
     if tuple(content["joints"]) != hand.actuated_names:
         raise StudyError(f"the demonstration of {task!r} was made for other joints of {hand.name}")
     return Demonstration(
         task, hand.name, hand.spec.side, np.array(content["times"]), np.array(content["poses"])
     )
+
+
+def demonstration_text(demonstration: Demonstration) -> str:
+    """The JSON file of a demonstration; poses to 0.001 rad, a line for each."""
+    hand = load_hand(demonstration.hand, as_side(demonstration.side))
+    head = {
+        "task": demonstration.task,
+        "hand": demonstration.hand,
+        "side": demonstration.side,
+        "joints": list(hand.actuated_names),
+        "times": [round(float(time), 3) for time in demonstration.times],
+    }
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head.items()]
+    poses = [json.dumps([round(float(q), 3) for q in pose]) for pose in demonstration.poses]
+    return "\n".join(["{", *lines, ' "poses": [', *[f"  {p}," for p in poses[:-1]],
+                      f"  {poses[-1]}", " ]", "}", ""])  # fmt: skip
 
 
 def play(

@@ -1,0 +1,1 @@
+"""Makes demonstrations of the tasks for robot hands, by search in physics."""

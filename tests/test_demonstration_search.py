@@ -1,0 +1,118 @@
+"""Demonstrations for other hands: first guesses, the search, and the files that come of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.lab.demonstrations import search
+from smooth_operator.lab.demonstrations.evolution import Evolution
+from smooth_operator.lab.demonstrations.seed import transferred
+from smooth_operator.simulation.scenes import SCENES, scene_for
+from smooth_operator.simulation.tasks.demonstration import (
+    demonstrated_hands,
+    demonstration_text,
+    load_demonstration,
+    play,
+    read_demonstration,
+)
+from smooth_operator.simulation.tasks.perturbation import draw_perturbation
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings into the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+OTHERS = [(task, name) for task in SCENES for name in demonstrated_hands(task)[1:]]
+
+
+@pytest.mark.parametrize(("task", "name"), OTHERS)
+def test_another_hand_can_do_it(task: str, name: str) -> None:
+    *_, (_, run) = play(load_demonstration(task, name))
+    assert run.outcome is not None
+    assert (run.outcome.score, run.outcome.line) == (1.0, "done")
+
+
+@pytest.mark.parametrize("task", list(SCENES))
+def test_a_file_is_read_as_it_was_written(task: str) -> None:
+    assert demonstrated_hands(task)[0] == "mimic_p050"
+    for name in demonstrated_hands(task):
+        demonstration = load_demonstration(task, name)
+        again = read_demonstration(demonstration_text(demonstration))
+        assert (again.task, again.hand, again.side) == (task, name, "right")
+        np.testing.assert_allclose(again.poses, demonstration.poses, atol=5e-4)
+        np.testing.assert_array_equal(again.times, demonstration.times)
+
+
+def test_what_is_not_there_is_said() -> None:
+    with pytest.raises(StudyError, match=r"schunk_svh.*mimic_p050"):
+        load_demonstration("card", "schunk_svh")
+    with pytest.raises(UnknownNameError, match="card"):
+        load_demonstration("cart")
+    text = demonstration_text(load_demonstration("card"))
+    with pytest.raises(StudyError, match="other joints"):
+        read_demonstration(text.replace("index_base2mcp", "index_base"))
+
+
+def test_a_first_guess_has_its_fingertips_where_the_first_hand_has_them() -> None:
+    demonstration, hand = load_demonstration("cube"), load_hand("allegro_hand")
+    first = load_hand(demonstration.hand)
+    guess = transferred(demonstration, hand)
+    np.testing.assert_array_equal(guess.poses[0], hand.neutral)
+    assert ((guess.poses >= hand.limits[:, 0]) & (guess.poses <= hand.limits[:, 1])).all()
+    off = []
+    for one, poses in ((first, demonstration.poses), (hand, guess.poses)):
+        scene = scene_for("cube", one)
+        at, turn = scene.mount.palm
+        tips = one.tips(one.full_configuration(poses[1:]))[:, :2]
+        off.append(at + tips @ turn.T - scene.start[0])
+    assert np.median(np.linalg.norm(off[1] - off[0], axis=-1)) < 0.001
+
+
+def test_the_evolution_finds_an_optimum() -> None:
+    """An ellipsoid with axes of 1 to 100 about a point that is 1 away in each of 20 numbers."""
+    scale = np.geomspace(1.0, 100.0, 20)
+    state = Evolution.begin(np.zeros(20), 0.5, 0, 12)
+    for _ in range(300):
+        points = state.candidates()
+        state = state.judged(points, -(((points - 1.0) ** 2) * scale).sum(axis=1))
+    np.testing.assert_allclose(state.mean, 1.0, atol=0.01)
+    back = Evolution.from_json(state.to_json())
+    np.testing.assert_array_equal(back.candidates(), state.candidates())
+
+
+@pytest.mark.parametrize("task", list(SCENES))
+def test_progress_is_more_the_further_a_trial_gets(task: str) -> None:
+    """Of a hand that does nothing, of one that stops half-way, and of the demonstration."""
+    whole = load_demonstration(task)
+    half = np.searchsorted(whole.times, 0.4 * whole.times[-1])
+    poses = whole.poses.copy()
+    poses[half:] = poses[half - 1]
+    idle = replace(whole, poses=np.broadcast_to(whole.poses[0], whole.poses.shape))
+    world = draw_perturbation(0)
+    none, part, all_ = (
+        search.tried(one, world) for one in (idle, replace(whole, poses=poses), whole)
+    )
+    assert none < 0.35
+    assert none < part < 1.0 <= all_ <= 1.1
+
+
+def test_a_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    state, output = tmp_path / "state.json", tmp_path / "cube.json"
+    common = ["mimic_p050", "cube", "--output", str(output), "--state", str(state)]
+    common += ["--candidates", "2", "--worlds", "1", "--workers", "0", "--sigma", "0.001"]
+    search.main([*common, "--generations", "1"])
+    first = state.read_text()
+    found = read_demonstration(output.read_text())
+    *_, (_, run) = play(found)
+    assert run.outcome is not None
+    assert run.outcome.score == 1.0
+    search.main([*common, "--generations", "1"])
+    assert state.read_text() == first
