@@ -8,11 +8,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.tasks.demonstration import Demonstration
-from smooth_operator.types import as_side
 
 FINGERS: Final = ("thumb", "index", "middle")
 """The fingers that do the tasks."""
@@ -35,7 +33,7 @@ def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
     Raises:
         HandModelError: the other hand's size does not allow the task.
     """
-    first = load_hand(demonstration.hand, as_side(demonstration.side))
+    first = demonstration.robot
     here, there = (scene_for(demonstration.task, one) for one in (first, hand))
     fingers = [name for name in FINGERS if name in hand.fingers and name in first.fingers]
     own = [first.fingers.index(name) for name in fingers]

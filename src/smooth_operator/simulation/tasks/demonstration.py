@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene_registry import scene_for
@@ -51,6 +52,11 @@ class Demonstration:
     side: str
     times: Float[np.ndarray, " k"]
     poses: Float[np.ndarray, "k m"]
+
+    @property
+    def robot(self) -> Hand:
+        """The robot hand, loaded."""
+        return load_hand(self.hand, as_side(self.side))
 
     def pose(self, time: float) -> Float[np.ndarray, " m"]:
         """(m,) actuated joint positions at a time [s]; smooth from one key pose to the next."""
@@ -111,7 +117,7 @@ def read_demonstration(text: str) -> Demonstration:
 
 def demonstration_text(demonstration: Demonstration) -> str:
     """The JSON file of a demonstration; poses to 0.001 rad, a line for each."""
-    hand = load_hand(demonstration.hand, as_side(demonstration.side))
+    hand = demonstration.robot
     head = {
         "task": demonstration.task,
         "hand": demonstration.hand,
@@ -142,7 +148,7 @@ def play(
         the scene and the trial, a hundred times a second, until the trial is done or the
         demonstration at its end.
     """
-    hand = load_hand(demonstration.hand, as_side(demonstration.side))
+    hand = demonstration.robot
     physics = ScenePhysics(hand, scene_for(demonstration.task, hand))
     if disturb is not None:
         disturb(physics)

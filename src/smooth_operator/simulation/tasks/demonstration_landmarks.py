@@ -7,12 +7,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.demonstration import PERIOD_S, Demonstration
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
-from smooth_operator.types import as_side
 
 _STEP_S: Final = 0.001  # between two computed frames
 
@@ -32,7 +30,7 @@ class DemonstrationLandmarks:
     """
 
     def __init__(self, demonstration: Demonstration) -> None:
-        hand = load_hand(demonstration.hand, as_side(demonstration.side))
+        hand = demonstration.robot
         self.seconds = float(demonstration.times[-1])
         count = int(np.ceil(self.seconds / _STEP_S)) + 1
         poses = np.stack([demonstration.pose(k * _STEP_S) for k in range(count)])
