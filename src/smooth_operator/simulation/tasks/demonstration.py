@@ -95,7 +95,7 @@ def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
     if name not in names:
         raise StudyError(
             f"hand {name!r} has no demonstration of task {task!r}; the hands with one are "
-            f"{', '.join(names)} (lab.physics.demonstration_search makes one)"
+            f"{', '.join(names)} (lab.demonstrations.search makes one)"
         )
     return read_demonstration((_FOLDER / name / f"{task}.json").read_text(encoding="utf-8"))
 
