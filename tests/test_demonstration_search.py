@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.demonstrations import search
 from smooth_operator.lab.demonstrations.evolution import Evolution
 from smooth_operator.lab.demonstrations.seed import transferred

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import StudyError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.physics.demonstrations import Demonstrations
 from smooth_operator.lab.physics.measure import Case, Measured
 from smooth_operator.lab.physics.results import MeasureResults, Row
