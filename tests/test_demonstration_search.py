@@ -90,11 +90,11 @@ def test_the_evolution_finds_an_optimum() -> None:
 
 @pytest.mark.parametrize("task", list(SCENES))
 def test_progress_is_more_the_further_a_trial_gets(task: str) -> None:
-    """Of a hand that does nothing, of one that stops half-way, and of the demonstration."""
+    """Of a hand that does nothing, of one that stops after a quarter, and of the demonstration."""
     whole = load_demonstration(task)
-    half = np.searchsorted(whole.times, 0.4 * whole.times[-1])
+    quarter = np.searchsorted(whole.times, 0.25 * whole.times[-1])
     poses = whole.poses.copy()
-    poses[half:] = poses[half - 1]
+    poses[quarter:] = poses[quarter - 1]
     idle = replace(whole, poses=np.broadcast_to(whole.poses[0], whole.poses.shape))
     world = draw_perturbation(0)
     none, part, all_ = (
