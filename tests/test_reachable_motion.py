@@ -80,7 +80,7 @@ def test_noise_moves_the_palm_and_so_the_whole_hand() -> None:
 def test_true_joints_are_exact() -> None:
     hand, asked = load_hand("mimic_p050", "right"), asked_of_mimic()
     row = motion_figures(hand, asked, asked.joints)
-    assert row["tip_error_mm"] == row["tip_p95_mm"] == row["lag_ms"] == 0
+    assert row["tip_error_mm"] == row["tip_p95_mm"] == row["lag_ms"] == row["common_shift_mm"] == 0
     assert row["pinch_gap_error_mm"] in (0, None)
     assert row["exact"] == 1
 
@@ -90,7 +90,8 @@ def test_a_delay_of_three_frames_is_a_lag_of_30_ms() -> None:
     late = np.concatenate([np.repeat(asked.joints[:1], 3, axis=0), asked.joints[:-3]])
     row = motion_figures(hand, asked, late)
     assert row["lag_ms"] == pytest.approx(30.0, abs=1e-9)
-    assert row["tip_error_mm"] > 0.5
+    assert 0.5 < row["tip_error_mm"] < row["tip_p95_mm"]
+    assert 0 < row["common_shift_mm"] < row["tip_error_mm"]
     assert row["exact"] < 0.5
 
 

@@ -114,6 +114,9 @@ class ReachableMotion:
                "asked ones best.", short="lag"),
         Figure("exact", "", "up", "Share of the frames in which no fingertip is further off than "
                "0.5 mm.", short="exact frames"),
+        Figure("common_shift_mm", "mm", "down", "Length of the error that all fingertips have in "
+               "common: by how much the hand is moved as a whole.", short="common shift",
+               main=False),
         Figure("input_error_mm", "mm", "", "How far off the aligned landmarks of the tips are that "
                "the method is given: what a method that follows them exactly would be off by.",
                short="input error", main=False),
@@ -171,7 +174,8 @@ def motion_figures(
     """
     warm = _warm(asked)
     tips = hand.tips(joints)
-    error = np.linalg.norm(tips - asked.tips, axis=-1)[warm:]
+    off = (tips - asked.tips)[warm:]
+    error = np.linalg.norm(off, axis=-1)
     gaps, wanted = (_thumb_gaps(points)[warm:] for points in (tips, asked.tips))
     pinched = wanted < PINCH_GAP
     apart = np.abs(gaps - wanted)[pinched]
@@ -182,6 +186,7 @@ def motion_figures(
         "pinch_gap_error_mm": 1e3 * float(apart.mean()) if apart.size else None,
         "lag_ms": 1e3 * period * lag_frames(asked.tips[warm:], tips[warm:]),
         "exact": float((error.max(axis=1) <= EXACT).mean()),
+        "common_shift_mm": 1e3 * float(np.linalg.norm(off.mean(axis=1), axis=-1).mean()),
         **{
             f"tip_error_{finger}_mm": 1e3 * float(error[:, i].mean())
             for i, finger in enumerate(hand.fingers)
