@@ -42,6 +42,7 @@ OLD_IMPORTS = (
     ("from smooth_operator.documents import parse_json", "io.documents"),
     ("from smooth_operator.io.results import config_path", "formats.commands"),
     ("from smooth_operator.io import registry", "formats.registry"),
+    ("from smooth_operator.io.arrays import open_arrays", "formats.arrays"),
     ("from smooth_operator.methods.geort_model import read_geort_model", "baselines.geort_model"),
     ("from smooth_operator.solvers.slsqp import SlsqpConfig", "baselines.slsqp"),
     ("from smooth_operator.human.joint_map import joint_map", "baselines.joint_map"),

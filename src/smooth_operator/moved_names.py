@@ -24,6 +24,8 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "hands.published": ("hand_files.vendor_model",),
     "hands.renderer": ("simulation.renderer",),
     "human.calibration": ("calibration",),
+    "io.arrays": ("formats.arrays",),
+    "io.bounds": ("formats.bounds",),
     "io.checks": ("formats.checks",),
     "io.csv_table": ("formats.csv_table",),
     "io.environment": ("formats.environment",),

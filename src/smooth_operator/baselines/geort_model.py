@@ -13,8 +13,8 @@ from jax import nn
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, brief
+from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.hands.hand import Hand
-from smooth_operator.io.arrays import StoredArrays, open_arrays
 from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json

@@ -1,4 +1,4 @@
-"""File formats of recordings, commands and episodes: readers, writers and their checks.
+"""File formats of recordings, commands, episodes and arrays: readers, writers, their checks.
 
 Reading dispatches on what a file holds, never on its name alone, and nothing here unpickles.
 """

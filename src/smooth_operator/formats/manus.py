@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError, brief
-from smooth_operator.io.arrays import StoredArrays
+from smooth_operator.formats.arrays import StoredArrays
 
 _NUM_NODES = 25
 _MOST_GLOVES: Final = 16

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.formats.arrays import PICKLE_REMEDY, StoredArray, StoredArrays, open_arrays
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
@@ -22,7 +23,6 @@ from smooth_operator.formats.manus import manus_nodes
 from smooth_operator.formats.registry import find_reader, readable
 from smooth_operator.formats.sniff import file_kind
 from smooth_operator.io.anatomy import doubt, layout_order
-from smooth_operator.io.arrays import PICKLE_REMEDY, StoredArray, StoredArrays, open_arrays
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, as_side
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.formats.arrays import PICKLE_REMEDY
 from smooth_operator.formats.registry import READERS, find_reader, readable
-from smooth_operator.io.arrays import PICKLE_REMEDY
 from smooth_operator.io.documents import check_plain_file
 
 _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.registry import find_reader, recording_suffixes
 from smooth_operator.formats.sniff import file_kind
-from smooth_operator.io.arrays import StoredArrays, open_arrays
 
 _COMMANDS: Final = ("joint_positions", "joint_names")
 _LANDMARKS: Final = ("landmarks", "joints", "data")

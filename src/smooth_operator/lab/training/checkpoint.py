@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.io.arrays import open_arrays
+from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json

@@ -15,8 +15,8 @@ from typing import IO, Any, Final
 import numpy as np
 
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
-from smooth_operator.io.arrays import damaged
-from smooth_operator.io.bounds import Allowance
+from smooth_operator.formats.arrays import damaged
+from smooth_operator.formats.bounds import Allowance
 from smooth_operator.io.documents import check_plain_file, parse_json
 from smooth_operator.teleop.recording import hdf5_process
 

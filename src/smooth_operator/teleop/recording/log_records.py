@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import IO, Any, Final, NamedTuple, TypeAlias
 
 from smooth_operator.errors import RecordingError, brief
+from smooth_operator.formats.bounds import LOG_RATIO, Allowance
 from smooth_operator.formats.registry import MCAP_MAGIC
-from smooth_operator.io.bounds import LOG_RATIO, Allowance
 from smooth_operator.teleop.recording.mcap_library import (
     Channel,
     McapError,

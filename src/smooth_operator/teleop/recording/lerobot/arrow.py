@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.errors import MissingExtraError, RecordingError, listed
-from smooth_operator.io.arrays import damaged
-from smooth_operator.io.bounds import NUMBER_BYTES, Allowance
+from smooth_operator.formats.arrays import damaged
+from smooth_operator.formats.bounds import NUMBER_BYTES, Allowance
 from smooth_operator.io.documents import check_plain_file
 
 

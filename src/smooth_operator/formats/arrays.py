@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import RecordingError, brief, listed
-from smooth_operator.io.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
+from smooth_operator.formats.bounds import NUMBER_BYTES, TEXT_BYTES, Allowance
 from smooth_operator.io.documents import check_plain_file
 
 _Bytes: TypeAlias = Any
