@@ -17,6 +17,7 @@ from smooth_operator.cli.study_data_options import Erase, Export
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_power_options import Power
 from smooth_operator.cli.study_run_options import Run
+from smooth_operator.cli.study_simulate_options import Simulate
 from smooth_operator.cli.subcommands import Group, described
 
 What: TypeAlias = (
@@ -24,6 +25,7 @@ What: TypeAlias = (
     | Annotated[Enrol, subcommand("enrol", description=described(Enrol))]
     | Annotated[Power, subcommand("power", description=described(Power))]
     | Annotated[Run, subcommand("run", description=described(Run))]
+    | Annotated[Simulate, subcommand("simulate", description=described(Simulate))]
     | Annotated[Export, subcommand("export", description=described(Export))]
     | Annotated[Erase, subcommand("erase", description=described(Erase))]
     | Annotated[Analyze, subcommand("analyze", description=described(Analyze))]

@@ -1,0 +1,1 @@
+"""A study done by virtual operators in physics, trial by trial; no study with people."""
