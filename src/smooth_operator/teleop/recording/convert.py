@@ -85,8 +85,8 @@ def read_episode(
             content.
         rate: frames a second [Hz], needed where the file has no stamps.
         side: which hand; needed where the file does not say and it is a left one.
-        layout: the order of the landmarks in a plain array of 21, as of
-            ``read_recording``.
+        layout: the order of the landmarks in a plain array of 21, as of ``read_recording``, or in
+            a LeRobot dataset of another tool.
         episode: which one of a LeRobot dataset.
 
     Returns:
