@@ -1,4 +1,4 @@
-"""Text for a terminal: control characters in foreign text are shown, and have no effect.
+"""Text for a terminal: control characters of foreign text are shown without effect.
 
 Names of files, keys of messages and texts of recordings may hold control characters, which a
 terminal takes for commands: they set its title, clear the screen, or hide what was said.

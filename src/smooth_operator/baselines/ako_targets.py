@@ -1,4 +1,4 @@
-"""Targets of "Analyzing Key Objectives" (AKO, Xin et al. 2025): what leads depends on distance.
+"""Targets of "Analyzing Key Objectives" (AKO, Xin et al. 2025), weighted by pinch distance.
 
 The nearer a finger is to the thumb, the less the wrist vectors count, with a sigmoid in between
 instead of DexPilot's latch: no state, no jump.

@@ -1,4 +1,4 @@
-"""Targets of the preset ``position``: fingertips at the human's places in the palm frame."""
+"""Targets of the preset ``position``: the human's fingertip positions in the palm frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calibration of an operator: the poses that are asked for or found, and what they measure."""
+"""Calibration of an operator: poses by prompt or by search, and what is measured from them."""
 
 from smooth_operator.lazy_names import public_names
 

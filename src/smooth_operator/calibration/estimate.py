@@ -1,4 +1,4 @@
-"""From poses of an operator to the operator's profile, and how sure each figure is."""
+"""Estimates an operator's profile from poses, with a confidence for each figure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A calibration as figures: what was found, how sure, before and after."""
+"""Report of a calibration as figures: found values, confidence, before and after."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The robot's side of a calibration: how far its fingers reach, and where they then point."""
+"""The robot's side of a calibration: reach and direction of its straight fingers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the tip landmark to the pad, by what pinches say: there, pads really meet."""
+"""Offsets from the tip landmarks to the finger pads, estimated from pinches."""
 
 from __future__ import annotations
 

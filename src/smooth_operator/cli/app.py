@@ -1,4 +1,4 @@
-"""From the arguments to an exit status: the only place where errors become messages."""
+"""Runs a command: arguments to exit status; the only place where errors become messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``smooth-operator bench``: which method, and how good?"""
+"""``smooth-operator bench``: compares methods on recordings."""
 
 from __future__ import annotations
 

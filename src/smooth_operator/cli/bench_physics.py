@@ -1,4 +1,4 @@
-"""``smooth-operator bench --physics``: what does the hand achieve?"""
+"""``smooth-operator bench --physics``: measures what the hand achieves in physics."""
 
 from __future__ import annotations
 

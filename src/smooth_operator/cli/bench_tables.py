@@ -1,4 +1,4 @@
-"""What ``smooth-operator bench`` prints: tables of methods, the best marked; differences."""
+"""Tables that ``smooth-operator bench`` prints: methods, the best marked, and differences."""
 
 from __future__ import annotations
 

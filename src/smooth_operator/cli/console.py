@@ -1,4 +1,4 @@
-"""What a person sees: progress on standard error, tables on standard output."""
+"""Output of the commands: progress on standard error, tables on standard output."""
 
 from __future__ import annotations
 

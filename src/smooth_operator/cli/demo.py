@@ -1,4 +1,4 @@
-"""``smooth-operator demo``: the whole of it on a built-in operator."""
+"""``smooth-operator demo``: retargets the built-in operator and shows the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``smooth-operator hands list``: the hands that can be named."""
+"""``smooth-operator hands list``: the hands by name."""
 
 from __future__ import annotations
 

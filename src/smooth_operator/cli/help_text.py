@@ -1,4 +1,4 @@
-"""Help that is wrapped once, at the width of the terminal."""
+"""Help texts, wrapped to the width of the terminal."""
 
 from __future__ import annotations
 

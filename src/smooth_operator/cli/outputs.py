@@ -1,4 +1,4 @@
-"""Where results go, looked at before the long work: a wrong name costs a second, not an hour."""
+"""Checks of output paths before the long work starts."""
 
 from __future__ import annotations
 

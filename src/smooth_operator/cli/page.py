@@ -1,4 +1,4 @@
-"""From a trace to the browser page."""
+"""Opens the browser page of a trace."""
 
 from __future__ import annotations
 

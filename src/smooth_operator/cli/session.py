@@ -1,4 +1,4 @@
-"""Retargeting one recording for a person to watch: what ``demo`` and ``retarget`` share."""
+"""Retargets one recording with progress and notes; shared by ``demo`` and ``retarget``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``smooth-operator study export`` and ``study erase``: data out, and data away."""
+"""``smooth-operator study export`` and ``study erase``: exports and deletes data of a study."""
 
 from __future__ import annotations
 

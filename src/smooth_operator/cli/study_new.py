@@ -1,4 +1,4 @@
-"""``smooth-operator study new`` and ``study enrol``: a plan, on paper and in files."""
+"""``smooth-operator study new`` and ``study enrol``: writes the plan and enrols operators."""
 
 from __future__ import annotations
 

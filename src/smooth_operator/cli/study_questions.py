@@ -1,4 +1,4 @@
-"""Asking for the protocol of a study, question by question; Enter takes what is in brackets."""
+"""Questions for the protocol of a study in the terminal; Enter takes the default."""
 
 from __future__ import annotations
 

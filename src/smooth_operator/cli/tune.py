@@ -1,4 +1,4 @@
-"""``smooth-operator tune``: the numbers of a preset, searched."""
+"""``smooth-operator tune``: searches the numeric settings of a preset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``smooth-operator view``: any result with the hand that it came from."""
+"""``smooth-operator view``: plays a result with its recording."""
 
 from __future__ import annotations
 

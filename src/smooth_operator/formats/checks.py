@@ -1,4 +1,4 @@
-"""What makes a recording of a hand believable: its units, its stamps, its side.
+"""Checks of recordings: units, stamps and side.
 
 Each check has its own message, which names the likely cause and the way out.
 """

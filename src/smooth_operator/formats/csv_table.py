@@ -1,4 +1,4 @@
-"""The only writer of CSV here: a spreadsheet shows its text and calculates none of it."""
+"""Writer of CSV tables whose text a spreadsheet does not evaluate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a result depends on, written with it, so that results can be compared and repeated."""
+"""Versions and hardware that a result depends on, written with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one file of any format holds, in memory: a hand, the commands it gave rise to, and how."""
+"""An episode: a hand recording, its commands and their configuration, in any file format."""
 
 from __future__ import annotations
 

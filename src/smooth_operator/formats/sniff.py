@@ -1,4 +1,4 @@
-"""What a file is, from its first bytes, and refusing what can't be a recording."""
+"""Recognises the format of a file by its first bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a model is the hand: what hangs from its palm, not the arm above nor a second hand."""
+"""Selects the bodies and joints of a model that belong to the hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solids as capsules: what a shape of a model is filled with."""
+"""Fills the shapes of a model with capsules."""
 
 from __future__ import annotations
 

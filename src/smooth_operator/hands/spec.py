@@ -1,4 +1,4 @@
-"""What has to be known of a robot hand beyond its model file: palm, fingers, landmarks, pose."""
+"""Description of a robot hand: palm, fingers, landmarks, neutral pose."""
 
 from __future__ import annotations
 

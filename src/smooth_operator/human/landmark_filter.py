@@ -1,4 +1,4 @@
-"""The landmark filter: a low-pass that limits outliers, and delays ordinary motion hardly at all.
+"""Landmark filter: a low-pass that limits outliers and hardly delays ordinary motion.
 
 A point moves from where it was towards the measurement: nearly all the way while the step is small,
 a smaller share as the step grows. Ordinary motion keeps its direction and is a fraction of a frame

@@ -1,4 +1,4 @@
-"""One operator on one robot hand, as a calibration found them, and how that corrects landmarks.
+"""Profile of one operator on one robot hand, and the correction of landmarks by it.
 
 The correction comes after the alignment to the palm, in the palm frame, and is the same for every
 method. It has parts that are switched one by one (``COMPONENTS``); which are on is a field of

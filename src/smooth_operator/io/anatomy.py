@@ -1,4 +1,4 @@
-"""Whether landmarks can be a hand of the side and in the order that they are said to be.
+"""Checks side and order of landmarks by their shape.
 
 Order: the lengths between neighbouring landmarks hardly depend on the pose. Those of a human hand,
 as ratios, are compared under every order of the fingers and under the layouts of other trackers

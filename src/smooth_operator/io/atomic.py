@@ -1,4 +1,4 @@
-"""Writing a file so that it is either the old one or the whole new one, never half of it."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""JSON and TOML that someone else wrote, parsed within bounds.
+"""JSON and TOML of other authors, parsed within bounds.
 
 The parsers of the standard library accept texts that later break what reads them: brackets nested
 until the stack ends, whole numbers of thousands of digits that no float holds, dotted keys that

@@ -1,4 +1,4 @@
-"""Service: how long a command takes, and why it is what it is."""
+"""Metrics of service: latency and status of commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one frame asks of the robot: the numbers that the terms of an objective read."""
+"""The goal of one frame: the numbers that the terms of an objective read."""
 
 from __future__ import annotations
 

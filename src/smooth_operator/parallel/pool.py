@@ -1,4 +1,4 @@
-"""A pool of processes on this machine in which a death costs one attempt at one task.
+"""A pool of local processes in which a dead worker costs one attempt at one task.
 
 The standard library's pools break, or wait for ever, when a worker is killed; here each worker has
 its own link, so that a death is seen immediately and known to be that worker's.

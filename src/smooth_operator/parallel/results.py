@@ -1,4 +1,4 @@
-"""What came of a task, wherever it ran."""
+"""Results of tasks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The life of a worker process: import the function, answer tasks, go when asked or orphaned."""
+"""A worker process: imports the function, runs tasks, exits on request or without a parent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A file of small results: a line of JSON for each, in the order in which they were finished."""
+"""A result cache in one file: a line of JSON for each small result."""
 
 from __future__ import annotations
 

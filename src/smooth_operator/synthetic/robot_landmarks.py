@@ -1,4 +1,4 @@
-"""The landmarks of a human hand that would ask for a robot's pose: the robot's own."""
+"""A robot's own landmarks as those of a human hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a real tracker does to a hand: noise, an uneven clock, lost frames and lost landmarks."""
+"""Model of a tracker: noise, uneven clock, lost frames and landmarks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the whole hand moves through the world while the fingers do what they do."""
+"""Motion of the whole hand in the world."""
 
 from __future__ import annotations
 

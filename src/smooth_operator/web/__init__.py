@@ -1,1 +1,1 @@
-"""What every web server here needs: authentication, files of a page, safe headers, addresses."""
+"""Shared parts of the web servers: authentication, files of a page, safe headers, addresses."""

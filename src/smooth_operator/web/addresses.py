@@ -1,4 +1,4 @@
-"""Under which names and addresses a headset may reach this machine."""
+"""Names and addresses by which a headset may reach this machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A socket for a server."""
+"""Listening socket of a server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a request comes from, as far as it says."""
+"""Origin check of requests."""
 
 from __future__ import annotations
 

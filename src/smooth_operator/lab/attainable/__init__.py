@@ -1,4 +1,4 @@
-"""What any method could reach on a recording: the best pose of each frame within limits.
+"""Attainable bounds: the best pose of each frame within limits.
 
 Run as ``python -m smooth_operator.lab.attainable.bounds``.
 """

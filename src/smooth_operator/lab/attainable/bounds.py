@@ -1,4 +1,4 @@
-r"""What any retargeting method could reach on a recording: a bound, estimated frame by frame.
+r"""A bound on what any retargeting method could reach on a recording, frame by frame.
 
     python -m smooth_operator.lab.attainable.bounds --data RECORDINGS
     python -m smooth_operator.lab.attainable.bounds glove.npz@2600:3100 synthetic:11 \

@@ -1,4 +1,4 @@
-"""Two benchmarks side by side, cell by cell: what is better, what is worse."""
+"""Compares two benchmarks cell by cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How busy the machine is with other things, so that a latency can be judged by it."""
+"""Load of the machine during a latency measurement."""
 
 from __future__ import annotations
 

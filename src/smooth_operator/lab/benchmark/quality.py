@@ -1,4 +1,4 @@
-"""The work of a cell: what a worker process is sent, what it does, what it returns."""
+"""The work of a quality cell: task, execution in a worker, result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a benchmark is asked to do, and which methods that names."""
+"""Settings of a benchmark, and the methods that they name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person knows better than the analysis."""
+"""Options of a user that overrule findings of the analysis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a file to a ``Skeleton``; what is wrong with the file is said early."""
+"""Reads a model file into a ``Skeleton`` and reports faults of the file."""
 
 from __future__ import annotations
 

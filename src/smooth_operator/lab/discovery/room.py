@@ -1,4 +1,4 @@
-"""How deep fingers are inside each other."""
+"""Penetration depth of fingers into each other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model as a skeleton that can be posed: joints, limits, who follows whom, points of shape."""
+"""A model as a skeleton that can be posed: joints, limits, couplings, points of shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""What a calibration is worth: fitted on the first half of a recording, judged on the second.
+r"""Gain of a calibration: fitted on one half of a recording, judged on the other.
 
     python -m smooth_operator.lab.judging.calibration_gain manus.npz other.npy@30hz --output \
         calibration.json

@@ -1,4 +1,4 @@
-"""What "better than every other method" comes to: one line for each thing that is asked for.
+"""Targets of "better than every other method", one line each.
 
 Every line compares figures of ``evaluate``, definition ``sound``, of
 one method on one recording with those of the others on the same frames.

@@ -1,4 +1,4 @@
-"""Doing what was planned for one recording, and measuring it."""
+"""Executes and measures the plan for one recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which results of an earlier run are whole, and of this recording and configuration."""
+"""Recognises complete results of an earlier run with the same configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One recording of many: what is asked for, and the worker that does it."""
+"""One recording of a folder: its job, and the worker function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which frames of a recording belong together, and which are too far from any that was seen."""
+"""Segments of a recording: which frames are connected, and which gaps are too long."""
 
 from __future__ import annotations
 

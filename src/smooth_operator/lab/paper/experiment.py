@@ -1,4 +1,4 @@
-"""What an experiment is, and what it comes to."""
+"""An experiment and its result."""
 
 from __future__ import annotations
 

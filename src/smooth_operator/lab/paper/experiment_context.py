@@ -1,4 +1,4 @@
-"""What every experiment is given: the recordings, the size, and the cells that are done already."""
+"""Input of every experiment: the recordings, the size, and cells that are done already."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Experiment ``noise``: methods behind a worse and worse tracker."""
+"""Experiment ``noise``: methods with increasing tracker noise and lost frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a solver is given: the targets of every frame, worked out once and for all solvers alike.
+"""A solver's input: the targets of every frame, computed once for all solvers.
 
 The latches of DexPilot's targets hang on the human hand alone, so that targets and weights do not
 depend on who solves them; only the start of a frame, the answer to the last one, does.

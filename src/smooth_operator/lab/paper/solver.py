@@ -1,4 +1,4 @@
-"""Experiment ``solver``: DexPilot's loss unchanged, the solver swapped."""
+"""Experiment ``solver``: DexPilot's loss with different solvers."""
 
 from __future__ import annotations
 

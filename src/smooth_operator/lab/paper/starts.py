@@ -1,4 +1,4 @@
-"""Many starts about the last answer, and one answer of what came of them."""
+"""Batched starts around the last solution, and their softmax."""
 
 from __future__ import annotations
 

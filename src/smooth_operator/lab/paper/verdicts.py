@@ -1,4 +1,4 @@
-"""What the paper claims, what came out here, and whether the claim held: by rules set beforehand.
+"""Verdicts on the paper's claims, by fixed rules.
 
 The rules look at intervals, not at figures alone, and are the same for what suits the paper and for
 what does not. A wider interval about the same figure never gives a better verdict.

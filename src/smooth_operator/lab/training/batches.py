@@ -1,4 +1,4 @@
-"""What each step of a training is shown: drawn on the host, a function of seed and epoch alone."""
+"""Batches of a training: drawn on the host, a function of seed and epoch alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that must not be tuned on: known again by what is in them, whatever they are called.
+"""Recognises held-out recordings by their content.
 
 Each frame has a word: the distances between wrist and fingertips, rounded to 0.01 mm and digested.
 That does not change when a recording is renamed, cut, thinned out, moved, turned, mirrored or

@@ -1,4 +1,4 @@
-"""What was traded for what: settings as points, and the front of those that none beats."""
+"""Trade-offs between metrics: settings as points, and their Pareto front."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One number for a trial: how much better or worse it is than the configuration it began with.
+"""Score of a trial relative to the start configuration.
 
 On each recording, each term is ``weight * log((error + floor) / (error of the start + floor))``; a
 score is their sum over the terms, averaged over the recordings, so the start has 0 if it breaks no

@@ -1,4 +1,4 @@
-"""Where to look next: low-discrepancy points over the box, then steps along the axes of the best.
+"""Search: low-discrepancy points over the box, then steps along the axes of the best.
 
 Both are deterministic, and ask for points by the batch, so that workers run in
 parallel. A repeated search with the same scores asks for the same points.

@@ -1,4 +1,4 @@
-"""What is to be tuned, on what, every name looked up; and what must not be looked at."""
+"""Plan of a search: settings, recordings and held-out recordings, all names checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which settings are varied, between what: the box that is searched, as a unit cube."""
+"""Variables of a search and their bounds, as a unit cube."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an analysis comes to, and how it looks as JSON.
+"""Results of an analysis, and their JSON form.
 
 ``results.json`` is ``{mode: {outcome: {scope: ...}}}``, and ``learning``, ``spearman``,
 ``tlx_items``, ``operator_variance`` and ``study``. Numbers that do not exist are null; a refused

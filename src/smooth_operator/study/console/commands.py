@@ -1,4 +1,4 @@
-"""What the pages ask for: checked, and made into the events of the store.
+"""Commands of the pages: checked, and turned into events of the store.
 
 A command is a JSON object: ``token`` (any text that belongs to it alone), ``do`` (a word below),
 ``operator``, ``after`` (number of the last event that the page had seen), ``waited_s`` (time since

@@ -1,4 +1,4 @@
-"""The running teleoperation, kept on the method of the block that is on."""
+"""Keeps the running teleoperation on the method of the current block."""
 
 from __future__ import annotations
 

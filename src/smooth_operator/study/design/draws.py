@@ -1,4 +1,4 @@
-"""What is drawn by lot, from a seed: the same in every version, on every machine.
+"""Random draws from a seed, equal in every version and on every machine.
 
 A library's generator may draw differently tomorrow; a study that is half run must not.
 """

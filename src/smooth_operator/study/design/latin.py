@@ -1,4 +1,4 @@
-"""Balanced Latin squares: who meets what in which place, and what comes right before it.
+"""Balanced Latin squares for the order of conditions.
 
 A row is an order of the conditions. In each place every condition stands equally often, and right
 before each condition every other one stands equally often, so that neither practice, fatigue nor

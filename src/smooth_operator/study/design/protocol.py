@@ -1,4 +1,4 @@
-"""What a study does to an operator: conditions, tasks, blocks, trials, questionnaires.
+"""Protocol of a study: conditions, tasks, blocks, trials, questionnaires.
 
 A task is done in blocks, one for each condition. A block is a time of free movement, then its
 trials, with a questionnaire after some of them.

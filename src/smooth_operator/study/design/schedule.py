@@ -1,4 +1,4 @@
-"""The plan on paper: who does what with what, block by block."""
+"""Schedules of a plan for printing, block by block."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a power simulation takes for true: how well conditions do, and how operators differ.
+"""Assumptions of a power simulation: success of conditions, differences between operators.
 
 The defaults for conditions are the means that the paper reports; how much operators, trials and
 tasks differ is an assumption that makes its design look as it does there (operators differ by some

@@ -1,4 +1,4 @@
-"""What a power simulation comes to: JSON, and a plot of operators against power."""
+"""Results of a power simulation: JSON, and a plot of power over operators."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thousands of simulated studies over many processes; what is done is kept, and not done again.
+"""Runs thousands of simulated studies in processes; finished ones are kept.
 
 Each study has its own seed, from what it is and not from who computes it: any number of
 workers, and any interruption, give the same figures.

@@ -1,4 +1,4 @@
-"""One simulated study: the data that operators would leave behind, if the assumptions were true."""
+"""One simulated study: the data of operators under the assumptions."""
 
 from __future__ import annotations
 

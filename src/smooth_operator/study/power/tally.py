@@ -1,4 +1,4 @@
-"""Counting verdicts over many studies, and what the counts say, with their Monte-Carlo error."""
+"""Counts of verdicts over many studies, with their Monte-Carlo error."""
 
 from __future__ import annotations
 

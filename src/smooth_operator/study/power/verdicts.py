@@ -1,4 +1,4 @@
-"""What the analysis would say of a simulated study: which differences it calls significant.
+"""Verdict of the analysis on a simulated study: which differences are significant.
 
 The same models and tests as ``study analyze``, without what a report needs and a verdict does not:
 intervals, effect sizes, diagnostics. A test holds the two to the same verdicts. Dunnett's integral

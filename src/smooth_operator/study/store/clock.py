@@ -1,4 +1,4 @@
-"""The clock of a store: durations in it are right even where the machine's clock is set meanwhile.
+"""Clock of a store: durations do not depend on changes of the machine's clock.
 
 The time of day jumps when somebody or a time server sets it. A steady clock never does, but it
 starts from zero with the machine. So a program takes the time of day at its start, and adds what

@@ -1,4 +1,4 @@
-"""What can happen to an operator in a study; the only thing that is stored.
+"""Events of an operator in a study; only events are stored.
 
 Events are values; they say where they belong (task, block, trial), so that a page that was left
 open can't score the wrong trial. Nothing is changed or taken back in the log: a mistake is undone

@@ -1,4 +1,4 @@
-"""NASA-TLX: six scales, what stands at their ends, and the fifteen pairs that weigh them.
+"""NASA-TLX: six scales, their end labels, and the fifteen pairs for weights.
 
 Sources: Hart and Staveland 1988; Hart 2006 (the unweighted mean, "raw TLX").
 """

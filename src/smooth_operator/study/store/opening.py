@@ -1,4 +1,4 @@
-"""Finding a study in a database, or making it there."""
+"""Opens the store of a study, or creates it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where an operator is in the protocol: rebuilt from events, never stored.
+"""Progress of an operator in the protocol, computed from events and never stored.
 
 Events are folded one after the other; each is checked against what the protocol wants next, so that
 a log holds only what could have happened. What was undone is left out, and the rest folded again.

@@ -1,1 +1,1 @@
-"""What is done to a loop while it runs: another method, another operator, another task."""
+"""Control of a running loop: another method, operator or task."""

@@ -1,4 +1,4 @@
-"""Where a teleoperation says what a person should know: a terminal, or Python's logging."""
+"""Output of a teleoperation for a person: a terminal, or logging."""
 
 from __future__ import annotations
 

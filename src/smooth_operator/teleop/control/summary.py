@@ -1,4 +1,4 @@
-"""What a teleoperation came to: plain values for a program, lines for a person."""
+"""Summary of a teleoperation: plain values for a program, lines for a person."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where things stand on the page: side-by-side offsets and a camera that frames both hands."""
+"""Layout of a page: offsets side by side, and a camera that frames both hands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page says in words: the status line, the legend, the metrics."""
+"""Texts of the page: status line, legend, metrics."""
 
 from __future__ import annotations
 

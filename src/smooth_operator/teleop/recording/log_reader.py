@@ -1,4 +1,4 @@
-"""Reading the project's own log, whole or cut off."""
+"""Reader of the project's own log, complete or cut off."""
 
 from __future__ import annotations
 

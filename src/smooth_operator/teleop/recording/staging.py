@@ -1,4 +1,4 @@
-"""Writing what needs its own path, a file or a whole folder, whole or not at all.
+"""Writes a file or folder completely or not at all.
 
 ``atomic_write`` gives an open file; libraries that open files
 themselves, and datasets of many files, need a place to work in until all is done.

@@ -1,4 +1,4 @@
-"""A calibration with an operator in front of it: prompts, one after the other, and the frames."""
+"""A live calibration: prompts in order, and the frames of each."""
 
 from __future__ import annotations
 

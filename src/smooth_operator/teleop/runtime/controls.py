@@ -1,4 +1,4 @@
-"""What people do to a running loop, from the page, the keyboard, a message or a signal."""
+"""Controls of a running loop, for the page, the keyboard, messages and signals."""
 
 from __future__ import annotations
 

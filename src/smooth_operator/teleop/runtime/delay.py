@@ -1,4 +1,4 @@
-"""How late frames come, though the tracker's clock is not ours."""
+"""Delay of frames, without a common clock with the tracker."""
 
 from __future__ import annotations
 

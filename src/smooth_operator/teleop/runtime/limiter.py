@@ -1,4 +1,4 @@
-"""The last word on a command: position, velocity and acceleration of every joint."""
+"""Limiter of commands: position, velocity and acceleration of every joint."""
 
 from __future__ import annotations
 

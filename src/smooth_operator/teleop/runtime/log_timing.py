@@ -1,4 +1,4 @@
-"""The timing that a log of the loop holds."""
+"""Timing of the loop, from its log."""
 
 from __future__ import annotations
 

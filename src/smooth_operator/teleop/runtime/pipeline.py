@@ -1,4 +1,4 @@
-"""One hand: the newest frame, or none, to the next command."""
+"""Pipeline of one hand: the newest frame, or none, to the next command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a frame can be what it says: of a human's size, of that side, of a time in seconds."""
+"""Plausibility of a frame: size of the hand, side, and time in seconds."""
 
 from __future__ import annotations
 

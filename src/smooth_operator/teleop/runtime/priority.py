@@ -1,4 +1,4 @@
-"""The loop before other programs, where the system lets it.
+"""Real-time priority of the loop, where the system allows it.
 
 On a machine that is busy, such as with a browser that draws without a graphics card, a thread that
 wakes waits for its turn: with a fair scheduler that is some milliseconds, which are the loop's

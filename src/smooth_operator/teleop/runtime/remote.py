@@ -1,4 +1,4 @@
-"""Switches of a running loop for other programs: a pedal, a red button, a study's console.
+"""Remote control of a running loop by other programs.
 
 A ZeroMQ socket (extra ``zmq``) takes one command as text or as JSON and answers with JSON; a REQ
 socket is all that the other end needs (``RemoteTeleop``

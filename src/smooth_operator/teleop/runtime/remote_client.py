@@ -1,4 +1,4 @@
-"""The other end of ``teleop --control``: a console that commands a running teleoperation.
+"""Client of ``teleop --control``: a console that commands a running teleoperation.
 
     teleop = RemoteTeleop("tcp://127.0.0.1:5558")
     teleop.request("method", method="dexpilot", preset="default")

@@ -1,4 +1,4 @@
-"""RPC server of a running loop: what messages of other programs do to it.
+"""RPC server of a running loop.
 
 The commands are those of ``smooth_operator.teleop.runtime.remote``, which receives them.
 """

@@ -1,4 +1,4 @@
-"""What a run of the loop came to: percentiles of every stage, counts, shares of modes."""
+"""Statistics of a run of the loop: percentiles of every stage, counts, shares of modes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which frames count, and what a hand does when none do: a state machine without its own clock."""
+"""Supervisor of a hand: a state machine over frames and silence, without a clock."""
 
 from __future__ import annotations
 

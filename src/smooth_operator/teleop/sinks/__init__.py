@@ -1,1 +1,1 @@
-"""Where joint commands go: one module per kind of sink."""
+"""Sinks of joint commands: one module for each kind."""

@@ -1,4 +1,4 @@
-"""The sinks of a running loop: each gets every tick, and none can harm the others.
+"""Runs the sinks of a loop: each gets every tick, and a fault of one does not affect the others.
 
 A sink that raises is closed, its error kept for the report at the end, and opened again after a
 while. Closing and opening may take long (a model to compile, a file to finish), so both happen on a

@@ -1,4 +1,4 @@
-"""Sinks whose far side may take its time: a thread passes on the newest command of each hand."""
+"""Thread-backed sinks: a thread passes on the newest command of each hand."""
 
 from __future__ import annotations
 

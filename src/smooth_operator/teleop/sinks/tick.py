@@ -1,4 +1,4 @@
-"""What leaves the loop: a command, and all that led to it."""
+"""A tick of the loop: a command, and the data that led to it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where hand frames come from: one module per kind of source."""
+"""Sources of hand frames: one module for each kind."""

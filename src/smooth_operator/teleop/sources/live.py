@@ -1,4 +1,4 @@
-"""What every live source is to the loop: frames with stamps, the newest one only.
+"""Base of live sources: frames with stamps, the newest one only.
 
 A source runs on its own thread and posts what it receives into a mailbox with one place per
 hand. A frame that nobody has taken when the next one comes is overwritten, so nothing ever queues

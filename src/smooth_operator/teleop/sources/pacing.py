@@ -1,4 +1,4 @@
-"""Doing things on time: absolute deadlines, so that lateness never adds up."""
+"""Pacing by absolute deadlines, so that delays do not add up."""
 
 from __future__ import annotations
 

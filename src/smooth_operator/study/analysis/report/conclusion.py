@@ -1,4 +1,4 @@
-"""What the tables of a study come to, in a few lines on top of its report."""
+"""Conclusion of a study in a few lines, for the top of its report."""
 
 from __future__ import annotations
 

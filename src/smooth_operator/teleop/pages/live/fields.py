@@ -1,4 +1,4 @@
-"""What of a configuration can be changed on a page: its own fields, with ranges that they allow."""
+"""Fields of a configuration that the page can change, with their ranges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between a running loop and its page: what is shown, as JSON, and what the page's controls do."""
+"""Connects a running loop to its page: state as JSON, and actions of the page's controls."""
 
 from __future__ import annotations
 

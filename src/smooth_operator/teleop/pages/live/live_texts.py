@@ -1,4 +1,4 @@
-"""What the live page says, as HTML: modes, figures, health, a calibration; signs with colours."""
+"""Texts of the live page as HTML: modes, figures, health, calibration."""
 
 from __future__ import annotations
 

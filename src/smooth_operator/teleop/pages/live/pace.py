@@ -1,4 +1,4 @@
-"""How often to draw: no more than the slowest browser shows."""
+"""Frame rate of the page: no more than the slowest browser shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the hands work on, for the page: shapes once, then where the object is."""
+"""Scenery of a task for the page: shapes once, then the pose of the object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading episodes of a dataset back, whole."""
+"""Reader of the episodes of a dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a real tracker does wrong, on purpose: for trying out what follows it."""
+"""Faults of a tracker, injected on purpose for tests."""
 
 from __future__ import annotations
 

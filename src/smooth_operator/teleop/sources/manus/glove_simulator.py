@@ -1,4 +1,4 @@
-"""A MANUS glove and its bridge, for people and tests without one (extra ``zmq``)."""
+"""Simulator of a MANUS glove and its bridge (extra ``zmq``)."""
 
 from __future__ import annotations
 

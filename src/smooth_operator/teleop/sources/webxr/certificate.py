@@ -1,4 +1,4 @@
-"""The self-signed certificate of the page, made on the spot and kept until it runs out.
+"""Self-signed certificate of the page, generated on first use and kept until it expires.
 
 Browsers give WebXR to secure pages only, and a machine on a local network has no certificate that
 they know. Most headsets let their user accept this one. Safari takes it for WebSockets only once

@@ -1,4 +1,4 @@
-"""What is said over the WebSocket: pairing, hands, and how the link is.
+"""Protocol of the WebSocket: pairing, hands, and state of the link.
 
 Text messages are JSON objects with a ``type``; hands are binary (``.packet``).
 

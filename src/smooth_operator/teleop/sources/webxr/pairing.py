@@ -1,4 +1,4 @@
-"""The pairing code: whoever opens the page shows that they see the operator's terminal."""
+"""Pairing code: proves that the user of the page sees the operator's terminal."""
 
 from __future__ import annotations
 

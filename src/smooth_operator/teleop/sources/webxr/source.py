@@ -1,4 +1,4 @@
-"""The source ``webxr``: a headset opens our page, and its hands come in."""
+"""The source ``webxr``: hands from the browser of a headset."""
 
 from __future__ import annotations
 
