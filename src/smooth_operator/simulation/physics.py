@@ -67,6 +67,11 @@ class HandPhysics:
         return np.array(self._data.qvel[self._built.dofs])
 
     @property
+    def timestep(self) -> float:
+        """Of the physics [s]."""
+        return float(self._built.model.opt.timestep)
+
+    @property
     def contacts(self) -> int:
         """How many pairs of shapes touch."""
         return int(self._data.ncon)

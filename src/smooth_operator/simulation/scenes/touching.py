@@ -62,6 +62,13 @@ class Touching:
         return force, (where - data.xpos[self._body]) @ turn, palm, rest
 
 
+def finger_geoms(hand: Hand, model: mujoco.MjModel) -> list[list[int]]:
+    """Shapes of each finger that can touch something, thumb first."""
+    owner = _owners(hand, model)
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return [np.flatnonzero((owner == n) & solid).tolist() for n in range(len(hand.fingers))]
+
+
 def _owners(hand: Hand, model: mujoco.MjModel) -> Int[np.ndarray, " g"]:
     """(g,) finger of each shape, or one of the constants above."""
     palm = model.body(FURNISHED + hand.spec.palm).id

@@ -1,0 +1,165 @@
+"""Pinches of a human hand in a recording, and the recording with time to hold something in each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.types import HandRecording
+
+CLOSED: Final = 0.015
+"""Thumb and finger pinch when their tips come nearer than this [m]..."""
+OPENED: Final = 0.025
+"""... until they are farther apart than this [m]."""
+LEAST_S: Final = 0.1
+"""A pinch is closed for at least so long [s]."""
+NEAR_MISS: Final = 0.005
+"""A pinch that stays wider than the recording's tightest one by more than this is none [m]."""
+WIDE: Final = 0.06
+"""A pinch is looked at from where the pads are so far apart [m]..."""
+BEFORE_S: Final = 1.5
+"""... and for so long before it closes at most [s]."""
+AFTER_S: Final = 1.5
+"""Until so long after it has opened [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class HumanPinch:
+    """One pinch; frames are indices of the recording.
+
+    The tips' landmarks lie inside the fingers, so their distance is not 0 where the skins touch.
+    Each pinch is taken to close: its smallest distance is skin on skin, and the width between the
+    skins at other moments is what the distance is above that.
+
+    Attributes:
+        finger: name of the finger that meets the thumb.
+        first: frame from which it is looked at.
+        tight: frame of the smallest distance.
+        opened: first frame in which it is no pinch any more.
+        last: frame until which it is looked at.
+        contact: that distance [m].
+        width: (T,) between the skins in each frame of the recording [m]; NaN where a tip is not
+            known.
+    """
+
+    finger: str
+    first: int
+    tight: int
+    opened: int
+    last: int
+    contact: float
+    width: Float[np.ndarray, " T"]
+
+    def opening(self, width: float) -> int | None:
+        """From which frame on the skins are farther apart than a width [m]; None if they never are.
+
+        What they do while the pinch is closed is tracking noise where it does not open the pinch.
+        """
+        before = np.flatnonzero(~(self.width[self.tight : self.opened] > width))
+        first = self.tight + int(before[-1]) + 1 if len(before) else self.tight
+        wide = np.flatnonzero(self.width[first : self.last + 1] > width)
+        return first + int(wide[0]) if len(wide) else None
+
+
+def find_pinches(recording: HandRecording) -> list[HumanPinch]:
+    """Every pinch of a recording, in order of time.
+
+    Closed and opened by hysteresis in the distance of the tips. Of pinches of several fingers at
+    one time the tightest counts.
+    """
+    found: list[HumanPinch] = []
+    gaps = _tip_gaps(recording)
+    for number, finger in enumerate(FINGERS[1:]):
+        gap = gaps[:, number]
+        for begin, end in _spans(gap):
+            tight = begin + int(np.nanargmin(gap[begin:end]))
+            if recording.stamps[end - 1] - recording.stamps[begin] >= LEAST_S:
+                contact = float(gap[tight])
+                after = np.flatnonzero(gap[end:] > OPENED)
+                opened = end + int(after[0]) if len(after) else len(gap) - 1
+                first, last = _window(recording.stamps, gap - contact, begin, opened)
+                found.append(HumanPinch(finger, first, tight, opened, last, contact, gap - contact))
+    if not found:
+        return []
+    nearest = min(pinch.contact for pinch in found)
+    found = [pinch for pinch in found if pinch.contact <= nearest + NEAR_MISS]
+    return sorted(_tightest(found, gaps), key=lambda pinch: pinch.tight)
+
+
+def with_holds(
+    recording: HandRecording, pinches: Sequence[HumanPinch], seconds: float
+) -> tuple[HandRecording, Float[np.ndarray, " T"]]:
+    """A recording in which the hand rests at each pinch's tightest moment.
+
+    Args:
+        recording: the frames.
+        pinches: of this recording.
+        seconds: how long it rests; the frame is repeated at the recording's rate.
+
+    Returns:
+        The longer recording; and (T,) when each frame of the old one comes in it [s], before its
+        repeats.
+    """
+    period = float(np.median(np.diff(recording.stamps)))
+    repeats = np.zeros(len(recording), int)
+    repeats[[pinch.tight for pinch in pinches]] = round(seconds / period)
+    index: Int[np.ndarray, " n"] = np.repeat(np.arange(len(recording)), repeats + 1)
+    shift = np.concatenate([[0.0], np.cumsum(repeats)[:-1]]) * period
+    moments = recording.stamps + shift
+    start = np.cumsum(repeats + 1) - repeats - 1
+    stamps = moments[index] + (np.arange(len(index)) - start[index]) * period
+
+    def longer(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else values[index]
+
+    made = replace(
+        recording,
+        landmarks=recording.landmarks[index], stamps=stamps, valid=longer(recording.valid),
+        metacarpals=longer(recording.metacarpals), orientations=longer(recording.orientations),
+    )  # fmt: skip
+    return made, moments
+
+
+def _tip_gaps(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
+    assert recording.valid is not None  # filled in on construction
+    tips = np.where(recording.valid[:, TIPS, None], recording.landmarks[:, TIPS], np.nan)
+    gaps: np.ndarray = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+    return gaps
+
+
+def _spans(gap: Float[np.ndarray, " T"]) -> list[tuple[int, int]]:
+    """Where a distance is small, by hysteresis: first frame, and the one after the last below."""
+    spans: list[tuple[int, int]] = []
+    begin: int | None = None
+    below = 0
+    for frame, value in enumerate(gap):
+        if value < CLOSED:
+            begin = frame if begin is None else begin
+            below = frame + 1
+        elif begin is not None and value > OPENED:
+            spans.append((begin, below))
+            begin = None
+    return spans if begin is None else [*spans, (begin, below)]
+
+
+def _window(
+    stamps: Float[np.ndarray, " T"], width: Float[np.ndarray, " T"], begin: int, opened: int
+) -> tuple[int, int]:
+    earliest = int(np.searchsorted(stamps, stamps[begin] - BEFORE_S))
+    latest = int(np.searchsorted(stamps, stamps[opened] + AFTER_S, side="right")) - 1
+    wide = np.flatnonzero(width[earliest:begin] > WIDE)
+    return earliest + (int(wide[-1]) if len(wide) else 0), latest
+
+
+def _tightest(found: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> list[HumanPinch]:
+    """Without those in which another finger is nearer to the thumb."""
+    return [
+        pinch
+        for pinch in found
+        if FINGERS.index(pinch.finger) - 1 == int(np.nanargmin(gaps[pinch.tight]))
+    ]

@@ -1,0 +1,212 @@
+"""Measure 3: pinches of recordings, tried on objects in physics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.lab.benchmark.recordings import SYNTHETIC, load_sources, parse_request
+from smooth_operator.lab.physics.grasp_trial import (
+    GRACE_S,
+    HYSTERESIS,
+    REST_S,
+    GraspResult,
+    RobotPinch,
+    try_pinch,
+)
+from smooth_operator.lab.physics.human_pinches import HumanPinch, find_pinches, with_holds
+from smooth_operator.lab.physics.measure import Case, Clip, Drawing, Measured, Unit
+from smooth_operator.lab.physics.plots import interval_drawings
+from smooth_operator.lab.physics.results import Figure, MeasureResults, Row
+from smooth_operator.lab.physics.settings import PhysicsSettings
+from smooth_operator.simulation.scenes.grasp_objects import GRASP_OBJECTS, GraspObject
+from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics
+from smooth_operator.types import HandRecording, Side
+
+_UNITS, _QUICK_UNITS = 5, 1
+_QUICK_OBJECTS: Final = ("card 2", "sphere 20")
+
+
+class PinchHold:
+    """The measure; ``docs/explanation/physics-measures.md`` defines it."""
+
+    name: Final = "pinch"
+    title: Final = "Pinch and hold"
+    definition: Final = (
+        "At every pinch of a recording a card, pen, sphere or cube of 2 to 30 mm appears between "
+        "the robot's pads: is it held for a second under gravity and a push of 0.3 N, kept while "
+        "the human holds, and let go within 150 ms of the human's opening?"
+    )
+    page: Final = "explanation/physics-measures.md#pinch-and-hold"
+    unit: Final = "recording"
+    figures: Final = (
+        Figure("held", "", "up", "Share of pinches and objects in which the object was held for "
+               "1 s under gravity and pushes of 0.3 N."),
+        Figure("let_go", "", "up", "Of the objects that were held until the human opened, the "
+               "share that was free within 150 ms.", short="let go"),
+        Figure("dropped", "", "down", "Share of pinches and objects in which thumb and finger had "
+               "the object and lost it while the human still held."),
+        Figure("overlap_mm", "mm", "", "How far the pads would be inside each other at the "
+               "command of the tightest moment, without an object; negative: how far apart.",
+               short="commanded overlap"),
+        Figure("force_n", "N", "", "Force of the pinch while the object is held.", short="force"),
+        Figure("at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
+               short="at the limit"),
+        *(
+            Figure(f"held_{thing.name.replace(' ', '_')}", "", "up",
+                   f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
+                   short=thing.name, main=False)
+            for thing in GRASP_OBJECTS
+        ),
+    )  # fmt: skip
+    code: Final = (
+        "lab/physics/grasp_trial.py", "lab/physics/human_pinches.py", "lab/physics/pinch_hold.py",
+        "simulation/physics.py", "simulation/physics_model.py", "simulation/scenes",
+    )  # fmt: skip
+
+    def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
+        """Nothing is varied."""
+        return ("",)
+
+    def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
+        """The recordings with pinches; where none is named, built-in operators.
+
+        Raises:
+            RecordingError: no recording can be read, or none of them has a pinch.
+        """
+        if settings.recordings:
+            names = list(settings.recordings)
+        else:
+            count = settings.count(_UNITS, _QUICK_UNITS)
+            names = [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
+        requests = [
+            parse_request(name, frames=settings.frames, rate=settings.rate, layout=settings.layout)
+            for name in names
+        ]
+        units = []
+        for source in load_sources(requests):
+            if source.recording is not None and (found := find_pinches(source.recording)):
+                effort = source.recording.duration + 10.0 * len(found)
+                units.append(Unit(source.name, source.digest, source.recording, effort))
+        if not units:
+            raise RecordingError(
+                f"no pinch in {', '.join(names)}: expected thumb and finger tips nearer than 15 mm "
+                "for 0.1 s"
+            )
+        return units
+
+    def run(self, case: Case) -> Measured:
+        """Tries all pinches of a recording on all objects."""
+        recording = _of_side(case.unit.data, case.side)
+        pinches = [p for p in find_pinches(recording) if p.finger in case.hand.fingers]
+        if not pinches:
+            raise RecordingError(
+                f"{case.unit.name}: no pinch with a finger that {case.hand_name} has"
+            )
+        longer, moments = with_holds(recording, pinches, REST_S)
+        commands = case.commands(longer).joint_positions
+        things = [t for t in GRASP_OBJECTS if not case.quick or t.name in _QUICK_OBJECTS]
+        tried: dict[str, list[GraspResult]] = {}
+        overlaps = []
+        for pinch in pinches:
+            finger = case.hand.fingers.index(pinch.finger)
+            settled = int(np.searchsorted(longer.stamps, moments[pinch.tight] + GRACE_S))
+            first = _physics(case.hand_name, case.side, things[0])
+            overlaps.append(-1e3 * first.gap_at(finger, commands[settled]))
+            for thing in things:
+                asked = robot_pinch(case.hand, pinch, thing, longer.stamps, moments, commands)
+                result = try_pinch(_physics(case.hand_name, case.side, thing), asked)
+                tried.setdefault(thing.name, []).append(result)
+        row = _figures(tried)
+        row["overlap_mm"] = float(np.mean(overlaps))
+        row["pinches"] = len(pinches)
+        if not case.clip:
+            return Measured(row)
+        human = align_recording(longer, case.hand, case.config.alignment)
+        return Measured(row, Clip(longer.stamps, human, commands))
+
+    def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
+        """Held, let go and dropped of each method, and the commanded overlap."""
+        return interval_drawings(self.name, results, self.figures[:4], colors)
+
+
+def robot_pinch(
+    hand: Hand,
+    pinch: HumanPinch,
+    thing: GraspObject,
+    stamps: Float[np.ndarray, " L"],
+    moments: Float[np.ndarray, " T"],
+    commands: Float[np.ndarray, "L n"],
+) -> RobotPinch:
+    """What a robot is commanded in a pinch, for an object.
+
+    Args:
+        hand: the robot hand.
+        pinch: of the recording.
+        thing: the object.
+        stamps: (L,) of the recording with holds [s].
+        moments: (T,) when the recording's own frames come in that [s].
+        commands: (L, n) positions of all joints for it [rad].
+    """
+    begin, end = np.searchsorted(stamps, [moments[pinch.first], moments[pinch.last]])
+    part = slice(int(begin), int(end) + 1)
+
+    def opening(width: float) -> float | None:
+        frame = pinch.opening(width)
+        return None if frame is None else float(moments[frame])
+
+    return RobotPinch(
+        hand.fingers.index(pinch.finger), stamps[part], commands[part],
+        float(moments[pinch.tight]), opening(thing.width), opening(thing.width + HYSTERESIS),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=len(GRASP_OBJECTS))
+def _physics(hand_name: str, side: Side, thing: GraspObject) -> GraspPhysics:
+    """The same for all recordings and methods."""
+    return GraspPhysics(load_hand(hand_name, side), thing)
+
+
+def _of_side(recording: HandRecording, side: Side) -> HandRecording:
+    """The recording, or its mirror image as the other hand."""
+    if recording.side == side:
+        return recording
+    landmarks = recording.landmarks * np.array([-1.0, 1.0, 1.0])
+    return HandRecording(landmarks, recording.stamps, side, recording.valid, name=recording.name)
+
+
+def _figures(tried: Mapping[str, Sequence[GraspResult]]) -> Row:
+    every = [result for results in tried.values() for result in results]
+    judged = [result.let_go for result in every if result.let_go is not None]
+    held = [result for result in every if result.held]
+    apart = [1e3 * result.gap for result in every if not result.touched]
+    delays = [1e3 * result.delay for result in every if result.delay is not None]
+    return {
+        "held": _mean([result.held for result in every]),
+        "let_go": _mean(judged),
+        "dropped": _mean([result.dropped for result in every]),
+        "force_n": _mean([result.force for result in held]),
+        "at_limit": _mean([result.at_limit for result in held]),
+        **{
+            f"held_{name.replace(' ', '_')}": _mean([result.held for result in results])
+            for name, results in tried.items()
+        },
+        "tried": len(every),
+        "touched": sum(result.touched for result in every),
+        "judged": len(judged),
+        "apart_mm": _mean(apart),
+        "delay_ms": _mean(delays),
+    }
+
+
+def _mean(values: Sequence[float | bool | None]) -> float | None:
+    known = [float(value) for value in values if value is not None]
+    return float(np.mean(known)) if known else None
