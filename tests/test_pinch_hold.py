@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.catalogue import load_hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.physics.grasp_trial import GraspResult, RobotPinch, try_pinch
 from smooth_operator.lab.physics.human_pinches import find_pinches, with_holds
 from smooth_operator.lab.physics.measure import Case, Unit
@@ -18,9 +18,18 @@ from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.methods.presets import method_config
 from smooth_operator.simulation.scenes.grasp_objects import GRASP_OBJECTS, GraspObject
 from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics
-from smooth_operator.simulation.tasks.demonstration import load_demonstration
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
+
+WIDE = (
+    0.658, -1.166, 0.928, 0.963, 0.478, 1.298, 0.594, 0.454, 1.182, 0.958, 0.302, 0.224, 0.196,
+    0.586, 0.418, 0.213,
+)  # fmt: skip
+TIGHT = (
+    0.458, -0.553, 1.723, 1.482, 0.593, 1.129, 1.457, 0.079, 1.368, 1.336, 0.269, 0.303, 0.027,
+    0.369, 0.361, 0.187,
+)  # fmt: skip
+"""Poses of the mimic hand [rad]: thumb and index 44 mm apart, and 3.6 mm inside each other."""
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +98,7 @@ def pinched(
         push: of friction, a factor.
     """
     hand = load_hand("mimic_p050")
-    poses = load_demonstration("card").poses
-    wide, tight = (hand.full_configuration(pose) for pose in (poses[4], poses[-1]))
+    wide, tight = hand.full_configuration(WIDE), hand.full_configuration(TIGHT)
     stamps = np.arange(0.0, 3.0, 0.01)
     rest = 0.9 if early else 1.7 + late
     closed = share * np.interp(stamps, [0.0, 0.4, rest, rest + 0.15], [0.0, 1.0, 1.0, 0.0])
@@ -135,10 +143,9 @@ def test_what_opens_early_drops_and_late_holds_on() -> None:
 def test_the_object_appears_without_a_jolt() -> None:
     """Held loosely while the pads close on it; where it is let go it does not jump."""
     hand = load_hand("mimic_p050")
-    poses = load_demonstration("card").poses
     physics = GraspPhysics(hand, thing("sphere 20"))
-    physics.begin(1, hand.full_configuration(poses[4]))
-    physics.command(hand.full_configuration(poses[-1]))
+    physics.begin(1, hand.full_configuration(WIDE))
+    physics.command(hand.full_configuration(TIGHT))
     while physics.gap().distance > 0.02:
         physics.advance(physics.timestep)
     physics.appear()

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.catalogue import load_hand
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.recordings import SYNTHETIC, load_sources, parse_request
 from smooth_operator.lab.physics.grasp_trial import (
