@@ -93,6 +93,20 @@ def test_the_object_is_where_and_as_heavy_as_the_world_says(task: str) -> None:
     assert not run.standing.dropped
 
 
+def test_an_object_that_waits_for_the_hand_is_solid_afterwards() -> None:
+    """The thumb of this hand starts in the cube's place."""
+    hand = load_hand("orca_v2")
+    physics = ScenePhysics(hand, scene_for("cube", hand))
+    assert not physics.observe().placed
+    replace(draw_perturbation(0), mass=1.1).prepare(physics)
+    physics.command(hand.full_configuration(hand.limits[:, 0]))
+    physics.advance(1.0)
+    state = physics.observe()
+    assert state.placed
+    weight = 9.81 * float(physics.model.body_mass[physics.model.body(OBJECT).id])
+    assert state.support == pytest.approx(weight, rel=0.05)
+
+
 def test_another_operator_shows_the_same_angles_with_other_bones() -> None:
     world = draw_perturbation(5)
     points = DemonstrationLandmarks(load_demonstration("cube")).at(1.0)

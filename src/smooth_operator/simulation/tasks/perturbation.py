@@ -109,7 +109,11 @@ class Perturbation:
         model.geom_friction[own, :2] *= self.friction
         model.body_mass[body] *= self.mass
         model.body_inertia[body] *= self.mass
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # what MuJoCo derives from masses
+        # What MuJoCo derives from masses; it also forgets what an object that still waits for the
+        # hand to leave its place will touch.
+        touches = [np.array(one) for one in (model.body_contype, model.body_conaffinity)]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        model.body_contype[:], model.body_conaffinity[:] = touches
 
     def operator(self, landmarks: Float[np.ndarray, "21 3"]) -> Float[np.ndarray, "21 3"]:
         """(21, 3) the same joint angles with this operator's bones."""
