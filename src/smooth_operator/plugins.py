@@ -63,7 +63,7 @@ class Entry:
                 f"{where}: there is no module {error.name!r}: install the distribution that "
                 "has it, or start where Python finds it (PYTHONPATH)"
             ) from error
-        except Exception as error:  # of somebody's code: anything
+        except Exception as error:  # of foreign code: anything
             raise _broken(where, error) from error
         for part in attribute.split("."):
             if not hasattr(found, part):

@@ -80,7 +80,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
 
 
 def _told(progress: Progressing, count: int) -> Callable[[str, Outcome], None]:
-    """Says what came of an experiment, and how many of them are done."""
+    """Prints the outcome of an experiment, and how many of them are done."""
     places = itertools.count(1)
 
     def done(name: str, outcome: Outcome) -> None:

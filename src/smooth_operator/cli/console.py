@@ -115,7 +115,7 @@ class Progressing:
         settings: dict[str, Any] = {
             "console": self._console,
             "disable": self._quiet or not (in_files or self._console.is_terminal),
-            "refresh_per_second": 2,  # drawing takes a core now and then, and frames are timed
+            "refresh_per_second": 2,  # drawing occasionally takes a core, and frames are timed
             "redirect_stdout": False,
             "redirect_stderr": False,
         }

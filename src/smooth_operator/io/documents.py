@@ -36,7 +36,7 @@ _TEXTS: Final = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
 def check_plain_file(path: Path) -> int:
     """The size of a plain file in bytes; links are followed.
 
-    Opening a pipe would wait for somebody who writes to it, perhaps for ever.
+    Opening a pipe would wait for a writer, perhaps for ever.
 
     Raises:
         OSError: there is no such file, or it can't be looked at.

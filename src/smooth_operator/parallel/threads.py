@@ -19,7 +19,7 @@ def one_thread(slot: int) -> Iterator[Callable[[], None]]:
 
     XLA and BLAS size their pools once, by the cores that the process may use at that moment; so it
     may use one, and all of them again afterwards, since a worker that is tied to one core waits
-    where somebody else needs that core. XLA's own switch (``xla_cpu_multi_thread_eigen``) is not
+    where another process needs that core. XLA's own switch (``xla_cpu_multi_thread_eigen``) is not
     touched: it changes the compiled program, and with it the last bits of the results.
 
     Where a process can't choose its cores (macOS, Windows) nothing is limited; the results are

@@ -101,7 +101,7 @@ def compute_results(
         jobs: what to compute, in the order in which it is begun.
         cache: where results are kept.
         execute: computes their tasks.
-        value: what is kept of what came of a task; None for nothing, as of a failure.
+        value: what is kept of the result of a task; None for nothing, as of a failure.
 
     Raises:
         OutputError: a result can't be written.

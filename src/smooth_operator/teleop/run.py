@@ -359,7 +359,7 @@ def _announce(source: LiveSource, said: Reporter) -> None:
 
 @contextlib.contextmanager
 def _signals(controls: Controls) -> Iterator[threading.Event]:
-    """Ctrl-C and SIGTERM end the loop in good order."""
+    """Ctrl-C and SIGTERM end the loop in order."""
     came = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:

@@ -63,7 +63,7 @@ def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[lis
     found, commands = [], 0
     for path in _files(folder, leave_out):
         frames, exact = _size(path) // _BYTES_PER_FRAME, False
-        # What is wrong with a file is said by whoever is to read it.
+        # What is wrong with a file is reported by its reader.
         with contextlib.suppress(RecordingError, OSError):
             kind = file_kind(path)
             if kind in ("npy", "npz"):

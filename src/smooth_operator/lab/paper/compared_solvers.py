@@ -55,7 +55,7 @@ class Starts:
     Attributes:
         count: N; 1 is the last answer alone.
         spread: standard deviation of the others about it [rad].
-        temperature: of the softmax over what came of them.
+        temperature: of the softmax over their results.
     """
 
     count: int = 1

@@ -47,7 +47,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What an experiment comes to.
+    """The outcome of an experiment.
 
     Attributes:
         setup: one paragraph: what was done, on what, at which size.
@@ -77,7 +77,7 @@ class Experiment(Protocol):
     """The paper's claim, one line."""
 
     def run(self, context: ExperimentContext) -> Outcome:
-        """Computes what is missing, and says what came of it.
+        """Computes what is missing, and returns the outcome.
 
         Raises:
             SmoothOperatorError: it can't be done on these recordings.

@@ -47,13 +47,13 @@ td.verdict { white-space: nowrap; }
 def write_outcome(
     store: ExperimentFolder, name: str, made: Experiment, outcome: Outcome, warning: str = ""
 ) -> Path:
-    """Writes what an experiment comes to.
+    """Writes the outcome of an experiment.
 
     Args:
         store: the folder.
         name: of the experiment.
         made: the experiment.
-        outcome: what it comes to.
+        outcome: of the experiment.
         warning: what a reader must know before the verdicts.
 
     Returns:

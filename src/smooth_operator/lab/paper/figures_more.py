@@ -69,7 +69,7 @@ def fk_figure(
     ax = figure.add_axes((0.105, 0.2, 0.525, 0.775))
     handles = []
     for name in [*names, *gaps]:
-        i = LIBRARIES.index(name)  # a library looks alike whoever else is missing
+        i = LIBRARIES.index(name)  # a library looks alike whichever others are missing
         look = Look(
             _LIBRARY_COLORS[i % len(_LIBRARY_COLORS)] if name not in gaps else GRID,
             MARKERS[i], "," not in name,

@@ -82,7 +82,7 @@ def training_data(
     """Aligns, thins and splits.
 
     Args:
-        recordings: of the hand's side; whoever is to use the model.
+        recordings: of the hand's side; of the users of the model.
         hand: the robot hand.
         settings: ``alignment``, ``validation``, ``pinch_distance``, ``margin`` and ``seed`` count
             here.

@@ -86,7 +86,7 @@ class ScopeResult:
         n: rows of the model.
         operators: clusters of the model.
         model: facts of the fit: formula, variances, working correlation.
-        diagnostics: what was checked, and what came of it.
+        diagnostics: what was checked, and the results.
         observed: rows, mean and spread of each retargeter as they are, without a model.
         warnings: what to know before believing it.
         refused: why there are no figures; None if there are.

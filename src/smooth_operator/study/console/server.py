@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _TICK_S: Final = 0.2
 _ALIVE_S: Final = 1.0
 _LOOK_S: Final = 1.5
-"""How often the store is asked whether somebody else wrote to it, and the teleoperation."""
+"""How often the store is asked whether another process wrote to it, and the teleoperation."""
 _LOOK_CLOSER_S: Final = 0.4
 """The same while a trial runs in simulation."""
 _TROUBLE_S: Final = 10.0

@@ -47,7 +47,7 @@ class SessionService:
 
     Args:
         store: of the study.
-        operator: who is on; None for whoever did something last and is not done.
+        operator: who is on; None for the one with the last event who is not done.
         blind: whether the experimenter sees labels in the place of conditions.
         teleop: the running teleoperation, if it is to be switched.
         enrolled: called with a plan that was changed here and is stored.
@@ -80,7 +80,7 @@ class SessionService:
         switch = None if teleop is None else Switch(teleop, lambda: self._changed())
         self._hand = None if switch is None else SessionTeleop(switch, blind=blind, report=report)
         self.chosen = operator is not None
-        """Whether somebody said who is on, and it was not guessed."""
+        """Whether the current operator was stated and not guessed."""
         if operator is not None:
             store.progress(operator)
         self.operator = self._latest() if operator is None else operator
@@ -199,7 +199,7 @@ class SessionService:
         return self._store.clock.now()
 
     def marks(self) -> tuple[object, ...]:
-        """Changes whenever what the pages show does, whoever wrote it."""
+        """Changes whenever what the pages show changes."""
         with _store_failures():
             version, counts = self._store.newest()
             return (self.operator, version, *sorted(counts.items()))

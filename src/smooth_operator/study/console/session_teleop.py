@@ -146,7 +146,7 @@ class SessionTeleop:
         switched = False
         try:
             if not self.switch.runs(block.condition) and self.switch.heard.state != "refused":
-                self.switch.to(block.condition)  # refused is tried again when somebody asks for it
+                self.switch.to(block.condition)  # refused is tried again on request
                 switched = True
             self._pace(progress)
             if switched or self._loaded is not None:
@@ -156,7 +156,7 @@ class SessionTeleop:
         return switched
 
     def again(self, progress: Progress) -> None:
-        """Switches once more, since somebody asks for it.
+        """Switches once more, on request.
 
         Raises:
             StudyError: it can't be.

@@ -148,7 +148,7 @@ class Plan:
         )
 
     def withdraw(self, operator: str) -> Plan:
-        """The plan without an operator; whoever comes next gets the row that is now used least."""
+        """The plan without an operator; the next operator gets the row that is now used least."""
         self.enrolment(operator)
         return replace(self, enrolled=tuple(o for o in self.enrolled if o.code != operator))
 

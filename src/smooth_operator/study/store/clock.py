@@ -1,6 +1,6 @@
 """Clock of a store: durations do not depend on changes of the machine's clock.
 
-The time of day jumps when somebody or a time server sets it. A steady clock never does, but it
+The time of day jumps when a person or a time server sets it. A steady clock never does, but it
 starts from zero with the machine. So a program takes the time of day at its start, and adds what
 the steady clock has counted since. What is timed (a trial, free movement) is stored with a reading
 of the steady clock, so that a program that is started later can continue it.

@@ -27,7 +27,7 @@ class TaskTrials:
         task: name of the task; None for the hand alone.
         folder: for a record of every trial; None for none.
         controlled: another program may begin trials.
-        attended: somebody may begin them with the keys. Where neither is so, the first trial
+        attended: a person may begin them with the keys. Where neither is so, the first trial
             begins with the run.
         about: what the hands are driven by now, for the records.
         record: takes what happens to trials, for the record of the run.

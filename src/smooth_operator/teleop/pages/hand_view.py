@@ -33,7 +33,7 @@ class HandView:
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """Rows: right, up and toward the viewer, of somebody who looks at the palm.
+        """Rows: right, up and toward the viewer, of a viewer who looks at the palm.
 
         Up is distal, as the human palm lies when it is aligned to the robot's.
         """

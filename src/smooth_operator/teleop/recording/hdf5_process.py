@@ -2,7 +2,7 @@
 
 libhdf5 loops for ever over some damaged files, within compiled code that no signal handler of
 Python interrupts, and its memory is not bounded by anything in the file. So it runs here, under
-limits of the operating system where that has them, and whoever waits for it can end it.
+limits of the operating system where that has them, and the process that waits for it can end it.
 
 A line of JSON on standard input, ``[file, bytes, seconds, head]``, asks for a file. The answer on
 standard output is the length of a JSON text (8 bytes, little-endian), the text, and the data of its

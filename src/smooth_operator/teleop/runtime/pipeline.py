@@ -25,7 +25,7 @@ SWITCHED: Final = "another method, or other settings"
 class HandPipeline:
     """Frames of one hand to commands of one robot hand.
 
-    Not thread-safe: the loop owns it, and whoever else wants something of it asks
+    Not thread-safe: the loop owns it; other users ask
     the loop (``Controls``).
 
     Args:
@@ -166,7 +166,7 @@ class HandPipeline:
             tuple(events),
             self.driver,
         )
-        # Times of commands, not of the frames that they answer: solving takes longer now and then.
+        # Times of commands, not of the frames that they answer: solving occasionally takes longer.
         self._last, self._number = guarded, self._number + 1
         return tick
 

@@ -61,7 +61,7 @@ def implausible(frame: HandFrame) -> str | None:
 class SessionCheck:
     """Whether the frames of a tracker are of the side and in the order that they should be.
 
-    Each start of a tracker is judged by itself: over its first frames, and then now and then.
+    Each start of a tracker is judged by itself: over its first frames, and then occasionally.
 
     Args:
         side: of the hand that is driven.

@@ -24,7 +24,7 @@ Priority: TypeAlias = Literal["real-time", "normal"]
 # retargeter's program, makes the loop wait for it.
 _LOOP: Final = 3
 _PYTHON: Final = 2
-"""Sources, sinks, and whoever else may hold the interpreter."""
+"""Sources, sinks, and other holders of the interpreter."""
 _NATIVE: Final = 1
 """Those of libraries, which compile, too, if another method is asked for while the loop runs."""
 _SWITCH_S: Final = 5e-4

@@ -44,7 +44,7 @@ class ThreadedSink(Sink):
 
     @abstractmethod
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
-        """Open the way to the far side; errors reach whoever opens the sink."""
+        """Open the way to the far side; errors reach the caller that opens the sink."""
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Open the way to the far side and close it again; see

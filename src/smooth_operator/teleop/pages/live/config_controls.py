@@ -31,7 +31,7 @@ class ConfigControls:
     Args:
         gui: where to build, within whatever container is open.
         folder: heading of all of it.
-        change: called with the path and the new value of a field that somebody has changed.
+        change: called with the path and the new value of a field that a person has changed.
         expanded: whether the folder is open at first.
     """
 

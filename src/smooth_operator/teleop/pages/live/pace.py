@@ -19,7 +19,7 @@ _PATIENCE_S: Final = 2.0
 
 
 class Pace:
-    """Asks each browser for a word now and then, and measures how long the answer takes.
+    """Occasionally asks each browser for a message, and measures how long the answer takes.
 
     Browsers handle messages in order, so a browser that can't keep up answers late. What it has
     not shown yet would grow without bound otherwise, and a page that is seconds late is dangerous.

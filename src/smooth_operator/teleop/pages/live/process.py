@@ -124,7 +124,7 @@ class _Page:
         self._server.flush()
 
     def download(self) -> None:
-        """Have the configuration sent to whoever watches."""
+        """Have the configuration sent to all browsers."""
         self._configuration_wanted = True
         self._wake.set()
 

@@ -1,4 +1,4 @@
-"""Events per second, from a count that is looked at now and then."""
+"""Events per second, from a count that is read occasionally."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Which of the seen hands is the right one: labels, duplicates and continuity.
 
-A camera's tracker estimates the side of each hand in every picture. It errs now and then: for a
+A camera's tracker estimates the side of each hand in every picture. It errs occasionally: for a
 picture or two a label flips, both hands get the same one, or one hand is found twice. Where hands
 were a moment ago settles most of that; what can't be settled is left out, and never guessed.
 """

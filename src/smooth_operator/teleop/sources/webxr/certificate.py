@@ -3,7 +3,7 @@
 Browsers give WebXR to secure pages only, and a machine on a local network has no certificate that
 they know. Most headsets let their user accept this one. Safari takes it for WebSockets only once
 it is installed and trusted as a root, so it is one, but constrained (RFC 5280, 4.2.1.10) to the
-names of this machine: whoever got hold of the key could pose as nobody else.
+names of this machine: a stolen key is of no use under other names.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def get_certificate(
 ) -> Certificate:
     """The certificate for these names: the one that was kept, or a new one.
 
-    Each set of names has its own file, so that a laptop that goes to and fro between two
+    Each set of names has its own file, so that a laptop that alternates between two
     networks doesn't have its headset ask each time.
 
     Args:
@@ -69,7 +69,7 @@ def get_certificate(
 
     Raises:
         MissingExtraError: cryptography is not installed.
-        SourceError: the folder can't be written, or belongs to somebody else.
+        SourceError: the folder can't be written, or belongs to another user.
     """
     try:
         import cryptography  # noqa: F401

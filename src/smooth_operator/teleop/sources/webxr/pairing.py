@@ -46,7 +46,7 @@ class Pairing:
         return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
 
     def check(self, code: str, address: str) -> Verdict:
-        """Whether somebody at this address may come in."""
+        """Whether a client at this address may try."""
         now = self._clock()
         while self._wrong and now - self._wrong[0][0] > WINDOW:
             self._wrong.popleft()
