@@ -58,7 +58,7 @@ class Scene(ABC):
     def furnish(self, hand: mujoco.MjSpec) -> mujoco.MjSpec:
         """The world with the hand in it; see ``physics_model``."""
         hand.option.gravity = (0.0, 0.0, -9.81)
-        world = _empty(hand)
+        world = empty_world(hand)
         position, quaternion = self.mount.frame
         world.attach(hand, prefix=FURNISHED, frame=world.worldbody.add_frame(
             pos=position, quat=quaternion))  # fmt: skip
@@ -112,7 +112,7 @@ def add_shape(
     )  # fmt: skip
 
 
-def _empty(hand: mujoco.MjSpec) -> mujoco.MjSpec:
+def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
     """A floor, a light and the hand's own settings of the physics."""
     world = mujoco.MjSpec()
     for name in ("timestep", "integrator", "disableflags"):
