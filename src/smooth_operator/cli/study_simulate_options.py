@@ -33,6 +33,9 @@ Examples:
     """Number of virtual operators, in the plan's shares of the tasks; the plan's own if left
     out."""
 
+    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
+    """Robot hand, of those with demonstrations of the tasks."""
+
     body: Literal["matched", "human"] = "matched"
     """Kinematics of the operators' hands: the robot's at human size with other bones, or published
     human anatomy, whose thumb does not reach all that the tasks need."""

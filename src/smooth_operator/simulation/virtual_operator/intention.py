@@ -142,14 +142,17 @@ def _with_pauses(
     tips: Float[np.ndarray, "t f 3"],
     touching: Bool[np.ndarray, "t f"],
 ) -> Float[np.ndarray, " j"]:
-    """The times, and those at which a finger is the last time 10 mm from where it will touch."""
+    """The times, and those at which a finger is the last time 10 mm from where it will touch.
+
+    Only where no finger is on the object: what is held does not wait.
+    """
     found = list(keys)
     for finger in range(touching.shape[1]):
         (onsets,) = np.nonzero(touching[1:, finger] & ~touching[:-1, finger])
         for onset in onsets + 1:
             away = np.linalg.norm(tips[:onset, finger] - tips[onset, finger], axis=-1)
             (far,) = np.nonzero(away >= _BEFORE_M)
-            held = touching[far[-1] : onset, finger].any() if len(far) else True
+            held = touching[far[-1] : onset].any() if len(far) else True
             time = far[-1] * _PERIOD_S if len(far) else 0.0
             if not held and np.abs(np.array(found) - time).min() > _APART_S:
                 found.append(time)

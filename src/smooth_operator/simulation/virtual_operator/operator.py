@@ -43,13 +43,13 @@ from smooth_operator.simulation.virtual_operator.visual_feedback import (
 WAIT_S: Final = 2.0
 """Longest look at fingertips that do not get where they should [s]; ours."""
 
-_OBJECT_M: Final = 0.012  # an object this far from where it is expected has not followed [m]
+_OBJECT_M: Final = 0.006  # an object this far from where it is expected has not followed [m]
 _OBJECT_RAD: Final = np.radians(25.0)  # or turned this far from it [rad]
 _SHIFT_M: Final = 0.025  # farthest that a person follows a displaced object with the fingers [m]
 _TRACKS_S: Final = 0.3  # time constant of following it [s]
 _HARDER: Final = 0.5  # after an attempt in which the object slipped, press so much harder
 _HARDEST: Final = 2.0
-_PRESS_M: Final = 0.010  # most that a finger on the object is corrected further [m]
+_PRESS_M: Final = 0.015  # most that a finger on the object is corrected further [m]
 _OPENS_M: Final = 0.04  # way of the fingertips when the hand opens for another attempt [m]
 
 
@@ -195,13 +195,15 @@ class VirtualOperator:
         return self._model.own_tips(tips + self._misjudged)
 
     def _correct(self, image: _Image, seconds: float) -> None:
-        error = np.where(self._attends[:, None], image.wanted - image.tips, 0.0)
+        # Fingers go where they are wanted; those on the object take it where it is wanted.
+        lacks = self._to_palm @ (image.expected.position - image.state.position)
+        on = image.expected.touching[:, None] & (self._from is None)
+        error = np.where(on, lacks, image.wanted - image.tips)
+        error = np.where(self._attends[:, None], error, 0.0)
         value = self._correction.update(error, seconds)
-        # A finger on the object presses or yields a little; it does not go where it was sent off.
         beyond = value - self._in_place
         size = np.linalg.norm(beyond, axis=-1, keepdims=True)
         kept = self._in_place + beyond * np.minimum(1.0, _PRESS_M / np.maximum(size, 1e-9))
-        on = self._intention.at(self._at).touching[:, None] & (self._from is None)
         self._correction.value = np.where(on, kept, value)
         # Fingers that reach for the object follow it; those that hold it move it.
         state = image.state
@@ -234,7 +236,7 @@ class VirtualOperator:
         waited = time - self._since - self._duration
         if waited < self._person.delay_s:  # what is seen is not yet of the phase's end
             return
-        matters = self._intention.matters(self._phase)
+        matters = self._intention.matters(self._phase) & ~image.expected.touching
         far = np.linalg.norm(image.wanted - image.tips, axis=-1)[matters]
         reached = not len(far) or bool(far.max() <= self._tolerance)
         followed = _follows(image)
@@ -243,7 +245,7 @@ class VirtualOperator:
             self._in_place = self._correction.value
         if reached and followed and not last:
             self._begin_phase(self._phase + 1, time)
-        elif waited < WAIT_S and (last or not reached):
+        elif waited < WAIT_S and not (reached and followed and not last):
             return
         elif followed and not last:
             self._begin_phase(self._phase + 1, time)

@@ -34,10 +34,10 @@ class Person:
             1968: 190 to 260 ms; Saunders and Knill 2003: 160 to 200 ms).
         crossover: gain of the correction [rad/s]: Y_p Y_c = crossover exp(-delay s) / s. 3.0 +- 0.7
             (McRuer and Jex 1967: 2 to 5 rad/s), and never beyond a phase margin of 35 degrees.
-        threshold_m: errors smaller than this are not corrected [m]. 1.0 to 2.5 mm; ours, the
-            indifference threshold that tracking models need (Sheridan and Ferrell 1974).
-        tolerance_m: a fingertip that is seen this near its goal is there [m]. 5 +- 1 mm; ours,
-            half the width of a fingertip's pad.
+        threshold_m: errors smaller than this are not corrected [m]. 0.5 to 1.5 mm; ours: some times
+            the acuity of the eye at half a metre (0.15 mm), as depth is seen less well.
+        tolerance_m: a fingertip that is seen this near its goal is there [m]. 3 +- 0.5 mm; ours,
+            a third of the width of a fingertip's pad.
         pace: duration of a movement over that of Fitts' law with lag (MacKenzie and Ware 1993).
             Log-normal, spread 20 % (Fitts' intercepts and slopes between persons).
         motor_noise: standard deviation of a movement over its length. 3 to 6 % (Harris and
@@ -113,8 +113,8 @@ def draw_person(number: int, seed: int = 0) -> Person:
         number=number,
         delay_s=delay,
         crossover=min(wish, largest_crossover(delay)),
-        threshold_m=float(rng.uniform(0.0010, 0.0025)),
-        tolerance_m=float(np.clip(rng.normal(0.005, 0.001), 0.003, 0.008)),
+        threshold_m=float(rng.uniform(0.0005, 0.0015)),
+        tolerance_m=float(np.clip(rng.normal(0.003, 0.0005), 0.002, 0.005)),
         pace=float(np.exp(np.clip(rng.normal(0.0, 0.2), -0.5, 0.5))),
         motor_noise=float(rng.uniform(0.03, 0.06)),
         tremor_m=float(rng.uniform(3e-5, 1.5e-4)),

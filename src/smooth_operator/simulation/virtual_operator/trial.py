@@ -165,4 +165,4 @@ def simulate_trial(
 
 @lru_cache(maxsize=16)
 def _prepared(task: str, hand: Hand) -> tuple[Scene, Intention]:
-    return scene_for(task, hand), intention_for(load_demonstration(task), hand)
+    return scene_for(task, hand), intention_for(load_demonstration(task, hand.name), hand)

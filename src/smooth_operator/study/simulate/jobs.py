@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any, Final
 
-from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.errors import StudyError, UnknownNameError, listed
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.simulation.tasks.demonstration import load_demonstration
+from smooth_operator.simulation.tasks.demonstration import DEFAULT_HAND, demonstrated_hands
 from smooth_operator.simulation.tasks.task_registry import task_named
 from smooth_operator.simulation.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator.simulation.virtual_operator.hand_model import Body
@@ -40,7 +40,7 @@ class SimulationSettings:
     """
 
     plan: Plan
-    hand: str = "mimic_p050"
+    hand: str = DEFAULT_HAND
     body: Body = "matched"
     seed: int = 0
 
@@ -54,10 +54,11 @@ class SimulationSettings:
                 raise StudyError(
                     f"task {task.name!r} of the plan can't be simulated: {error}"
                 ) from error
-            if load_demonstration(simulated.name).hand != self.hand:
+            hands = demonstrated_hands(simulated.name)
+            if self.hand not in hands:
                 raise StudyError(
-                    f"no demonstration of task {task.name!r} for hand {self.hand!r}; virtual "
-                    f"operators do it with {load_demonstration(simulated.name).hand}"
+                    f"hand {self.hand!r} has no demonstration of task {task.name!r}; the hands "
+                    f"with one are {listed(hands)}"
                 )
         for condition in self.plan.protocol.conditions:
             try:
