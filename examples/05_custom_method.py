@@ -14,7 +14,7 @@ from smooth_operator.methods import Method, MethodConfig, MethodOutput
 class TipIkConfig(MethodConfig):
     """Settings; the alignment says how landmarks reach the palm frame."""
 
-    iterations: int = 4
+    iterations: int = 2
     damping: float = 2e-5  # m^2
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
 

@@ -51,7 +51,7 @@ class CsvSink(teleop.Sink):
 
 
 sink, config = CsvSink(), teleop.LoopConfig(rate=60)
-retargeter = Retargeter("ability_hand")
+retargeter = Retargeter("mimic_p050")
 retargeter.warm_up()
 pipeline = teleop.HandPipeline(retargeter, config)
 loop = teleop.TeleopLoop({"right": pipeline}, WaveSource(), teleop.SinkRunner([sink]), config)

@@ -18,7 +18,7 @@ def pause_for_a_moment(loop: TeleopLoop) -> None:
 summary = teleoperate(
     source="synthetic",
     sinks=["mujoco", "record:take.mcap"],
-    hand="ability_hand",
+    hand="mimic_p050",
     rate=100.0,
     duration=3.0,
     limits=LimitsConfig(velocity=8.0, acceleration=400.0),

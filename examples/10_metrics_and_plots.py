@@ -6,7 +6,7 @@ import numpy as np
 from smooth_operator import Retargeter, SyntheticOperator, assemble_trace, evaluate, load_hand
 from smooth_operator.metrics import METRICS
 
-hand = load_hand("ability_hand")
+hand = load_hand("mimic_p050")
 recording = SyntheticOperator(seed=7, rate_hz=50).record(duration=6.0)
 commands, _ = Retargeter(hand).run(recording)
 
