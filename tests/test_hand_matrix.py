@@ -85,11 +85,19 @@ def operator(side: str) -> SyntheticOperator:
     return SyntheticOperator(side=side, rate_hz=12, speed=1.5, gestures=gestures)
 
 
-def run_hand(task: tuple[str, str]) -> dict[str, Run]:
-    """All methods on one side of one hand; runs in a process of its own."""
+def run_hand(task: tuple[str, tuple[str, ...]]) -> dict[str, dict[str, Run]]:
+    """All methods on sides of one hand; runs in a process of its own."""
     jax.config.update("jax_disable_most_optimizations", True)
     gc.disable()  # a tenth of the time that tracing takes
-    name, side = task
+    name, sides = task
+    runs = {side: run_side(name, side) for side in sides}
+    jax.clear_caches()
+    gc.collect()
+    return runs
+
+
+def run_side(name: str, side: str) -> dict[str, Run]:
+    """All methods on one side of one hand."""
     hand, recording = load_hand(name, side), operator(side).record(5.0)
     human, runs = align_recording(recording, hand), {}
     for method in METHODS:
@@ -111,8 +119,6 @@ def run_hand(task: tuple[str, str]) -> dict[str, Run]:
             commands.status, commands.latency_ms,
         )  # fmt: skip
         runs[method] = Run(q, tips, commands.status, evaluate(trace))
-    jax.clear_caches()
-    gc.collect()
     return runs
 
 
@@ -157,19 +163,28 @@ Matrix = dict[tuple[str, str], dict[str, Run]]
 
 @pytest.fixture(scope="module")
 def matrix(request: pytest.FixtureRequest) -> Matrix:
-    """All that the chosen tests will look at, as many hands at once as there are cores."""
+    """All that the chosen tests will look at, as many hands at once as there are cores.
+
+    The sides of a mirrored hand share their programs, so one process has both.
+    """
     chosen = {
         item.callspec.params["name"]
         for item in request.session.items
         if isinstance(item, pytest.Function) and item.path == request.path
         and hasattr(item, "callspec")
     }  # fmt: skip
-    tasks = [(name, side) for name in NAMES if name in chosen for side in SIDES]
+    tasks = [
+        (name, sides)
+        for name in NAMES
+        if name in chosen
+        for sides in ([SIDES] if name in MIRRORED else [(side,) for side in SIDES])
+    ]
     found: Matrix = {}
     for result in run_tasks(run_hand, tasks):
         assert result.error is None, (tasks[result.index], result.error)
         assert result.value is not None
-        found[tasks[result.index]] = result.value
+        name = tasks[result.index][0]
+        found |= {(name, side): runs for side, runs in result.value.items()}
     return found
 
 
