@@ -176,6 +176,7 @@ def test_the_measure_counts_what_was_tried(recording: HandRecording) -> None:
     assert row == measure.run(case).row  # deterministic
     tried = 2 * int(row["pinches"])  # type: ignore[arg-type]
     assert row["tried"] == tried
+    assert row["diverged"] == 0
     held = row["held"]
     assert isinstance(held, float)
     assert held * tried == pytest.approx(round(held * tried))

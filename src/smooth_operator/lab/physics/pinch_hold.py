@@ -116,6 +116,7 @@ class PinchHold:
         things = [t for t in GRASP_OBJECTS if not case.quick or t.name in _QUICK_OBJECTS]
         tried: dict[str, list[GraspResult]] = {}
         overlaps = []
+        diverged = 0
         for pinch in pinches:
             finger = case.hand.fingers.index(pinch.finger)
             settled = int(np.searchsorted(longer.stamps, moments[pinch.tight] + GRACE_S))
@@ -123,11 +124,14 @@ class PinchHold:
             overlaps.append(-1e3 * first.gap_at(finger, commands[settled]))
             for thing in things:
                 asked = robot_pinch(case.hand, pinch, thing, longer.stamps, moments, commands)
-                result = try_pinch(_physics(case.hand_name, case.side, thing), asked)
-                tried.setdefault(thing.name, []).append(result)
+                physics = _physics(case.hand_name, case.side, thing)
+                before = physics.resets
+                tried.setdefault(thing.name, []).append(try_pinch(physics, asked))
+                diverged += physics.resets > before
         row = _figures(tried)
         row["overlap_mm"] = float(np.mean(overlaps))
         row["pinches"] = len(pinches)
+        row["diverged"] = diverged  # trials in which the physics came apart; they measure nothing
         if not case.clip:
             return Measured(row)
         human = align_recording(longer, case.hand, case.config.alignment)
