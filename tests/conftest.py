@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,29 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` sta
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+LONG_FILES = ("test_paper_quick.py", "test_hand_matrix.py")
+"""Files that take more than a minute of CPU time, which run first: the worker that took one of them
+last would be alone for that minute. The others follow by number of tests, as pytest-xdist has it.
+"""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The order of the files is that of ``pytest_collection_modifyitems``."""
+    if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, then those with the most tests; tests of a file keep their order."""
+    counts = Counter(item.path.name for item in items)
+
+    def place(item: pytest.Item) -> tuple[int, int]:
+        name = item.path.name
+        rank = LONG_FILES.index(name) if name in LONG_FILES else len(LONG_FILES)
+        return rank, -counts[name]
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

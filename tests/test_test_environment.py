@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import LONG_FILES
 
 from smooth_operator.hands.registry import hand_names
 
@@ -55,3 +56,21 @@ def test_the_users_hands_are_not_among_the_tests_hands(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT that is inherited as ignored")
 def test_ctrl_c_is_heard_where_the_run_was_started_with_it_ignored(tmp_path: Path) -> None:
     assert probe(tmp_path, ignore_interrupt=True)[1] == "True"
+
+
+def test_long_files_run_first(tmp_path: Path) -> None:
+    """Under pytest-xdist, which has an order of its own."""
+    assert [name for name in LONG_FILES if not (TESTS / name).is_file()] == []
+    (tmp_path / "conftest.py").write_text((TESTS / "conftest.py").read_text(encoding="utf-8"))
+    for number, name in enumerate([*LONG_FILES, "test_a.py", "test_b.py"], 1):
+        tests = (f"def test_{i}(): pass\n" for i in range(number))
+        (tmp_path / name).write_text("".join(tests))
+    words = ["-m", "pytest", "-v", "-p", "no:cacheprovider", "-n", "1", "--dist", "loadfile", "."]
+    done = subprocess.run(
+        [sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    files = [*LONG_FILES, "test_b.py", "test_a.py"]
+    lines = [line for line in done.stdout.splitlines() if "PASSED" in line]
+    ran = [next(name for name in files if name in line) for line in lines]
+    assert list(dict.fromkeys(ran)) == files
+    assert len(ran) == 10
