@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -268,7 +269,7 @@ def test_an_unknown_measure_is_named() -> None:
 def test_each_measure_offers_what_is_needed(name: str) -> None:
     measure = find_measure(name)
     assert measure.name == name
-    assert measure.definition.count(".") + measure.definition.count("?") == 1  # one sentence
+    assert len(re.findall(r"[.?!](?:\s|$)", measure.definition)) == 1  # one sentence
     names = [figure.name for figure in measure.figures]
     assert len(set(names)) == len(names)
     assert all(figure.meaning for figure in measure.figures)
