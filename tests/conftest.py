@@ -82,6 +82,26 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="module")
+def few_optimisations() -> Iterator[None]:
+    """Programs are compiled with few optimisations: for files where compiling is most of the time.
+
+    The files before and after it have their own programs.
+    """
+    import jax
+
+    from smooth_operator.methods import shared
+
+    option = "jax_disable_most_optimizations"
+    before, programs = jax.config.read(option), dict(shared._known)
+    shared._known.clear()
+    jax.config.update(option, True)
+    yield
+    jax.config.update(option, before)
+    shared._known.clear()
+    shared._known.update(programs)
+
+
+@pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """A headless browser with software rendering, or a skip."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -57,6 +57,8 @@ from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.solvers.normals import seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 OURS = ("solver", "velocity", "hessian", "compute")
 
 TINY = dataclasses.replace(

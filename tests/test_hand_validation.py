@@ -36,6 +36,8 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import JointCommand, Result, Status
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 ALLEGRO = load_hand("allegro_hand").spec
 BASICS = {
     "size", "palm frame", "joint ranges", "joints used", "fingertips", "neutral pose", "shapes",

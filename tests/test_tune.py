@@ -39,6 +39,8 @@ from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 TINY = SbrConfig(
     sampling=SamplingConfig(samples=32, elites=8, cycles=2, draws="quasi"),
     polish=NewtonConfig(iterations=2, damping=(0.0, 1.0)),
