@@ -1,10 +1,10 @@
 """``smooth``: accurate, smooth and clear of itself, for a live loop.
 
-Eq. (1) with four ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
-while their places are corrected little by little, and most while the hand moves. The thumb's
-vectors are held by angle and length and not by distance alone. Parts of the hand stay out of each
-other. The landmark filter limits jumps of the tracker. docs/explanation/smooth.md has the
-equations, and what each of them is worth.
+Eq. (1) with five ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
+while their places are corrected little by little, and most while the hand moves. Fingertips that
+can be where the human's are, are exactly there. The thumb's vectors are held by angle and length
+and not by distance alone. Parts of the hand stay out of each other. The landmark filter limits
+jumps of the tracker. docs/explanation/smooth.md has the equations, and what each part is worth.
 """
 
 from __future__ import annotations
@@ -33,11 +33,16 @@ from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethod
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig, human_places
 from smooth_operator.objective.terms.direction_length import (
     DirectionLength,
     DirectionLengthConfig,
 )
 from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
+from smooth_operator.objective.terms.fingertip_position import (
+    FingertipPosition,
+    FingertipPositionConfig,
+)
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
@@ -66,6 +71,8 @@ class SmoothConfig(ObjectiveMethodConfig):
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
+        rest_pose: where the pull of Eq. (1) goes where fingertips are near their targets.
+        fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
         landmarks: filter of the human landmarks.
@@ -87,6 +94,8 @@ class SmoothConfig(ObjectiveMethodConfig):
     )
     motion_weight: float = 1300.0
     motion_speed: float = 0.1
+    rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
+    fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
     landmarks: LandmarkFilterConfig = field(
@@ -183,13 +192,14 @@ class Smooth(Method):
 
     @cached_property
     def objective(self) -> Objective:
-        """The terms that are minimised: those of Eq. (1), and three more."""
+        """The terms that are minimised: those of Eq. (1), and four more."""
         config, vectors = self.config, self.eq_1.keyvectors.vectors
         return Objective(
             self.hand,
             config.objective,
             (
                 self.motion,
+                FingertipPosition(vectors, config.fingertip_position),
                 DirectionLength(vectors, config.direction_length),
                 SelfCollision(self.hand, config.self_collision),
             ),
@@ -199,6 +209,11 @@ class Smooth(Method):
     def motion(self) -> FingertipMotion:
         """The term of fingertip motion."""
         return FingertipMotion(self.hand, self.config.objective.transition)
+
+    @cached_property
+    def rest_pose(self) -> RestPose:
+        """The pose that the hand is pulled to."""
+        return RestPose(self.hand, self.config.rest_pose)
 
     @property
     def needs(self) -> tuple[int, ...]:
@@ -237,7 +252,7 @@ class Smooth(Method):
         filtered, steps = filter_landmarks(
             state.filtered, measured, clock.dt, config.landmarks, clock.restart
         )
-        goal, policy_state = self._goal(state, filtered.points, steps, clock)
+        goal, policy_state = self._goal(state, aligned, filtered.points, steps, clock)
         solved = self._solve(state, goal, clock)
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
@@ -262,6 +277,7 @@ class Smooth(Method):
     def _goal(
         self,
         state: SmoothState,
+        aligned: Float[Array, "21 3"],
         points: Float[Array, "L 3"],
         steps: Float[Array, "L 3"],
         clock: _Clock,
@@ -279,13 +295,18 @@ class Smooth(Method):
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
             motion = motion / (1 + (speed / config.motion_speed) ** 2)
-        goal = FrameGoal(
-            targets.vectors,
-            targets.weights,
-            state.solved,
-            velocity,
-            self.motion.tips(state.solved) + moves,
-            motion,
+        goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
+        if is_off(config.rest_pose.reach):
+            arrive = self.motion.tips(state.solved) + moves
+            return goal._replace(tips=arrive, motion_weights=motion), policy_state
+        places = human_places(points, self.needs, self.hand)
+        rest = self.rest_pose(state.solved, aligned, places, moves)
+        neutral = jnp.asarray(self.hand.neutral, points.dtype)
+        goal = goal._replace(
+            tips=rest.tips + moves,
+            motion_weights=motion,
+            rest=jnp.where(clock.restart, neutral, rest.pose),
+            near=jnp.where(clock.restart, 0.0, rest.near),
         )
         return goal, policy_state
 

@@ -24,6 +24,5 @@ class NeutralPose(SquaredJointTerm):
     centre: Float[np.ndarray, " m"]
 
     def square(self, goal: FrameGoal) -> Square:
-        """About the neutral pose."""
-        del goal
-        return Square(self.weight, self.centre)
+        """About the neutral pose, or the frame's own rest pose."""
+        return Square(self.weight, self.centre if goal.rest is None else goal.rest)

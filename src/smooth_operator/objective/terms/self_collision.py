@@ -9,10 +9,12 @@ from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.terms.term import PointTerm, Quadratic
 from smooth_operator.settings import check_numbers, is_off
@@ -29,13 +31,17 @@ class SelfCollisionConfig:
         weight: of a pair that is too near, in the units of a keyvector's weight: the cost is
             weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
         margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
+        grip: how much deeper two fingers may be in each other whose tips are where the human's
+            are [m]: a human who grips an object asks for a pose beyond its surface, and the force
+            comes from that.
     """
 
     weight: float = 7000.0
     margin: float = -0.00125
+    grip: float = 0.006
 
     def __post_init__(self) -> None:
-        check_numbers(self, "self_collision.", not_negative=("weight",))
+        check_numbers(self, "self_collision.", not_negative=("weight", "grip"))
 
     def build(self, hand: Hand) -> SelfCollision:
         """The term for one hand."""
@@ -53,6 +59,14 @@ class SelfCollision(PointTerm):
     def pairs(self) -> CapsulePairs:
         """The P pairs of parts that could touch."""
         return capsule_pairs(self.hand)
+
+    @cached_property
+    def fingers(self) -> Int[np.ndarray, " C"]:
+        """(C,) finger of each capsule; one more than the last for the palm."""
+        owner, palm = owners(self.hand), len(self.hand.fingers)
+        bodies = [self.pairs.ends[name][0] for name in self.pairs.names[::2]]
+        known = {FINGERS.index(name): f for f, name in enumerate(self.hand.fingers)}
+        return np.array([known.get(int(owner[body]), palm) for body in bodies])
 
     @property
     def is_off(self) -> bool:
@@ -76,7 +90,6 @@ class SelfCollision(PointTerm):
         exact, since they are nearest; of its second derivative, only what the kinematics adds is
         kept.
         """
-        del goal
         pairs, config = self.pairs, self.config
         first, second = pairs.pairs.T
         one, other = ((points[2 * c], points[2 * c + 1]) for c in (first, second))
@@ -89,6 +102,9 @@ class SelfCollision(PointTerm):
         )
         distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
         depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
+        if goal.near is not None and not is_off(config.grip):
+            near = jnp.concatenate([goal.near, jnp.ones(1, goal.near.dtype)])
+            depth = depth - config.grip * near[self.fingers[first]] * near[self.fingers[second]]
         inside = jnp.maximum(depth, 0.0)
         scale = config.weight / TRANSITION
         direction = -apart / distance[:, None]

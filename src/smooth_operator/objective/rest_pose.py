@@ -1,0 +1,188 @@
+"""The rest pose of a frame: where the hand is pulled to without being pulled off its target.
+
+The second term of Eq. (1) pulls joints to a neutral pose, and so holds fingertips off targets that
+they could reach. Where a fingertip is where the human's is, give or take some millimetres, only the
+part of the pull that moves no fingertip is kept: that in the null space of the fingertips'
+Jacobian. There the hand takes the human's direction of the last finger segment, which turns the
+pads as the human's are. Where targets are out of reach, the pull is that of Eq. (1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.hands.differential import PointKinematics, PointMotion
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
+from smooth_operator.settings import check_numbers, is_off
+
+_TINY_AREA = 1e-12
+
+
+@dataclass(frozen=True)
+class RestPoseConfig:
+    """Settings of the rest pose.
+
+    Attributes:
+        reach: error of a fingertip at which it counts as near its target by a quarter [m]; 0 leaves
+            the pull of Eq. (1) as it is.
+        damping: motion of all fingertips per unit of joint motion, squared, that counts as none
+            [m^2/rad^2].
+        segment: weight of the direction of the last finger segments against the neutral pose.
+    """
+
+    reach: float = 0.006
+    damping: float = 1e-6
+    segment: float = 30.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "rest_pose.", positive=("damping",), not_negative=("reach", "segment"))
+
+
+class RestGoal(NamedTuple):
+    """What the rest pose gives a frame.
+
+    Attributes:
+        tips: (F, 3) fingertips at the last answer [m].
+        near: (F,) how nearly each of them is where the human's is, 0 to 1.
+        pose: (m,) pose that the hand is pulled to [rad].
+    """
+
+    tips: Float[Array, "F 3"]
+    near: Float[Array, " F"]
+    pose: Float[Array, " m"]
+
+
+class _Directions(NamedTuple):
+    """Errors of the last segments' directions, and their derivatives.
+
+    Attributes:
+        error: (3 S,) the human's unit vector minus the robot's, across the robot's; 0 where the
+            human's is not known.
+        slopes: (3 S, m) derivatives of the robot's.
+    """
+
+    error: Float[Array, " S3"]
+    slopes: Float[Array, "S3 m"]
+
+
+@dataclass(frozen=True, eq=False)
+class RestPose:
+    """The rest pose for one hand.
+
+    Attributes:
+        hand: the robot hand.
+        config: settings.
+    """
+
+    hand: Hand
+    config: RestPoseConfig
+
+    @cached_property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """(finger, landmark below its tip) of each finger that has a counterpart of it."""
+        found = []
+        for f, name in enumerate(self.hand.fingers):
+            place = FINGERS.index(name)
+            below = [
+                i
+                for i in range(BASES[place] + 1, TIPS[place])
+                if LANDMARKS[i] in self.hand.tree.keypoints
+            ]
+            found += [(f, below[-1])] if below else []
+        return tuple(found)
+
+    @cached_property
+    def kinematics(self) -> PointKinematics:
+        """Fingertips, then the points below them."""
+        below = tuple(LANDMARKS[i] for _, i in self.segments)
+        return PointKinematics(self.hand.tree, (*self.hand.tip_names, *below))
+
+    @cached_property
+    def moves(self) -> Bool[np.ndarray, "F m"]:
+        """Which actuated joint moves which fingertip."""
+        matrix = self.hand.coupling_matrix[np.array(self.kinematics.order)]
+        tips = self.kinematics.moves[: len(self.hand.fingers)]
+        moves: np.ndarray = (tips.astype(float) @ np.abs(matrix)) > 0
+        return moves
+
+    def __call__(
+        self,
+        q: Float[Array, " m"],
+        aligned: Float[Array, "21 3"],
+        places: Float[Array, "F 3"],
+        moves: Float[Array, "F 3"],
+    ) -> RestGoal:
+        """The rest pose of a frame; traceable.
+
+        Args:
+            q: (m,) last answer of the actuated joints [rad].
+            aligned: (21, 3) human landmarks in the palm frame [m]; NaN where one is not known.
+            places: (F, 3) where the human's fingertips are, from the robot's wrist [m].
+            moves: (F, 3) their step since the last answer [m].
+        """
+        config, hand, count = self.config, self.hand, len(self.hand.fingers)
+        matrix, offset = (
+            jnp.asarray(part, q.dtype) for part in (hand.coupling_matrix, hand.coupling_offset)
+        )
+        motion = self.kinematics(matrix @ q + offset)
+        actuated = matrix[np.array(self.kinematics.order)]
+        jacobian = jnp.einsum("fjc,jm->fcm", motion.jacobian, actuated)
+        tips, neutral = motion.points[:count], jnp.asarray(hand.neutral, q.dtype)
+        error = tips + moves - places
+        near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
+        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
+        inner, pull = jnp.eye(len(q), dtype=q.dtype), neutral - q
+        if self.segments and not is_off(config.segment):
+            found = self._directions(motion, jacobian, aligned)
+            inner = inner + config.segment * found.slopes.T @ found.slopes
+            pull = pull + config.segment * found.slopes.T @ found.error
+        rows = jacobian[:count].reshape(-1, len(q))
+        factor = jnp.linalg.cholesky(rows.T @ rows + config.damping * inner)
+        step = jax.scipy.linalg.cho_solve((factor, True), config.damping * pull)
+        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
+        share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
+        return RestGoal(tips, near, q + share * step + (1 - share) * (neutral - q))
+
+    def _directions(
+        self, motion: PointMotion, jacobian: Float[Array, "P 3 m"], aligned: Float[Array, "21 3"]
+    ) -> _Directions:
+        fingers = np.array([f for f, _ in self.segments])
+        below = len(self.hand.fingers) + np.arange(len(fingers))
+        tips = np.array([TIPS[FINGERS.index(self.hand.fingers[f])] for f in fingers])
+        robot = motion.points[fingers] - motion.points[below]
+        size = jnp.sqrt((robot * robot).sum(-1, keepdims=True) + _TINY_AREA)
+        unit = robot / size
+        slopes = (jacobian[fingers] - jacobian[below]) / size[:, :, None]
+        along = jnp.einsum("sc,scm->sm", unit, slopes)
+        slopes = slopes - unit[:, :, None] * along[:, None, :]
+        human = aligned[tips] - aligned[np.array([i for _, i in self.segments])]
+        human = human / jnp.sqrt((human * human).sum(-1, keepdims=True) + _TINY_AREA)
+        error = human - unit
+        error = error - unit * (error * unit).sum(-1, keepdims=True)
+        known = jnp.isfinite(error).all(-1, keepdims=True)
+        return _Directions(
+            jnp.where(known, error, 0.0).reshape(-1),
+            jnp.where(known[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1]),
+        )
+
+
+def human_places(
+    points: Float[Array, "L 3"], landmarks: tuple[int, ...], hand: Hand
+) -> Float[Array, "F 3"]:
+    """Where the human's fingertips are from the wrist, put at the robot's wrist.
+
+    Args:
+        points: (L, 3) human landmarks in the palm frame [m].
+        landmarks: which they are; the wrist and the fingertips of the hand among them.
+        hand: the robot hand.
+    """
+    tips = np.array([landmarks.index(TIPS[FINGERS.index(f)]) for f in hand.fingers])
+    return points[tips] - points[landmarks.index(WRIST)] + jnp.asarray(hand.wrist, points.dtype)
