@@ -95,6 +95,6 @@ class FingertipPosition(PointTerm):
         return Quadratic(
             0.5 * stiffness * (squared * share).sum(),
             incidence.T @ (weights[:, None] * errors),
-            self.vectors.jacobian(jacobian)[wrist].reshape(-1, jacobian.shape[1]),
+            self.vectors.jacobian(jacobian)[wrist].reshape(errors.size, jacobian.shape[1]),
             jnp.repeat(weights, 3),
         )

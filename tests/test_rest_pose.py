@@ -1,0 +1,196 @@
+"""``smooth`` is exact where it can be: rest pose, cost of fingertip positions, grip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from trees import float64, limited_poses
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.capsules import capsule_pairs
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.physics.reachable_motion import reachable_motion
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
+from smooth_operator.objective.terms.fingertip_position import (
+    FingertipPosition,
+    FingertipPositionConfig,
+)
+from smooth_operator.objective.terms.neutral_pose import NeutralPose
+from smooth_operator.objective.terms.robot_vectors import RobotVectors
+from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
+
+
+def rest_of(
+    hand: Hand, q: np.ndarray, places: np.ndarray, config: RestPoseConfig, shown: np.ndarray
+):
+    still = jnp.zeros((len(hand.fingers), 3))
+    return RestPose(hand, config)(jnp.asarray(q), jnp.asarray(shown), jnp.asarray(places), still)
+
+
+@pytest.mark.parametrize("name", ["mimic_p050", "leap_hand", "inspire_hand"])
+def test_where_fingertips_are_right_the_pull_moves_none(name: str) -> None:
+    hand = load_hand(name)
+    config = RestPoseConfig(segment=0.0)
+    with float64():
+        for q in limited_poses(np.random.default_rng(1), hand.limits, 4):
+            tips = hand.tips(hand.full_configuration(q))
+            shown = human_landmarks(hand, q[None])[0]
+            rest = rest_of(hand, q, tips, config, shown)
+            np.testing.assert_allclose(rest.near, 1.0, atol=1e-9)
+            moved = lambda p: hand.tips(hand.full_configuration(p))  # noqa: E731
+            slope = (moved(q + 1e-6 * (np.asarray(rest.pose) - q)) - tips) * 1e6
+            plain = (moved(q + 1e-6 * (hand.neutral - q)) - tips) * 1e6
+            assert np.abs(slope).max() < 0.06 * np.abs(plain).max()
+            # far from its target it is the pull of Eq. (1)
+            far = rest_of(hand, q, tips + 0.2, config, shown)
+            np.testing.assert_allclose(far.pose, hand.neutral, atol=1e-4)
+
+
+def turn(points: np.ndarray, others: np.ndarray) -> float:
+    """By how much the last segments of two thumbs point elsewhere."""
+    first, second = points[4] - points[3], others[4] - others[3]
+    return float(np.linalg.norm(first / np.linalg.norm(first) - second / np.linalg.norm(second)))
+
+
+def test_a_free_thumb_turns_as_the_human_does() -> None:
+    """The thumb of the mimic hand has a joint more than its tip needs."""
+    hand = load_hand("mimic_p050")
+    rng = np.random.default_rng(2)
+    with float64():
+        better = 0
+        for q in limited_poses(rng, 0.5 * hand.limits + 0.25 * hand.limits.sum(1)[:, None], 8):
+            other = np.clip(q + rng.normal(0, 0.1, len(q)), *hand.limits.T)
+            shown = human_landmarks(hand, other[None])[0]
+            tips = hand.tips(hand.full_configuration(q))
+            turned = rest_of(hand, q, tips, RestPoseConfig(segment=100.0), shown).pose
+            plain = rest_of(hand, q, tips, RestPoseConfig(segment=0.0), shown).pose
+
+            ends = human_landmarks(hand, np.array([turned, plain]))
+            better += turn(ends[0], shown) < turn(ends[1], shown)
+        assert better >= 7
+
+
+def test_a_landmark_that_is_not_known_leaves_its_finger_to_the_neutral_pose() -> None:
+    hand = load_hand("mimic_p050")
+    q = hand.neutral + 0.2
+    shown = human_landmarks(hand, q[None])[0]
+    tips = hand.tips(hand.full_configuration(q))
+    shown[3] = np.nan
+    rest = rest_of(hand, q, tips, RestPoseConfig(), shown)
+    assert np.isfinite(rest.pose).all()
+
+
+def test_the_neutral_pose_term_takes_the_goals_pose() -> None:
+    term = NeutralPose(0.5, np.zeros(2))
+    goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(2), 0.0)
+    assert term.cost(np.array([1.0, 0.0]), goal) == 0.5
+    assert term.cost(np.array([1.0, 0.0]), goal._replace(rest=np.array([1.0, 0.0]))) == 0.0
+
+
+def test_the_cost_of_positions_is_stiff_near_and_bounded_far() -> None:
+    hand = load_hand("mimic_p050")
+    config = FingertipPositionConfig(weight=40.0, width=0.004)
+    vectors = RobotVectors(hand, KeyvectorLayout(hand.fingers))
+    term = FingertipPosition(vectors, config)
+    with float64():
+        points = jnp.asarray(hand.tips(hand.full_configuration(hand.neutral)))
+        exact = vectors.at(points)
+        count = len(hand.fingers)
+        no_joints = jnp.zeros((count, 0, 3))
+
+        def cost(error: float) -> tuple[float, np.ndarray]:
+            goal = FrameGoal(exact.at[1, 0].add(-error), jnp.zeros(15), jnp.zeros(16), 0.0)
+            found = term.expand(points, no_joints, goal)
+            return float(found.cost), np.asarray(found.gradient)
+
+        assert cost(0.0)[0] == 0.0
+        small, large = cost(1e-4), cost(0.05)
+        np.testing.assert_allclose(small[0], 0.5 * 40 / 0.02 * 1e-8, rtol=1e-2)
+        assert large[0] < 0.5 * 40 / 0.02 * 0.004**2  # never more, however far
+        assert abs(large[1]).max() < 0.05 * abs(cost(0.0023)[1]).max()
+        for error in (1e-3, 5e-3):  # the gradient is that of the cost
+            slope = (cost(error + 1e-7)[0] - cost(error - 1e-7)[0]) / 2e-7
+            np.testing.assert_allclose(cost(error)[1][1, 0], slope, rtol=1e-5)
+
+
+def test_fingers_may_grip_where_they_are_where_the_humans_are() -> None:
+    hand = load_hand("mimic_p050")
+    pairs = capsule_pairs(hand)
+    poses = limited_poses(np.random.default_rng(5), hand.limits, 400)
+    depths = penetration_depths(hand, hand.full_configuration(poses))
+    assert depths is not None
+    q = poses[np.argmin(np.abs(depths - 0.004))]
+    full = hand.full_configuration(q)
+    points = pairs.tree.forward_kinematics(list(full), pairs.names)
+    ends = jnp.asarray([[float(c) for c in point] for point in points])
+    term = SelfCollision(hand, SelfCollisionConfig())
+    count = len(hand.fingers)
+    goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(2), 0.0)
+    no_joints = jnp.zeros((len(ends), 0, 3))
+
+    def cost(near: np.ndarray | None) -> float:
+        shares = None if near is None else jnp.asarray(near)
+        return float(term.expand(ends, no_joints, goal._replace(near=shares)).cost)
+
+    assert cost(None) == cost(np.zeros(count)) > 0.0
+    assert cost(np.ones(count)) < 0.2 * cost(None)
+    owner = set(np.asarray(term.fingers).tolist())
+    assert owner <= set(range(count + 1))
+    assert len(owner) >= count
+
+
+def test_what_the_hand_can_reach_is_reached() -> None:
+    """The robot's own landmarks play the human, for 3 s; without the two parts it is 3 mm off."""
+    hand = load_hand("mimic_p050")
+    asked = reachable_motion(hand, 77, duration=3.0)
+
+    def error(config: SmoothConfig) -> float:
+        commands, _ = Retargeter(hand, config=config).run(asked.recording)
+        off = np.linalg.norm(hand.tips(commands.joint_positions) - asked.tips, axis=-1)
+        return float(off[100:].mean())
+
+    exact = error(SmoothConfig())
+    bare = replace(
+        SmoothConfig(),
+        rest_pose=RestPoseConfig(reach=0.0),
+        fingertip_position=FingertipPositionConfig(weight=0.0),
+    )
+    assert exact < 0.5e-3
+    assert exact < 0.3 * error(bare)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: RestPoseConfig(reach=-1.0),
+        lambda: RestPoseConfig(damping=0.0),
+        lambda: RestPoseConfig(segment=-1.0),
+        lambda: FingertipPositionConfig(weight=-1.0),
+        lambda: FingertipPositionConfig(width=0.0),
+        lambda: SelfCollisionConfig(grip=-0.001),
+    ],
+)
+def test_settings_are_checked(bad) -> None:
+    with pytest.raises(ConfigError):
+        bad()
+
+
+def test_the_pull_is_traced_once_for_any_frame() -> None:
+    hand = load_hand("leap_hand")
+    rest = RestPose(hand, RestPoseConfig())
+    points = human_landmarks(hand, hand.neutral[None])[0]
+    tips = hand.tips(hand.full_configuration(hand.neutral))
+    still = np.zeros((len(hand.fingers), 3))
+    found = jax.jit(rest)(jnp.asarray(hand.neutral), points, tips, still)
+    np.testing.assert_allclose(found.pose, hand.neutral, atol=1e-3)  # nothing to be mended
