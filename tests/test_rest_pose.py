@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from capsule_depths import depths, ends_of
 from trees import float64, limited_poses
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.physics.reachable_motion import reachable_motion
@@ -124,30 +124,32 @@ def test_the_cost_of_positions_is_stiff_near_and_bounded_far() -> None:
             np.testing.assert_allclose(cost(error)[1][1, 0], slope, rtol=1e-5)
 
 
-def test_fingers_may_grip_where_they_are_where_the_humans_are() -> None:
+def test_thumb_and_finger_may_grip_where_they_are_where_the_humans_are() -> None:
     hand = load_hand("mimic_p050")
-    pairs = capsule_pairs(hand)
-    poses = limited_poses(np.random.default_rng(5), hand.limits, 400)
-    depths = penetration_depths(hand, hand.full_configuration(poses))
-    assert depths is not None
-    q = poses[np.argmin(np.abs(depths - 0.004))]
-    full = hand.full_configuration(q)
-    points = pairs.tree.forward_kinematics(list(full), pairs.names)
-    ends = jnp.asarray([[float(c) for c in point] for point in points])
-    term = SelfCollision(hand, SelfCollisionConfig())
-    count = len(hand.fingers)
+    pairs, term = capsule_pairs(hand), SelfCollision(hand, SelfCollisionConfig())
     goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(2), 0.0)
-    no_joints = jnp.zeros((len(ends), 0, 3))
+    of, opposing = term.opposition
+    poses = limited_poses(np.random.default_rng(5), hand.limits, 400)
+    ends = ends_of(pairs, hand, poses)
+    deep = depths(pairs, ends)
+    rows = np.argsort(-deep.max(axis=-1))[:40]
+    kinds = {bool(opposing[deep[row].argmax()]): row for row in rows}
+    assert set(kinds) == {True, False}  # thumb and finger, and two fingers side by side
 
-    def cost(near: np.ndarray | None) -> float:
+    def cost(row: int, near: np.ndarray | None) -> float:
+        points = jnp.asarray(ends[row])
         shares = None if near is None else jnp.asarray(near)
-        return float(term.expand(ends, no_joints, goal._replace(near=shares)).cost)
+        no_joints = jnp.zeros((len(points), 0, 3))
+        return float(term.expand(points, no_joints, goal._replace(near=shares)).cost)
 
-    assert cost(None) == cost(np.zeros(count)) > 0.0
-    assert cost(np.ones(count)) < 0.2 * cost(None)
-    owner = set(np.asarray(term.fingers).tolist())
-    assert owner <= set(range(count + 1))
-    assert len(owner) >= count
+    every = np.ones(len(hand.fingers))
+    assert cost(kinds[True], None) == cost(kinds[True], 0 * every)
+    assert cost(kinds[True], every) < cost(kinds[True], None)
+    pair = deep[kinds[False]].argmax()
+    margin = term.config.margin
+    depth = max(float(deep[kinds[False]][pair]) + margin, 0.0)
+    assert cost(kinds[False], every) >= 0.99 * 0.5 * 7000 / 0.02 * depth**2
+    assert set(of[opposing].ravel()) == set(range(len(hand.fingers)))
 
 
 def test_what_the_hand_can_reach_is_reached() -> None:

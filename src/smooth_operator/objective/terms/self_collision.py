@@ -9,7 +9,7 @@ from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
 from smooth_operator.hands.collision import owners
@@ -31,9 +31,9 @@ class SelfCollisionConfig:
         weight: of a pair that is too near, in the units of a keyvector's weight: the cost is
             weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
         margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
-        grip: how much deeper two fingers may be in each other whose tips are where the human's
-            are [m]: a human who grips an object asks for a pose beyond its surface, and the force
-            comes from that.
+        grip: how much deeper thumb and finger may be in each other whose tips are where the
+            human's are [m]: a human who grips an object asks for a pose beyond its surface, and the
+            force comes from that.
     """
 
     weight: float = 7000.0
@@ -61,12 +61,15 @@ class SelfCollision(PointTerm):
         return capsule_pairs(self.hand)
 
     @cached_property
-    def fingers(self) -> Int[np.ndarray, " C"]:
-        """(C,) finger of each capsule; one more than the last for the palm."""
-        owner, palm = owners(self.hand), len(self.hand.fingers)
+    def opposition(self) -> tuple[Int[np.ndarray, "P 2"], Bool[np.ndarray, " P"]]:
+        """(P, 2) fingers of each pair's capsules, and (P,) whether they are thumb and finger."""
+        owner, fingers = owners(self.hand), self.hand.fingers
         bodies = [self.pairs.ends[name][0] for name in self.pairs.names[::2]]
-        known = {FINGERS.index(name): f for f, name in enumerate(self.hand.fingers)}
-        return np.array([known.get(int(owner[body]), palm) for body in bodies])
+        known = {FINGERS.index(name): f for f, name in enumerate(fingers)}
+        of = np.array([known.get(int(owner[body]), -1) for body in bodies])[self.pairs.pairs]
+        thumb = fingers.index("thumb") if "thumb" in fingers else -2
+        opposing = (of >= 0).all(axis=1) & ((of == thumb).sum(axis=1) == 1)
+        return np.maximum(of, 0), opposing
 
     @property
     def is_off(self) -> bool:
@@ -103,8 +106,8 @@ class SelfCollision(PointTerm):
         distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
         depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
         if goal.near is not None and not is_off(config.grip):
-            near = jnp.concatenate([goal.near, jnp.ones(1, goal.near.dtype)])
-            depth = depth - config.grip * near[self.fingers[first]] * near[self.fingers[second]]
+            at, opposing = self.opposition
+            depth = depth - config.grip * jnp.where(opposing, goal.near[at].prod(axis=-1), 0.0)
         inside = jnp.maximum(depth, 0.0)
         scale = config.weight / TRANSITION
         direction = -apart / distance[:, None]
