@@ -61,6 +61,11 @@ class Method(ABC):
     def needs(self) -> tuple[int, ...]:
         """Indices of the human landmarks without which no command can be computed."""
 
+    @property
+    def optional_landmarks(self) -> tuple[int, ...]:
+        """Indices of the human landmarks that are used where they are known."""
+        return ()
+
     @abstractmethod
     def init(self, seed: int) -> Any:
         """The state before the first frame: a pytree of arrays, not None at its leaves.

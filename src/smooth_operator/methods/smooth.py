@@ -220,6 +220,11 @@ class Smooth(Method):
         """Wrist and fingertips."""
         return self.objective.layout.landmarks
 
+    @property
+    def optional_landmarks(self) -> tuple[int, ...]:
+        """The landmarks below the fingertips, which turn the pads."""
+        return tuple(landmark for _, landmark in self.rest_pose.segments)
+
     def init(self, seed: int) -> SmoothState:
         """Neutral pose."""
         neutral = jnp.asarray(self.hand.neutral, jnp.float32)

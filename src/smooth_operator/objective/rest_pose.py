@@ -39,7 +39,7 @@ class RestPoseConfig:
     """
 
     reach: float = 0.006
-    damping: float = 1e-6
+    damping: float = 1e-5
     segment: float = 30.0
 
     def __post_init__(self) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.atomic import atomic_write, write_json
 from smooth_operator.lab.physics.settings import PhysicsSettings
@@ -109,10 +108,6 @@ def _facts(figure: Any) -> dict[str, Any]:
 
 
 def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    columns = dict.fromkeys(key for row in rows for key in row)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(columns), restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+    columns = list(dict.fromkeys(key for row in rows for key in row))
     with atomic_write(path) as file:
-        file.write(text.getvalue().encode())
+        file.write(csv_text(columns, rows).encode())
