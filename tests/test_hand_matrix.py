@@ -163,7 +163,7 @@ Matrix = dict[tuple[str, str], dict[str, Run]]
 
 @pytest.fixture(scope="module")
 def matrix(request: pytest.FixtureRequest) -> Matrix:
-    """All that the chosen tests will look at, as many hands at once as there are cores.
+    """All that the chosen tests will look at, as many hands in parallel as there are cores.
 
     The sides of a mirrored hand share their programs, so one process has both.
     """

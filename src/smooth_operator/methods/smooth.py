@@ -33,7 +33,7 @@ from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethod
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig, human_places
+from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
 from smooth_operator.objective.terms.direction_length import (
     DirectionLength,
     DirectionLengthConfig,
@@ -295,7 +295,8 @@ class Smooth(Method):
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         velocity = config.objective.velocity_weight * holds
         tips = np.array([self.needs.index(TIPS[FINGERS.index(f)]) for f in self.hand.fingers])
-        moves = steps[tips] - steps[self.needs.index(WRIST)]
+        wrist = self.needs.index(WRIST)
+        moves = steps[tips] - steps[wrist]
         motion = jnp.full(len(tips), config.motion_weight * holds, points.dtype)
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
@@ -304,7 +305,7 @@ class Smooth(Method):
         if is_off(config.rest_pose.reach):
             arrive = self.motion.tips(state.solved) + moves
             return goal._replace(tips=arrive, motion_weights=motion), policy_state
-        places = human_places(points, self.needs, self.hand)
+        places = points[tips] - points[wrist] + jnp.asarray(self.hand.wrist, points.dtype)
         rest = self.rest_pose(state.solved, aligned, places, moves)
         neutral = jnp.asarray(self.hand.neutral, points.dtype)
         goal = goal._replace(

@@ -20,10 +20,9 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.hands.differential import PointKinematics, PointMotion
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
+from smooth_operator.objective.penalties import TINY_AREA
 from smooth_operator.settings import check_numbers, is_off
-
-_TINY_AREA = 1e-12
 
 
 @dataclass(frozen=True)
@@ -158,13 +157,13 @@ class RestPose:
         below = len(self.hand.fingers) + np.arange(len(fingers))
         tips = np.array([TIPS[FINGERS.index(self.hand.fingers[f])] for f in fingers])
         robot = motion.points[fingers] - motion.points[below]
-        size = jnp.sqrt((robot * robot).sum(-1, keepdims=True) + _TINY_AREA)
+        size = jnp.sqrt((robot * robot).sum(-1, keepdims=True) + TINY_AREA)
         unit = robot / size
         slopes = (jacobian[fingers] - jacobian[below]) / size[:, :, None]
         along = jnp.einsum("sc,scm->sm", unit, slopes)
         slopes = slopes - unit[:, :, None] * along[:, None, :]
         human = aligned[tips] - aligned[np.array([i for _, i in self.segments])]
-        human = human / jnp.sqrt((human * human).sum(-1, keepdims=True) + _TINY_AREA)
+        human = human / jnp.sqrt((human * human).sum(-1, keepdims=True) + TINY_AREA)
         error = human - unit
         error = error - unit * (error * unit).sum(-1, keepdims=True)
         known = jnp.isfinite(error).all(-1, keepdims=True)
@@ -172,17 +171,3 @@ class RestPose:
             jnp.where(known, error, 0.0).reshape(-1),
             jnp.where(known[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1]),
         )
-
-
-def human_places(
-    points: Float[Array, "L 3"], landmarks: tuple[int, ...], hand: Hand
-) -> Float[Array, "F 3"]:
-    """Where the human's fingertips are from the wrist, put at the robot's wrist.
-
-    Args:
-        points: (L, 3) human landmarks in the palm frame [m].
-        landmarks: which they are; the wrist and the fingertips of the hand among them.
-        hand: the robot hand.
-    """
-    tips = np.array([landmarks.index(TIPS[FINGERS.index(f)]) for f in hand.fingers])
-    return points[tips] - points[landmarks.index(WRIST)] + jnp.asarray(hand.wrist, points.dtype)

@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
@@ -128,13 +127,7 @@ class DirectionLength(PointTerm):
         Raises:
             ConfigError: if the vectors are not the paper's keyvectors.
         """
-        layout = self.vectors.layout
-        if not isinstance(layout, KeyvectorLayout):
-            raise ConfigError(
-                "the cost of direction and length needs the paper's keyvectors, not "
-                f"{type(layout).__name__}"
-            )
-        return layout.thumb
+        return self.vectors.keyvectors("direction and length").thumb
 
     def points(self) -> tuple[str, ...]:
         """Landmarks that the vectors join and a joint moves."""

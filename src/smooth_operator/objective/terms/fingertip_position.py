@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
@@ -73,13 +72,7 @@ class FingertipPosition(PointTerm):
         Raises:
             ConfigError: if the vectors are not the paper's keyvectors.
         """
-        layout = self.vectors.layout
-        if not isinstance(layout, KeyvectorLayout):
-            raise ConfigError(
-                "the cost of fingertip positions needs the paper's keyvectors, not "
-                f"{type(layout).__name__}"
-            )
-        return slice(0, len(layout.fingers))
+        return slice(0, len(self.vectors.keyvectors("fingertip positions").fingers))
 
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.objective.keyvectors import VectorLayout
+from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,21 @@ class RobotVectors:
 
     hand: Hand
     layout: VectorLayout
+
+    def keyvectors(self, cost: str) -> KeyvectorLayout:
+        """The layout, for a cost of the paper's keyvectors.
+
+        Args:
+            cost: its name in the error.
+
+        Raises:
+            ConfigError: if the vectors are not the paper's keyvectors.
+        """
+        if not isinstance(self.layout, KeyvectorLayout):
+            raise ConfigError(
+                f"the cost of {cost} needs the paper's keyvectors, not {type(self.layout).__name__}"
+            )
+        return self.layout
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
