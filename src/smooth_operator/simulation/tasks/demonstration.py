@@ -1,7 +1,7 @@
 """Trajectories that are known to do the tasks: key poses found by search, shipped as JSON.
 
 They show that a hand can do a scene with its fingers alone, and hold that in the
-tests. ``docs/how-to/user-study.md`` says how they were found.
+tests. ``docs/explanation/physics-measures.md`` says how they were found.
 """
 
 from __future__ import annotations

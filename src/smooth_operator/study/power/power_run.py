@@ -16,19 +16,16 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import StudyError
-from smooth_operator.parallel import run_tasks
 from smooth_operator.result_cache import (
     Job,
-    JobResult,
     Note,
     ResultLog,
     code_digest,
-    compute_results,
-    find_results,
     no_note,
 )
 from smooth_operator.study.analysis.gee import require_statsmodels
 from smooth_operator.study.analysis.results import POOLED
+from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.design.protocol import Protocol
@@ -147,35 +144,21 @@ def run_power(
     code = code_digest("study/design", "study/power", "study/analysis")
     jobs = [Job("", chunk, code, chunk) for chunk in _chunks(settings)]
     log = ResultLog(folder / LOG, note)
-    found, missing = find_results(jobs, log)
-    if missing:
-        require_statsmodels()  # one line here, not one from each worker
     tallies: dict[tuple[int, Truth], Tally] = {
         (n, truth): Tally() for n in settings.operators for truth in TRUTHS
     }
-    total, done = sum(job.task.count for job in jobs), 0
-
-    def add(result: JobResult[Chunk]) -> None:
-        nonlocal done
-        chunk = result.job.task
-        if result.value is None:
-            raise StudyError(f"simulating {chunk.operators} operators failed: {result.error}")
-        tallies[chunk.operators, chunk.truth].merge(chunk.count, result.value["counts"])
-        done += chunk.count
-
-    for result in found:
-        add(result)
-    if report is not None:
-        report(done, total)
-    for result in compute_results(
-        missing,
+    for chunk, counts in chunk_values(
+        jobs,
         log,
-        lambda tasks: run_tasks(simulate_chunk, tasks, workers=workers),
-        lambda job, result: None if result.value is None else {"counts": result.value},
+        simulate_chunk,
+        field="counts",
+        count=lambda chunk: chunk.count,
+        failure=lambda chunk: f"simulating {chunk.operators} operators",
+        workers=workers,
+        report=report,
+        prepare=require_statsmodels,  # one line here, not one from each worker
     ):
-        add(result)
-        if report is not None:
-            report(done, total)
+        tallies[chunk.operators, chunk.truth].merge(chunk.count, counts)
     return tallies
 
 

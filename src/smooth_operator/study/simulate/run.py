@@ -7,22 +7,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from smooth_operator.errors import StudyError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.io.atomic import atomic_write, write_json
-from smooth_operator.parallel import run_tasks
 from smooth_operator.result_cache import (
     Job,
-    JobResult,
     Note,
     ResultLog,
     code_digest,
-    compute_results,
-    find_results,
     no_note,
 )
 from smooth_operator.result_cache.code import imported_modules
 from smooth_operator.simulation.virtual_operator import draw_person
+from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.data.checked_tables import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.simulate.jobs import (
@@ -77,34 +73,21 @@ def simulate_study(
     code = _code()
     jobs = [Job("", chunk.key, code, chunk) for chunk in chunks(settings)]
     log = ResultLog(folder / LOG, note)
-    found, missing = find_results(jobs, log)
-    known: dict[Chunk, list[dict[str, Any]]] = {}
-    total, done = sum(len(job.task.trials) for job in jobs), 0
-
-    def add(result: JobResult[Chunk]) -> None:
-        nonlocal done
-        chunk = result.job.task
-        if result.value is None:
-            raise StudyError(
+    known = dict(
+        chunk_values(
+            jobs,
+            log,
+            simulate_chunk,
+            field="trials",
+            count=lambda chunk: len(chunk.trials),
+            failure=lambda chunk: (
                 f"simulating operator {chunk.operator}, task {chunk.task}, condition "
-                f"{chunk.condition} failed: {result.error}"
-            )
-        known[chunk] = result.value["trials"]
-        done += len(chunk.trials)
-
-    for result in found:
-        add(result)
-    if report is not None:
-        report(done, total)
-    for result in compute_results(
-        missing,
-        log,
-        lambda tasks: run_tasks(simulate_chunk, tasks, workers=workers),
-        lambda job, result: None if result.value is None else {"trials": result.value},
-    ):
-        add(result)
-        if report is not None:
-            report(done, total)
+                f"{chunk.condition}"
+            ),
+            workers=workers,
+            report=report,
+        )
+    )
     rows = [row for job in jobs for row in _rows(job.task, known[job.task])]
     _write(settings, folder, rows)
     return rows

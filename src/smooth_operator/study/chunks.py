@@ -1,0 +1,69 @@
+"""Chunks of a study's simulation: those that a log has kept, then the others from workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+from smooth_operator.errors import StudyError
+from smooth_operator.parallel import run_tasks
+from smooth_operator.result_cache import Job, JobResult, ResultLog, compute_results, find_results
+
+T = TypeVar("T")
+
+
+def chunk_values(
+    jobs: Sequence[Job[T]],
+    log: ResultLog,
+    work: Callable[[T], Any],
+    *,
+    field: str,
+    count: Callable[[T], int],
+    failure: Callable[[T], str],
+    workers: int | None,
+    report: Callable[[int, int], None] | None,
+    prepare: Callable[[], None] | None = None,
+) -> Iterator[tuple[T, Any]]:
+    """Each chunk with its value.
+
+    Args:
+        jobs: what is asked for.
+        log: where values are kept.
+        work: computes the value of a chunk, in a worker.
+        field: name of the value in the log.
+        count: how much of the whole a chunk is, for ``report``.
+        failure: what could not be done, for the error.
+        workers: processes; None for as many as there are cores, 0 for none.
+        report: called with what is done and the whole, once for what was kept, then after every
+            chunk.
+        prepare: called before anything is computed, if something is.
+
+    Raises:
+        StudyError: a chunk failed; says why.
+        OutputError: the log can't be written to.
+    """
+    found, missing = find_results(jobs, log)
+    if missing and prepare is not None:
+        prepare()
+    total, done = sum(count(job.task) for job in jobs), 0
+
+    def value_of(result: JobResult[T]) -> tuple[T, Any]:
+        nonlocal done
+        if result.value is None:
+            raise StudyError(f"{failure(result.job.task)} failed: {result.error}")
+        done += count(result.job.task)
+        return result.job.task, result.value[field]
+
+    for result in found:
+        yield value_of(result)
+    if report is not None:
+        report(done, total)
+    for result in compute_results(
+        missing,
+        log,
+        lambda tasks: run_tasks(work, tasks, workers=workers),
+        lambda job, result: None if result.value is None else {field: result.value},
+    ):
+        yield value_of(result)
+        if report is not None:
+            report(done, total)
