@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.judging import judge as judge_program
@@ -22,8 +24,10 @@ from smooth_operator.lab.judging.targets import (
     judge,
     judge_hand,
 )
+from smooth_operator.lab.judging.truth import TruthFigures, against_truth, without_noise
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.methods.presets import method_config
+from smooth_operator.metrics import Trace
 from smooth_operator.result_cache import ResultCache, imported_modules
 
 HUMAN = HumanFigures(flatness=1e-7, pinch_mm=4.0, pinch_strict_mm=3.0)
@@ -210,11 +214,41 @@ def test_a_second_run_measures_nothing(
     table = settings.output.with_suffix(".md").read_text()
     for word in ("thumb cosine", "synthetic-right-5[0:40]", "+1mm[0:40] (t)", "latency p99"):
         assert word in table
+    assert table.count("without noise**") == 1  # one of the two has noise
+    assert first["figures"]["truth/synthetic-right-6+1mm[0:40]/geort/jitter_mm"] > 0
     monkeypatch.setattr(judging, "_figures", lambda task: pytest.fail("it measured again"))
     program.main(replace(settings, latency=0))
     second = json.loads(settings.output.read_text())
     kept = {k: v for k, v in first["figures"].items() if "latency" not in k}
     assert kept == {k: v for k, v in second["figures"].items() if "latency" not in k}
+
+
+def test_against_the_operator_without_noise():
+    clean, noisy = load_sources([parse_request(f"synthetic:5@{s}:300") for s in ("", "1mm,")])
+    assert (clean.recording is None, noisy.recording is None) == (False, False)
+    assert without_noise(clean) is None
+    found = without_noise(noisy)
+    assert found is not None
+    np.testing.assert_array_equal(found.landmarks, clean.recording.landmarks)
+
+    hand = load_hand("mimic_p050", "right")
+    aligned = [align_recording(one.recording, hand) for one in (clean, noisy)]
+
+    def trace(robot: np.ndarray) -> Trace:
+        tips = robot[:, list(TIPS)] - robot[:, :1] + hand.wrist
+        joints = np.zeros((300, 1))
+        return Trace(
+            aligned[1], tips, hand.wrist, FINGERS, joints, np.zeros((1, 2)), found.stamps,
+            np.zeros(300), np.zeros(300),
+        )  # fmt: skip
+
+    exact = against_truth(trace(aligned[0]), aligned[0])
+    copied = against_truth(trace(aligned[1]), aligned[0])
+    assert exact.robot == TruthFigures(*map(pytest.approx, (1.0, 1.0, 0.0, 0.0)))
+    assert copied.robot == TruthFigures(*map(pytest.approx, asdict(exact.tracked).values()))
+    # 1 mm in three coordinates, of tip and wrist, in both frames of a step: 3.5 mm; the palm's more
+    assert 3.5 < copied.robot.jitter_mm < 7.0
+    assert copied.robot.motion_preservation < 0.7
 
 
 def test_noise_is_for_the_operator(tmp_path: Path):

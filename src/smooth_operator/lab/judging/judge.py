@@ -12,13 +12,16 @@ three synthetic operators: clean, and with 0.5 and 1 mm of tracker noise. The ta
 ``smooth_operator.lab.judging.targets``: against every other method for the mimic hand, "better
 than sbr" for other hands. The other methods' figures are kept, and measured again only where
 their own code, or that of a metric, has changed.
+
+Noise counts as motion in these targets, so for an operator with noise a table more compares the
+judged methods and the others with the same operator without it. It has no targets.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -32,6 +35,7 @@ from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse
 from smooth_operator.lab.benchmark.settings import Choice, method_label, select_methods
 from smooth_operator.lab.judging.kept_figures import CellFigures, measure_cells
 from smooth_operator.lab.judging.targets import SBR, TargetLine, judge, judge_hand
+from smooth_operator.lab.judging.truth import TruthFigures
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.reporting.run_report import RESULTS, BenchmarkError, Report, markdown
 from smooth_operator.result_cache import ResultCache
@@ -128,7 +132,7 @@ def main(settings: Settings) -> None:
     for one in measured.values():
         if one.stale:
             report.notes.append(f"{one.cell.label}: figures of other code than the present one")
-    write(report, settings, lines)
+    write(report, settings, lines, measured)
 
 
 def warn(note: str) -> None:
@@ -202,7 +206,10 @@ def time_alone(
 
 
 def write(
-    report: Report, settings: Settings, lines: dict[str, dict[str, list[TargetLine]]]
+    report: Report,
+    settings: Settings,
+    lines: dict[str, dict[str, list[TargetLine]]],
+    measured: dict[tuple[str, str], CellFigures],
 ) -> None:
     """Tables of every recording, then one of all; the Markdown file has them the other way."""
     detailed: list[_Table] = []
@@ -225,6 +232,7 @@ def write(
         rows.append(["**missed**", *(str(missed(found)) for found in by_recording.values())])
         names_of = (label, *(f"{name}{mark(settings, name)}" for name in by_recording))
         overview.append((f"{label}, all targets, {settings.hand}", names_of, rows))
+    overview += truth_tables(report, measured)
     for title, columns, cells in (*detailed, *overview):
         report.table(title, columns, cells)
     if settings.tuned:
@@ -238,6 +246,23 @@ def write(
     )
     notes = "".join(f"- {note}\n" for note in report.notes)
     settings.output.with_suffix(".md").write_text(f"{text}\n{notes}", encoding="utf-8")
+
+
+def truth_tables(report: Report, measured: dict[tuple[str, str], CellFigures]) -> list[_Table]:
+    """For each operator with noise, all methods against the same operator without it."""
+    rows: dict[str, dict[str, TruthFigures]] = {}
+    for (recording, label), one in measured.items():
+        if one.truth is not None:
+            rows.setdefault(recording, {"tracked landmarks": one.truth.tracked})
+            rows[recording][label] = one.truth.robot
+    header = ("", "motion preservation", "velocity correlation", "lag [ms]", "jitter [mm]")
+    tables: list[_Table] = []
+    for recording, found in rows.items():
+        for label, figures in found.items():
+            report.add(f"truth/{recording}/{label}", asdict(figures))
+        cells = [[label, *map(figure, asdict(one).values())] for label, one in found.items()]
+        tables.append((f"Against {recording} without noise", header, cells))
+    return tables
 
 
 def mark(settings: Settings, recording: str) -> str:

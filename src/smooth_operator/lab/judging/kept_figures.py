@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell, file_name, hand_identity
 from smooth_operator.lab.judging.targets import HumanFigures, human_figures
+from smooth_operator.lab.judging.truth import (
+    AgainstTruth,
+    TruthFigures,
+    against_truth,
+    without_noise,
+)
 from smooth_operator.lab.offline import execute, measure
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
@@ -39,6 +46,7 @@ class CellFigures:
         reason: why it failed.
         fresh: measured now.
         stale: kept from other code than the present one.
+        truth: against the operator without noise; None where that isn't known.
     """
 
     cell: Cell
@@ -47,6 +55,7 @@ class CellFigures:
     reason: str | None = None
     fresh: bool = False
     stale: bool = False
+    truth: AgainstTruth | None = None
 
 
 def figures_job(cell: Cell, seed: int, per_frame: bool) -> Job[Cell]:
@@ -69,19 +78,22 @@ def figures_job(cell: Cell, seed: int, per_frame: bool) -> Job[Cell]:
         "seed": seed,
         "per_frame": per_frame,
     }
+    if cell.source.request.noise:
+        key["truth"] = [field.name for field in fields(TruthFigures)]
     name = file_name("-".join(cell.key), (key_digest(key),))
     return Job(name, key, code_of(cell.config), cell, cell.label, len(cell.source.recording or ()))
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A cell as a worker needs it; ``per_frame`` as in ``figures_job``."""
+    """A cell as a worker needs it; ``per_frame`` as in ``figures_job``, ``clean`` without noise."""
 
     recording: HandRecording
     hand: str
     config: MethodConfig
     seed: int
     per_frame: bool
+    clean: HandRecording | None = None
 
 
 def measure_cells(
@@ -99,10 +111,13 @@ def measure_cells(
 
     def execute(cells: Sequence[Cell]) -> Iterable[TaskResult[Any]]:
         tasks = [
-            _Task(cell.source.recording, cell.hand, cell.config, seed, per_frame)
+            _Task(
+                cell.source.recording, cell.hand, cell.config, seed, per_frame,
+                without_noise(cell.source),
+            )
             for cell in cells
             if cell.source.recording is not None
-        ]
+        ]  # fmt: skip
         return run_tasks(_figures, tasks, workers=workers)
 
     jobs = [figures_job(cell, seed, per_frame) for cell in cells]
@@ -114,7 +129,11 @@ def measure_cells(
             continue
         stale = result.job.name in cache.found_by_other_code
         human = HumanFigures(**result.value["human"])
-        yield CellFigures(cell, result.value["metrics"], human, fresh=result.fresh, stale=stale)
+        kept = result.value.get("truth")
+        truth = kept and AgainstTruth(**{name: TruthFigures(**one) for name, one in kept.items()})
+        yield CellFigures(
+            cell, result.value["metrics"], human, fresh=result.fresh, stale=stale, truth=truth
+        )
 
 
 def _figures(task: _Task) -> dict[str, Any]:
@@ -125,7 +144,11 @@ def _figures(task: _Task) -> dict[str, Any]:
     if task.per_frame:  # of the human that is measured against, not of the one that was retargeted
         todo = replace(todo, config=task.config.with_alignment(scale=None, operator=None))
     trace, metrics = measure(todo, outcome)
-    return {"metrics": metrics, "human": asdict(human_figures(trace.human, trace.fingers))}
+    found = {"metrics": metrics, "human": asdict(human_figures(trace.human, trace.fingers))}
+    if task.clean is not None:
+        clean = align_recording(task.clean, hand, todo.config.alignment)
+        found["truth"] = asdict(against_truth(trace, clean))
+    return found
 
 
 def code_of(config: MethodConfig) -> str:
