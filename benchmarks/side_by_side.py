@@ -2,16 +2,18 @@
 
     smooth-operator bench RECORDING ... --methods all,sbr:paper,dexpilot:published --output FOLDER
     python benchmarks/side_by_side.py FOLDER
+    python benchmarks/side_by_side.py FOLDER --columns "cos thumb" motion
     python benchmarks/side_by_side.py --evaluations GLOVE.npz --frames 0:500
 
-The first prints a table for each recording from the results of ``smooth-operator bench``; the
-second counts the evaluations that each frame takes with SLSQP alone.
+The first prints a table for each recording from the results of ``smooth-operator bench``; with
+columns, one table whose cells have all recordings, in the order of the results. The last counts the
+evaluations that each frame takes with SLSQP alone.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -69,6 +71,31 @@ def print_tables(folder: Path) -> None:
                 print(f"\n{row_method(row)}: {row['reason']}")
 
 
+def print_columns(folder: Path, columns: Sequence[str]) -> None:
+    """One table: a row for each method, the figures of the recordings with slashes between them."""
+    metrics: dict[tuple[str, str], dict[str, Any] | None] = {}
+    for row in read_results(folder):
+        frames = (row.get("source") or {}).get("frames")
+        metrics[row_method(row), f"{row['recording']}, frames {frames}"] = row["metrics"]
+    methods, recordings = (list(dict.fromkeys(key[i] for key in metrics)) for i in (0, 1))
+    print(f"\n{' / '.join(recordings)}\n")
+    lines = [
+        [f"`{method}`", *(_joined(metrics, method, recordings, name) for name in columns)]
+        for method in methods
+    ]
+    print(markdown(["method", *columns], lines))
+
+
+def _joined(
+    metrics: Mapping[tuple[str, str], dict[str, Any] | None],
+    method: str,
+    recordings: Sequence[str],
+    column: str,
+) -> str:
+    found = [metrics.get((method, recording)) for recording in recordings]
+    return " / ".join("–" if one is None else COLUMNS[column](one) for one in found)
+
+
 def print_evaluations(path: Path, frames: slice, rate: float | None) -> None:
     """Evaluations of the objective per frame with SLSQP alone, NLopt's and SciPy's."""
     recording = read_recording(path, rate=rate)[frames]
@@ -105,13 +132,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Reads the command line and prints."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("results", nargs="?", type=Path, help="folder of `smooth-operator bench`")
+    parser.add_argument(
+        "--columns",
+        nargs="+",
+        choices=COLUMNS,
+        metavar="COLUMN",
+        help=f"one table of these for all recordings: {', '.join(COLUMNS)}",
+    )
     parser.add_argument("--evaluations", type=Path, metavar="RECORDING")
     parser.add_argument("--frames", default=":", help="of the recording, as A:B")
     parser.add_argument("--rate", type=float, help="of a recording without time stamps [Hz]")
     asked = parser.parse_args(arguments)
     if asked.results is None and asked.evaluations is None:
         parser.error("give the folder of a benchmark, or --evaluations RECORDING")
-    if asked.results is not None:
+    if asked.results is not None and asked.columns:
+        print_columns(asked.results, asked.columns)
+    elif asked.results is not None:
         print_tables(asked.results)
     if asked.evaluations is not None:
         ends = [int(end) if end else None for end in asked.frames.split(":")]
