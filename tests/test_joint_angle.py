@@ -13,6 +13,7 @@ import pytest
 from trees import limited_poses, pincer, random_rotations, unit
 
 from smooth_operator.baselines.joint_angle import JointAngleConfig, JointAngleMap
+from smooth_operator.baselines.joint_angles import JOINT_ANGLES, NUM_JOINT_ANGLES, joint_angles
 from smooth_operator.baselines.joint_map import joint_map, robot_joint_angles
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.formats.readers import read_recording
@@ -20,13 +21,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.joint_angles import (
-    JOINT_ANGLES,
-    NUM_JOINT_ANGLES,
-    PalmAxes,
-    joint_angles,
-    palm_axes,
-)
+from smooth_operator.human.anatomical_axes import PalmAxes, palm_axes
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
 from smooth_operator.methods.retargeter import Retargeter

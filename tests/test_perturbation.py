@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from smooth_operator.baselines.joint_angles import joint_angles
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.joint_angles import joint_angles, palm_axes
+from smooth_operator.human.anatomical_axes import palm_axes
 from smooth_operator.landmarks import BASES, BONES, LANDMARKS
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.scene import OBJECT

@@ -47,6 +47,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "metrics.plots": ("reporting.metric_plots",),
     "hands.spec_writer": ("hand_files.spec_writer",),
     "human.anatomy": ("synthetic.hand_anatomy",),
+    "human.joint_angles": ("baselines.joint_angles", "human.anatomical_axes"),
     "human.joint_map": ("baselines.joint_map", "human.palm_axes"),
     "human.kinematics": ("synthetic.human_kinematics",),
     "human.operator_file": ("calibration.operator_file",),

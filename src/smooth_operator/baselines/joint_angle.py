@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
+from smooth_operator.baselines.joint_angles import joint_angles
 from smooth_operator.baselines.joint_map import format_map, joint_map, map_matrix
 from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.joint_angles import PalmAxes, joint_angles
+from smooth_operator.human.anatomical_axes import PalmAxes
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput

@@ -13,10 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.baselines.joint_angles import JOINT_ANGLES, joint_angles
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
-from smooth_operator.human.joint_angles import JOINT_ANGLES, PalmAxes, joint_angles
+from smooth_operator.human.anatomical_axes import PalmAxes
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS
 

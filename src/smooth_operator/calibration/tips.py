@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.joint_angles import PalmAxes
+from smooth_operator.human.anatomical_axes import PalmAxes
 from smooth_operator.human.operator import tip_frames
 from smooth_operator.landmarks import FINGERS, TIPS
 

@@ -1,4 +1,4 @@
-"""The human side: alignment to the palm, scale, calibration, filtering, joint angles."""
+"""The human side: alignment to the palm, scale, calibration, filtering, directions of the palm."""
 
 from smooth_operator.moved_names import former_names
 

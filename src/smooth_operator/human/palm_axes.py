@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.joint_angles import PalmAxes, palm_axes
+from smooth_operator.human.anatomical_axes import PalmAxes, palm_axes
 
 FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
     [

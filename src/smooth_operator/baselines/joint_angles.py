@@ -32,14 +32,14 @@ Every angle is an arc tangent of two components, so a straight finger is no spec
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.human.anatomical_axes import PalmAxes, unit_vectors
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.types import Side
 
 JOINT_ANGLES: Final = (
     "thumb_flexion",
@@ -59,40 +59,6 @@ NUM_JOINT_ANGLES: Final = len(JOINT_ANGLES)
 
 _THUMB_FLEXES_TOWARDS = np.array([0.5, -1.0, 0.0])  # distal, radial, palmar
 _PRIOR = 1.5  # squared lengths of projected bones, of at most 3, under which zero abduction gains
-_TINY = 1e-9
-
-
-_Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over alternatives
-
-
-class PalmAxes(NamedTuple, Generic[_Held]):
-    """Orthonormal directions of a palm.
-
-    Attributes:
-        distal: (..., 3) to the fingers.
-        radial: (..., 3) to the side of the thumb.
-        palmar: (..., 3) out of the palm.
-    """
-
-    distal: _Held
-    radial: _Held
-    palmar: _Held
-
-
-def palm_axes(landmarks: AnyKind, side: Side) -> PalmAxes[AnyKind]:
-    """The directions of a palm: distal from wrist to middle MCP, palmar square to that and to the
-    line of the index and pinky MCPs.
-
-    Args:
-        landmarks: (..., 21, 3) [m].
-        side: which hand it is; the mirror image of a hand has the mirror image of its axes.
-    """
-    xp = array_namespace(landmarks)
-    distal = _unit(landmarks[..., 9, :] - landmarks[..., 0, :], xp)
-    across = landmarks[..., 5, :] - landmarks[..., 17, :]
-    handed = 1.0 if side == "right" else -1.0
-    palmar = handed * _unit(xp.cross(across, distal), xp)
-    return PalmAxes(distal, handed * xp.cross(distal, palmar), palmar)
 
 
 def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*batch 20"]:
@@ -116,7 +82,7 @@ def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*ba
         [fingers[..., 1:, :] - fingers[..., :-1, :], fingers[..., 3:, :] - fingers[..., :1, :]],
         axis=-2,
     )  # (..., 5, 3 bones and base to tip, 3)
-    seen = _unit(xp.einsum("...fbi,...ic->...fbc", rays, basis), xp)
+    seen = unit_vectors(xp.einsum("...fbi,...ic->...fbc", rays, basis), xp)
     thumb = _thumb(seen[..., 0, :, :], xp)
     angles = xp.concatenate([thumb[..., None, :], _long(seen[..., 1:, :3, :], xp)], axis=-2)
     return angles.reshape(*batch, NUM_JOINT_ANGLES)  # type: ignore[no-any-return]
@@ -146,7 +112,9 @@ def _thumb(rays: AnyArray, xp: ModuleType) -> AnyArray:
     small = sine < 1e-6  # angle / sine is 1 there, and must not be 0 / 0
     stretch = xp.where(small, 1.0, xp.arctan2(sine, distal) / xp.where(small, 1.0, sine))
     towards = xp.asarray(_THUMB_FLEXES_TOWARDS, rays.dtype)
-    axis = _unit(xp.cross(rays[..., 0, :], xp.broadcast_to(towards, rays[..., 0, :].shape)), xp)
+    axis = unit_vectors(
+        xp.cross(rays[..., 0, :], xp.broadcast_to(towards, rays[..., 0, :].shape)), xp
+    )
     before, after = rays[..., :2, :], rays[..., 1:3, :]
     bends = xp.arctan2(
         (axis[..., None, :] * xp.cross(before, after)).sum(axis=-1), (before * after).sum(axis=-1)
@@ -159,10 +127,3 @@ def _thumb(rays: AnyArray, xp: ModuleType) -> AnyArray:
 def _wrapped(angle: AnyArray, xp: ModuleType) -> AnyArray:
     turns: AnyArray = xp.round(angle / (2 * np.pi))
     return angle - 2 * np.pi * turns
-
-
-def _unit(vector: AnyArray, xp: ModuleType) -> AnyArray:
-    """Unit vectors; zero of a zero vector."""
-    length = xp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    out: AnyArray = vector / xp.maximum(length, _TINY)
-    return out
