@@ -33,6 +33,12 @@ ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "nois
 Results = Mapping[str, Any]
 """``results.json`` of each experiment."""
 
+Make = Callable[[Results, Results], Table]
+"""Makes a table from the results on the built-in operators and on real recordings."""
+
+Groups = Sequence[tuple[str, Callable[[Sequence[str]], Sequence[str]]]]
+"""Figures, and what chooses the conditions that each is given for."""
+
 BLOCK: Final = re.compile(r"<!-- table: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
 
 
@@ -76,29 +82,105 @@ def _table(results: Results, experiment: str, title: str, columns: Sequence[str]
     raise KeyError(f"{experiment} has no table {title!r}")
 
 
-def _quality(results: Results, title: str) -> Table:
-    """The paper's table but for latency, which is of the machine and not of the recordings."""
-    own = _table(results, "table", title)
-    kept = [i for i, header in enumerate(own.headers) if not header.startswith("latency")]
-    rows = [[row[i] for i in kept] for row in own.rows]
-    late = [i for i, row in enumerate(rows) if row[0].startswith("latency")]
-    rows = [row for i, row in enumerate(rows) if i not in late and i - 1 not in late]
-    return Table(own.title, [own.headers[i] for i in kept], rows)
+def _joined(first: Table, *others: Table) -> Table:
+    """Tables with the same rows as one; a dash where another table lacks a row."""
+    rows = [list(row) for row in first.rows]
+    for other in others:
+        found = {row[0]: row[1:] for row in other.rows}
+        for row in rows:
+            row.extend(found.get(row[0], ["–"] * (len(other.headers) - 1)))
+    headers = [*first.headers, *(name for other in others for name in other.headers[1:])]
+    return Table(first.title, headers, rows)
 
 
-def _solvers(results: Results, title: str) -> Table:
-    own = _table(results, "solver", title, ("solver", "tracking loss", "jitter [mrad]"))
-    other = _table(results, "solver", "Relative to sampling", ("solver", "jitter"))
-    relative = {row[0]: row[1] for row in other.rows}
-    rows = [[*row, relative.get(row[0], "–")] for row in own.rows]
-    return Table(own.title, [*own.headers, "jitter against sampling"], rows)
+def _headed(table: Table, heading: str) -> Table:
+    """With a heading, ``{}`` in it is the former one, for each column but the first."""
+    headers = [table.headers[0], *(heading.format(name) for name in table.headers[1:])]
+    return Table(table.title, headers, table.rows)
+
+
+def _wide(results: Results, experiment: str, title: str, groups: Groups) -> Table:
+    """A row for each method, a column for each figure under each condition.
+
+    Args:
+        results: of a folder.
+        experiment: whose table has a row for each method and condition.
+        title: of the table.
+        groups: figures, and the conditions that each is given for.
+    """
+    made: list[Table] = []
+    for figure, choose in groups:
+        own = _table(results, experiment, title)
+        where = own.headers.index(figure)
+        for condition in choose(list(dict.fromkeys(row[1] for row in own.rows))):
+            rows = [[row[0], row[where]] for row in own.rows if row[1] == condition]
+            made.append(Table(own.title, [own.headers[0], f"{figure}, {condition}"], rows))
+    return _joined(*made)
+
+
+def _number(text: str) -> float:
+    """The figure at the start of a condition; 0 where it has none."""
+    found = re.match(r"[\d.]+", text)
+    return float(found[0]) if found else 0.0
+
+
+def _nearest_mm(conditions: Sequence[str]) -> Sequence[str]:
+    """No noise, and the noise nearest to 1 mm."""
+    return conditions[0], min(conditions[1:], key=lambda text: abs(_number(text) - 1.0))
+
+
+def _least(conditions: Sequence[str]) -> Sequence[str]:
+    """The smallest figure."""
+    return (min(conditions, key=_number),)
+
+
+def _most(conditions: Sequence[str]) -> Sequence[str]:
+    """The largest figure."""
+    return (max(conditions, key=_number),)
+
+
+def _extremes(conditions: Sequence[str]) -> Sequence[str]:
+    """The smallest and the largest figure."""
+    return *_least(conditions), *_most(conditions)
+
+
+def _quality(results: Results) -> Table:
+    """The paper's table without its own figures, which the claims have, and without latency."""
+    own = _table(results, "table", "The paper's table")
+    rows = [row for row in own.rows if not row[0].startswith((" ", "latency"))]
+    return Table(own.title, own.headers, rows)
+
+
+def _velocity(built_in: Results, real: Results) -> Table:
+    title, divided = "What the velocity term does", ("solver", "divided by")
+    own = _table(built_in, "velocity", title, ("solver", "jitter without [mrad]", divided[1]))
+    return _joined(own, _headed(_table(real, "velocity", title, divided), "real: {}"))
+
+
+def _noise(results: Results) -> Table:
+    noise = [("flatness [mm²]", _nearest_mm), ("motion", lambda found: _nearest_mm(found)[1:])]
+    return _joined(
+        _wide(results, "noise", "Under noise", noise),
+        _wide(results, "noise", "With frames lost", [("largest step [rad]", _most)]),
+    )
+
+
+def _solvers(built_in: Results, real: Results) -> Table:
+    own, recorded = (
+        _table(results, "solver", "Relative to sampling", ("solver", "jitter"))
+        for results in (built_in, real)
+    )
+    return _joined(_headed(own, "{} against sampling"), _headed(recorded, "real: the same"))
 
 
 def _claims(built_in: Results, real: Results) -> Table:
     """Claim by claim, on both sets of recordings."""
 
     def cell(verdict: Mapping[str, str]) -> str:
-        return f"{verdict['ours']}: **{verdict['held']}**"
+        ours = verdict["ours"]
+        if " > " in ours:  # an order, whose figures are in the table of the experiment
+            ours = " > ".join(part.split()[0] for part in ours.split(" > "))
+        return f"{ours}: **{verdict['held']}**"
 
     rows = []
     for name in ORDER:
@@ -111,31 +193,23 @@ def _claims(built_in: Results, real: Results) -> Table:
     return Table("Claims", ["claim", "paper", "built-in operators", "real recordings"], rows)
 
 
-Make = Callable[[Results, Results], Table]
-
-_CONTOURS: Final = ("N × L", "best between the ends", "against the widest", "against the deepest")
-_NOISE: Final = ("method", "tracker", "jitter [mrad]", "flatness [mm²]", "motion")
-_RATE: Final = ("method", "rate", "fingertips [m/s²]", "joints [rad/s²]", "lag [ms]", "motion")
+_RANKS: Final = ("solver", "ranks 1–5, flat [mrad]", "ranks 12–16, stiff [mrad]")
+_CONTOURS: Final = ("N × L", "against the widest", "against the deepest")
+_SOUND: Final = ("method", "cosine similarity (→ 1)", "motion preservation (→ 1)")
+_RATE: Final = (("fingertips [m/s²]", _extremes), ("lag [ms]", _least))
 
 TABLES: Final[dict[str, Make]] = {
     "claims": _claims,
-    "solver": lambda a, _: _solvers(a, "Solvers on DexPilot's loss"),
-    "solver-real": lambda _, b: _solvers(b, "Solvers on DexPilot's loss"),
-    "velocity": lambda a, _: _table(a, "velocity", "What the velocity term does"),
-    "velocity-real": lambda _, b: _table(b, "velocity", "What the velocity term does"),
-    "hessian": lambda a, _: _table(a, "hessian", "Jitter by stiffness, without"),
-    "hessian-real": lambda _, b: _table(b, "hessian", "Jitter by stiffness, without"),
+    "solver": _solvers,
+    "velocity": _velocity,
+    "hessian": lambda a, _: _table(a, "hessian", "Jitter by stiffness, without", _RANKS),
     "compute": lambda a, _: _table(a, "compute", "Along contours", _CONTOURS),
-    "compute-real": lambda _, b: _table(b, "compute", "Along contours", _CONTOURS),
     "fk": lambda a, _: _table(a, "fk", "Time a pose"),
-    "table": lambda a, _: _quality(a, "The paper's table"),
-    "table-real": lambda _, b: _quality(b, "The paper's table"),
-    "table-sound": lambda a, _: _quality(a, "All methods, by the sound"),
-    "noise": lambda a, _: _table(a, "noise", "Under noise", _NOISE),
-    "losses": lambda a, _: _table(
-        a, "noise", "With frames lost", (*_NOISE[:3], "largest step [rad]")
-    ),
-    "rate": lambda a, _: _table(a, "rate", "Methods by frame rate", _RATE),
+    "table": lambda a, _: _quality(a),
+    "table-real": lambda _, b: _quality(b),
+    "table-sound": lambda a, _: _table(a, "table", "All methods, by the sound", _SOUND),
+    "noise": lambda a, _: _noise(a),
+    "rate": lambda a, _: _wide(a, "rate", "Methods by frame rate", _RATE),
     "coverage": lambda a, b: interval_coverage.coverage_table(interval_coverage.Settings()),
 }
 """Name of a table in the page -> what makes it."""
