@@ -11,6 +11,7 @@ import pytest
 from test_architecture import LEVELS
 
 from smooth_operator import landmarks
+from smooth_operator.metrics.table import METRICS
 from smooth_operator.types import Status
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -113,6 +114,19 @@ def test_status_table_is_the_code() -> None:
     text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `([A-Z_]+)` \| (.+?) \|$", text, re.MULTILINE)
     assert rows == [(str(int(status)), status.name, status.reason) for status in Status]
+
+
+def test_defined_metrics_are_the_code() -> None:
+    """Names and better values in the section Metrics of ``docs/reference/conventions.md``."""
+    text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
+    section = text.split("\n## Metrics\n")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| (`.+?) \| .+ \| ([01; ]+) \|$", section, re.MULTILINE)
+    best = {metric.name: "0" if metric.goal == "down" else "1" for metric in METRICS}
+    assert len(rows) == section.count("\n| `")
+    for cell, better in rows:
+        names = re.findall(r"`([\w.]+)`", cell)
+        values = better.split("; ")
+        assert [best.get(name) for name in names] == values * (len(names) // len(values)), cell
 
 
 def test_level_table_is_the_test_of_imports() -> None:
