@@ -42,14 +42,14 @@ class Settings:
     Attributes:
         recordings: named as for ``smooth-operator bench``.
         hands: robot hands.
-        positions: of a motor, evenly spread over its range.
+        positions: of a motor, evenly spread over its range; twice as many gain 0.002.
         output: JSON file.
         compare: an earlier JSON file to compare this run with.
     """
 
     recordings: Annotated[tuple[str, ...], tyro.conf.Positional] = ("synthetic:11",)
     hands: tuple[str, ...] = ("inspire_hand", "ability_hand")
-    positions: int = 121
+    positions: int = 241
     output: Path = RESULTS / "motion_bound.json"
     compare: Path | None = None
 
