@@ -4,7 +4,7 @@ Eq. (1) with five ideas more; a weight of 0 leaves its idea out. Fingertips move
 while their places are corrected little by little, and most while the hand moves. Fingertips that
 can be where the human's are, are exactly there. The thumb's vectors are held by angle and length
 and not by distance alone. Parts of the hand stay out of each other. The landmark filter limits
-jumps of the tracker. docs/explanation/smooth.md has the equations, and what each part is worth.
+jumps of the tracker. docs/explanation/smooth.md has equations, smooth-appendix.md measurements.
 """
 
 from __future__ import annotations
