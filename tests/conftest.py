@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import shutil
 import signal
@@ -41,6 +42,9 @@ def _set_up_environment() -> None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = os.path.join(home, "jax")
         os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
         os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,
+    # and 0.1 s on one thread. Workers of pytest-xdist load NumPy after this, so it holds for them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 _set_up_environment()
@@ -59,6 +63,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """The order of the files is that of ``pytest_collection_modifyitems``."""
     if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist
         config.option.loadscopereorder = False
+    # Tracing makes millions of objects: at the usual threshold a tenth of the time is collecting.
+    gc.set_threshold(100_000, 50, 100)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -71,6 +77,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return rank, -counts[name]
 
     items.sort(key=place)
+
+
+def pytest_collection_finish() -> None:
+    """What has been imported stays: the collector need not look at it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
