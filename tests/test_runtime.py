@@ -14,7 +14,7 @@ from smooth_operator import HandFrame, Retargeter, Status, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.io.anatomy import FEWEST_FRAMES, finger_curl
+from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.methods.retargeter import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
@@ -22,7 +22,7 @@ from smooth_operator.teleop.runtime import statistics as run_statistics
 from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.plausible import implausible
+from smooth_operator.teleop.runtime.plausible import finger_curl, implausible
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics, percentiles
 from smooth_operator.teleop.runtime.supervisor import Supervisor

@@ -36,6 +36,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "io.registry": ("formats.registry",),
     "io.results": ("formats.commands",),
     "io.sniff": ("formats.sniff",),
+    "io.user_cache": ("result_cache.user_cache",),
     "io.staging": ("teleop.recording.staging",),
     "live": ("teleop.control",),
     "methods.geort": ("baselines.geort",),

@@ -18,7 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.io.user_cache import OFF, SWITCH, user_cache
+from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 _DAMAGED: Final = "Error reading persistent compilation cache"
 

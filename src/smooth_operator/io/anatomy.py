@@ -225,28 +225,6 @@ def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]
     return hand
 
 
-def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
-    """How far the fingertips are in front of the palm, as share of the fingers' length.
-
-    A rule for a single frame, where ``chirality`` needs the mean of several.
-
-    Args:
-        landmarks: positions in the project's order, in any right-handed frame.
-        side: which hand they are said to be of.
-
-    Returns:
-        mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
-        bent back; NaN where a landmark is missing.
-    """
-    wrist, bases, tips = landmarks[0], landmarks[5::4], landmarks[8::4]
-    normal = np.cross(bases[0] - wrist, bases[3] - wrist) * (1.0 if side == "right" else -1.0)
-    length = np.linalg.norm(normal)
-    if not length > 1e-9:
-        return float("nan")
-    bones = np.linalg.norm(np.diff(landmarks[5:].reshape(4, 4, 3), axis=1), axis=-1).sum(axis=1)
-    return float(((tips - bases) @ normal / length / np.maximum(bones, 1e-9)).mean())
-
-
 class HandCheck:
     """The same for frames that come one by one.
 

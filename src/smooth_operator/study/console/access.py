@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.io.user_cache import OFF, SWITCH, user_cache
+from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 from smooth_operator.study.console.commands import Role
 from smooth_operator.web.addresses import is_local, page_addresses
 from smooth_operator.web.auth import TokenAuth

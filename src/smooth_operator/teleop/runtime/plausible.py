@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from jaxtyping import Float
 
-from smooth_operator.io.anatomy import Doubt, HandCheck, finger_curl
+from smooth_operator.io.anatomy import Doubt, HandCheck
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Arrival
 from smooth_operator.types import HandFrame, Side
@@ -79,3 +80,26 @@ class SessionCheck:
         frame = arrival.frame
         assert frame.valid is not None  # filled in by HandFrame
         return self._check.see(frame.landmarks, frame.valid)
+
+
+def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
+    """How far the fingertips are in front of the palm, as share of the fingers' length.
+
+    A rule for a single frame, where ``chirality`` of
+    ``smooth_operator.io.anatomy`` needs the mean of several.
+
+    Args:
+        landmarks: positions in the project's order, in any right-handed frame.
+        side: which hand they are said to be of.
+
+    Returns:
+        mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
+        bent back; NaN where a landmark is missing.
+    """
+    wrist, bases, tips = landmarks[0], landmarks[5::4], landmarks[8::4]
+    normal = np.cross(bases[0] - wrist, bases[3] - wrist) * (1.0 if side == "right" else -1.0)
+    length = np.linalg.norm(normal)
+    if not length > 1e-9:
+        return float("nan")
+    bones = np.linalg.norm(np.diff(landmarks[5:].reshape(4, 4, 3), axis=1), axis=-1).sum(axis=1)
+    return float(((tips - bases) @ normal / length / np.maximum(bones, 1e-9)).mean())

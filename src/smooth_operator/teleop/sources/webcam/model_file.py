@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 from smooth_operator.errors import SourceError
 from smooth_operator.io.atomic import atomic_write, output_error
-from smooth_operator.io.user_cache import user_cache
+from smooth_operator.result_cache.user_cache import user_cache
 
 SWITCH: Final = "SMOOTH_OPERATOR_HAND_MODEL"
 """Environment variable: path of the model file."""

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from smooth_operator.errors import MissingExtraError, SourceError
-from smooth_operator.io.user_cache import OFF, SWITCH, user_cache
+from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
 if TYPE_CHECKING:
     from cryptography import x509
