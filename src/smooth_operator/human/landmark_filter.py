@@ -1,13 +1,9 @@
 """Landmark filter: a low-pass that limits outliers and hardly delays ordinary motion.
 
 A point moves from where it was towards the measurement: nearly all the way while the step is small,
-a smaller share as the step grows. Ordinary motion keeps its direction and is a fraction of a frame
-late. A tracker's jump of centimetres between two frames, which would dominate the acceleration of a
-whole recording, is spread over several frames.
-
-The threshold of a jump depends on the tracker: what a glove never does in a frame, a video does in
-every one. So it grows with the tracker's noise, measured by what the points usually do between
-three frames beyond steady motion.
+a smaller share as the step grows, so a tracker's jump of centimetres is spread over several frames.
+What is a jump depends on the tracker: the threshold grows with its noise, measured by what the
+points usually do between three frames beyond steady motion.
 """
 
 from __future__ import annotations

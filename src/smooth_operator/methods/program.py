@@ -124,7 +124,7 @@ class AlignedFrame(NamedTuple):
     """A frame in the palm frame; one that can't be used has reference landmarks instead.
 
     Attributes:
-        aligned: (21, 3) landmarks in the palm frame [m].
+        aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
         status: a ``Status``.
         scale: robot size over human size in this frame's alignment.
     """
@@ -143,7 +143,8 @@ def align_frame(
     needs = np.array(sorted({*method.needs, *hand.align_indices, *corrected}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
     present = finite[needs].all()
-    safe = jnp.where(present, landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
+    known = jnp.where(finite[:, None], landmarks, jnp.nan)
+    safe = jnp.where(present, known, jnp.asarray(reference_landmarks(hand), landmarks.dtype))
     palm = palm_alignment(safe, hand, alignment)
     well_posed = palm.condition >= MIN_CONDITION  # False for NaN
     status = jnp.where(

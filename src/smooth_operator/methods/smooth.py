@@ -27,6 +27,7 @@ from smooth_operator.human.landmark_filter import (
     LandmarkFilterConfig,
     filter_landmarks,
 )
+from smooth_operator.human.tracker_noise import PALM, NoiseConfig, NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
@@ -75,6 +76,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
+        tracker_noise: removal of the noise that the palm shows.
         landmarks: filter of the human landmarks.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
         sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
@@ -98,6 +100,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
+    tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.3))
     landmarks: LandmarkFilterConfig = field(
         default_factory=lambda: LandmarkFilterConfig(
             time_constant=0.00175, jump_threshold=0.065, noise=115.0
@@ -142,6 +145,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
+        noise: state of the removal of noise.
         filtered: the landmark filter's state, of the needed landmarks.
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
@@ -152,6 +156,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     solved: Float[Array, " m"]
+    noise: NoiseState
     filtered: FilterState
     targets: Any
     ticks: UInt32[Array, ""]
@@ -222,8 +227,8 @@ class Smooth(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """The landmarks below the fingertips, which turn the pads."""
-        return tuple(landmark for _, landmark in self.rest_pose.segments)
+        """The palm's, which show noise, and those below the fingertips, which turn the pads."""
+        return (*PALM, *(landmark for _, landmark in self.rest_pose.segments))
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose."""
@@ -231,6 +236,7 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             neutral,
+            NoiseState.unseen(len(self.needs)),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
             jnp.uint32(0),
@@ -253,7 +259,9 @@ class Smooth(Method):
         """One frame."""
         config, now = self.config, jnp.asarray(ticks, jnp.uint32)
         clock = self._clock(state, now)
-        measured = aligned[jnp.asarray(self.needs)]
+        noise, measured = remove_noise(
+            state.noise, aligned, self.needs, clock.dt, config.tracker_noise, clock.restart
+        )
         filtered, steps = filter_landmarks(
             state.filtered, measured, clock.dt, config.landmarks, clock.restart
         )
@@ -265,7 +273,9 @@ class Smooth(Method):
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
         count = state.frames + jnp.uint32(1)
-        after = SmoothState(q, solved, filtered, policy_state, now, clock.period, state.seed, count)
+        after = SmoothState(
+            q, solved, noise, filtered, policy_state, now, clock.period, state.seed, count
+        )
         return after, MethodOutput(q, self.objective.tracking(list(q), goal))
 
     def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:

@@ -1,0 +1,172 @@
+"""Removes a tracker's noise from landmarks, as far as the palm shows it.
+
+A palm keeps its shape. What its landmarks move against each other is noise, however the hand moves,
+and tells how much noise there is, and how long it lasts. The alignment turns and scales the whole
+hand by that noise; fitting the palm to its mean shape takes most of it away without delay. What is
+left is filtered with the gains of a steady-state Kalman filter for constant velocity. Where the
+palm is rigid, as that of trackers that fit a model of a hand, nothing is changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.geometry import umeyama
+from smooth_operator.landmarks import BASES, WRIST
+from smooth_operator.settings import check_numbers, is_off
+
+PALM: Final = (WRIST, *BASES)
+"""Landmarks that keep their distances."""
+
+_RIGID: Final = 1e-4  # noise at which half is corrected [m]: a palm with less is rigid
+_SHORTEST: Final = 0.15  # 1 - correlation of noise between frames, at least: the rest is motion
+_SUDDEN: Final = 9.0  # how much more than its mean a frame may count
+_OWN_SHARE: Final = 2.0  # a fingertip's variance by that of a coordinate: its own, and the palm's
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Settings of the removal of tracker noise.
+
+    Attributes:
+        acceleration: of a fingertip at rest that counts as motion in a frame [m/s^2]: the larger,
+            the less is filtered. 0 removes no noise.
+        by_speed: how much larger that is, by the fingertip's speed [1/s].
+        outlier: standard deviations from where a fingertip is expected at which it is half
+            followed as it was measured.
+        noise_time: averaging time of the noise [s].
+        shape_time: averaging time of the palm's shape [s].
+    """
+
+    acceleration: float = 0.0
+    by_speed: float = 4.0
+    outlier: float = 10.0
+    noise_time: float = 1.0
+    shape_time: float = 2.0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            "tracker_noise.",
+            positive=("outlier", "noise_time", "shape_time"),
+            not_negative=("acceleration", "by_speed"),
+        )
+
+
+class NoiseState(NamedTuple):
+    """State between frames.
+
+    Attributes:
+        shape: (P, 3) mean positions of ``PALM`` [m]; NaN where one was never seen.
+        residual: (P, 3) what the fit of the palm to its shape left in the last frame [m].
+        change: (P, 3) by how much that differed from the frame before [m].
+        power: mean square of such a change, over 2 and per coordinate [m^2].
+        product: mean product of two changes in a row, per coordinate [m^2].
+        time: since the first frame, or the first after a gap [s].
+        points: (n, 3) filtered [m].
+        velocity: (n, 3) of those [m/s].
+    """
+
+    shape: Float[Array, "P 3"]
+    residual: Float[Array, "P 3"]
+    change: Float[Array, "P 3"]
+    power: Float[Array, ""]
+    product: Float[Array, ""]
+    time: Float[Array, ""]
+    points: Float[Array, "n 3"]
+    velocity: Float[Array, "n 3"]
+
+    @classmethod
+    def unseen(cls, count: int) -> NoiseState:
+        """Of ``count`` points that haven't been seen yet."""
+        palm, points = (jnp.zeros((size, 3), jnp.float32) for size in (len(PALM), count))
+        none = jnp.float32(0)
+        return cls(palm, palm, palm, none, none, none, points, points)
+
+    @property
+    def share(self) -> Float[Array, ""]:
+        """How much of the palm's fit is applied: 0 for a rigid palm, 1 for noise."""
+        return self.power**2 / (self.power**2 + _RIGID**4)
+
+    @property
+    def deviation(self) -> Float[Array, ""]:
+        """Standard deviation of a fingertip's coordinate [m]: of white noise that has as much in
+        slow motion as this tracker's."""
+        power = jnp.maximum(self.power, 1e-16)
+        # of noise with the correlation r between frames, the power is s^2 (1 - r)
+        opened = jnp.clip(-self.product / power, _SHORTEST, 1.0)
+        return jnp.sqrt(_OWN_SHARE * self.share * power * (2 - opened)) / opened
+
+
+def remove_noise(
+    before: NoiseState,
+    aligned: Float[Array, "21 3"],
+    needs: tuple[int, ...],
+    dt: Float[Array, ""] | float,
+    config: NoiseConfig,
+    restart: Bool[Array, ""] | bool = False,
+) -> tuple[NoiseState, Float[Array, "n 3"]]:
+    """One frame.
+
+    Args:
+        before: state after the last frame.
+        aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
+        needs: which of them are wanted, fingertips and wrist; known in every frame.
+        dt: time between the two frames [s].
+        config: settings.
+        restart: the last frame was too long ago to count.
+
+    Returns:
+        The state after this frame, and (n, 3) the wanted landmarks [m].
+    """
+    if is_off(config.acceleration):
+        return before, aligned[np.array(needs)]
+    rows = np.array(PALM)
+    palm = aligned[rows]
+    shape = jnp.where(restart | ~jnp.isfinite(before.shape), palm, before.shape)
+    seen = jnp.isfinite(palm).all(-1)
+    source, target = (jnp.where(seen[:, None], points, 0.0) for points in (palm, shape))
+    moved = umeyama(source, target, weights=seen.astype(palm.dtype)).apply(aligned)
+    residual = jnp.where(seen[:, None], moved[rows] - shape, 0.0)
+    change = jnp.where(restart, 0.0, residual - before.residual)
+    free = jnp.maximum(3 * seen.sum() - 7, 1)
+    square = (change * change).sum() / (2 * free)
+    # a palm that is lost for a frame is no measure of the usual
+    trust = jnp.minimum(1.0, (_SUDDEN * before.power + _RIGID**2) / jnp.maximum(square, 1e-16))
+    product = (change * before.change).sum() / free
+    time = jnp.where(restart, 0.0, before.time)
+
+    def averaged(mean: Array, now: Array, span: float) -> Array:
+        return mean + dt / (dt + jnp.minimum(time, span)) * (now - mean)
+
+    mean = averaged(shape, palm, config.shape_time)
+    after = before._replace(
+        shape=jnp.where(seen[:, None], mean, shape),
+        residual=residual,
+        change=change,
+        power=averaged(before.power, trust * square, config.noise_time),
+        product=averaged(before.product, trust * product, config.noise_time),
+        time=time + dt,
+    )
+    steady = moved.at[rows].set(shape)
+    whole = aligned + jnp.where(jnp.isfinite(steady), after.share * (steady - aligned), 0.0)
+    measured = whole[np.array(needs)]
+    # alpha-beta filter (Kalata 1984): its gains follow from the ratio of motion to noise
+    velocity = jnp.where(restart, 0.0, before.velocity)
+    deviation = jnp.maximum(after.deviation, 1e-8)
+    speed = jnp.sqrt((velocity * velocity).sum(-1, keepdims=True) + 1e-18)
+    index = (config.acceleration + config.by_speed * speed) * dt * dt / deviation
+    left = 4 / (4 + index + jnp.sqrt(index * index + 8 * index))
+    expected = jnp.where(restart, measured, before.points) + velocity * dt
+    off = measured - expected
+    far = (off * off).sum(-1, keepdims=True) / (3 * (config.outlier * deviation) ** 2)
+    follows = 1 - 1 / (1 + far)
+    alpha, beta = 1 - left**2, jnp.minimum(2 * (1 - left) ** 2, 1.0)
+    points = expected + (alpha + (1 - alpha) * follows) * off
+    velocity = velocity + (beta + (1 - beta) * follows) * off / dt
+    return after._replace(points=points, velocity=velocity), points
