@@ -137,7 +137,7 @@ def test_without_a_scale_of_motion_nothing_is_removed():
     np.testing.assert_array_equal(play(path, NoiseConfig())[1], path[:, NEEDS].astype(np.float32))
 
 
-@pytest.mark.parametrize("name", ["noise_time", "shape_time", "outlier"])
+@pytest.mark.parametrize("name", ["level_time", "shape_time", "outlier"])
 def test_settings_are_checked(name: str):
     with pytest.raises(ConfigError, match=f"tracker_noise.{name}"):
         NoiseConfig(**{name: 0.0})

@@ -39,21 +39,21 @@ class NoiseConfig:
         by_speed: how much larger that is, by the fingertip's speed [1/s].
         outlier: standard deviations from where a fingertip is expected at which it is half
             followed as it was measured.
-        noise_time: averaging time of the noise [s].
+        level_time: averaging time of how much noise there is [s].
         shape_time: averaging time of the palm's shape [s].
     """
 
     acceleration: float = 0.0
     by_speed: float = 4.0
     outlier: float = 10.0
-    noise_time: float = 1.0
+    level_time: float = 1.0
     shape_time: float = 2.0
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             "tracker_noise.",
-            positive=("outlier", "noise_time", "shape_time"),
+            positive=("outlier", "level_time", "shape_time"),
             not_negative=("acceleration", "by_speed"),
         )
 
@@ -149,8 +149,8 @@ def remove_noise(
         shape=jnp.where(seen[:, None], mean, shape),
         residual=residual,
         change=change,
-        power=averaged(before.power, trust * square, config.noise_time),
-        product=averaged(before.product, trust * product, config.noise_time),
+        power=averaged(before.power, trust * square, config.level_time),
+        product=averaged(before.product, trust * product, config.level_time),
         time=time + dt,
     )
     steady = moved.at[rows].set(shape)
