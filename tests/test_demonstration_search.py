@@ -11,7 +11,10 @@ import pytest
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.demonstrations import search
+from smooth_operator.lab.demonstrations.errors import joint_errors, tip_errors
 from smooth_operator.lab.demonstrations.evolution import Evolution
+from smooth_operator.lab.demonstrations.judging import Candidate, World, judge, tried
+from smooth_operator.lab.demonstrations.overlap import excess
 from smooth_operator.lab.demonstrations.seed import transferred
 from smooth_operator.simulation.scenes import SCENES, scene_for
 from smooth_operator.simulation.tasks.demonstration import (
@@ -96,12 +99,47 @@ def test_progress_is_more_the_further_a_trial_gets(task: str) -> None:
     poses = whole.poses.copy()
     poses[quarter:] = poses[quarter - 1]
     idle = replace(whole, poses=np.broadcast_to(whole.poses[0], whole.poses.shape))
-    world = draw_perturbation(0)
     none, part, all_ = (
-        search.tried(one, world) for one in (idle, replace(whole, poses=poses), whole)
+        tried(one, World(0, 0)) for one in (idle, replace(whole, poses=poses), whole)
     )
     assert none < 0.35
     assert none < part < 1.0 <= all_ <= 1.1
+
+
+def test_joint_errors_move_the_fingertips_to_where_the_operator_shows_them() -> None:
+    """Up to what the damping leaves; none for the operator whose hand the robot's is."""
+    demonstration, hand = load_demonstration("cube"), load_hand("mimic_p050")
+    world = draw_perturbation(3, 1000)
+    tips, joints = tip_errors(demonstration, world), joint_errors(demonstration, world)
+    poses = np.stack([demonstration.pose(k / 100.0) for k in range(len(joints))])
+    moved = hand.tips(hand.full_configuration(poses + joints)) - hand.tips(
+        hand.full_configuration(poses)
+    )
+    assert np.linalg.norm(tips, axis=-1).mean() > 0.001
+    left = np.linalg.norm(moved - tips, axis=-1).mean() / np.linalg.norm(tips, axis=-1).mean()
+    assert left < 0.3
+    np.testing.assert_allclose(joint_errors(demonstration, draw_perturbation(0)), 0.0, atol=1e-9)
+
+
+def test_self_penetration_counts_beyond_what_a_pinch_needs() -> None:
+    """A thumb in the index finger: deeper costs more, and merit goes down by it."""
+    hand, demonstration = load_hand("mimic_p050"), load_demonstration("card")
+    open_ = replace(demonstration, poses=np.broadcast_to(hand.neutral, demonstration.poses.shape))
+    names = hand.actuated_names
+    inward = {"thumb_base2cmc": 0.47, "thumb_cmc2mcp": -0.53, "thumb_mcp2pp": 1.71,
+              "thumb_pp2dp_actuated": 1.45, "index_base2mcp": 0.49, "index_mcp2pp": 1.5,
+              "index_pp2mp": 1.33}  # fmt: skip
+    deep = np.array(open_.poses)
+    deep[4, [names.index(name) for name in inward]] = list(inward.values())
+    deeper = deep.copy()
+    deeper[4, names.index("index_mcp2pp")] += 0.2
+    amounts = [excess(replace(open_, poses=poses)) for poses in (open_.poses, deep, deeper)]
+    assert amounts[0] == 0.0 < amounts[1] < amounts[2]
+    judged = [
+        judge(Candidate(replace(open_, poses=poses), (World(0, 0),), ""))[0]
+        for poses in (open_.poses, deeper)
+    ]
+    assert judged[1] < judged[0]
 
 
 def test_a_search_goes_on_where_it_stopped(tmp_path: Path) -> None:

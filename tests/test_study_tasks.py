@@ -669,7 +669,8 @@ def test_any_source_of_commands_can_do_it_in_the_running_simulation() -> None:
 
     sim.watch("right", follow)
     session.go()
-    wait(lambda: bool(session.outcomes) or session.seconds > 3.5)
+    end = float(demonstration.times[-1])
+    wait(lambda: bool(session.outcomes) or session.seconds > end)
     sim.close()
     session.close()  # after the simulation: nothing to look at any more
     (outcome,) = session.outcomes

@@ -56,6 +56,13 @@ class HandPhysics:
         self._target: Float[np.ndarray, " m"] = hand.neutral.copy()
         self._place(self._target)
 
+    def restart(self) -> None:
+        """Begin again: time 0, at rest in the neutral pose."""
+        self.time = self._due = 0.0
+        self.resets = 0
+        self._target = self.hand.neutral.copy()
+        self._place(self._target)
+
     @property
     def positions(self) -> Float[np.ndarray, " n"]:
         """(n,) where the joints are [rad], in the order of ``hand.joint_names``."""

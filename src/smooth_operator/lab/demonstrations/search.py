@@ -2,20 +2,20 @@ r"""Makes a demonstration of a task for a robot hand, by search in physics.
 
     python -m smooth_operator.lab.demonstrations.search allegro_hand cube --output cube.json
 
-The first guess are the key poses of another hand, by fingertip inverse kinematics. Separable CMA-ES
-then moves the key poses of thumb, index and middle finger. A candidate is first judged in the
-unperturbed world by how far it gets; one that succeeds there is judged in perturbed worlds as well,
-in which the object's pose, friction and mass differ and every joint is a little off. Their seed is
-not that of the benchmark's worlds. The search goes on where it stopped if its file ``--state``
-exists.
+The first guess are the key poses of another hand, by fingertip inverse kinematics, or those of a
+file. Separable CMA-ES then moves the key poses of thumb, index and middle finger and the times
+between them. Candidates are judged by how far they get in the unperturbed world and in perturbed
+ones, other ones in each generation: the object's pose, friction and mass differ, and the joints are
+off as if a retargeter followed an operator with other bones and a noisy tracker. Self-penetration
+of the commanded poses counts against a candidate. The seeds are not those of the benchmark's
+worlds. The search goes on where it stopped if its file ``--state`` exists.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,22 +27,16 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.atomic import atomic_write
 from smooth_operator.lab.demonstrations.evolution import Evolution
-from smooth_operator.lab.demonstrations.progress import progress
+from smooth_operator.lab.demonstrations.judging import Candidate, World, judge
 from smooth_operator.lab.demonstrations.seed import FINGERS, transferred
 from smooth_operator.parallel import PersistentPool
-from smooth_operator.simulation.scenes import Scene, ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.demonstration import (
     DEFAULT_HAND,
-    PERIOD_S,
     Demonstration,
     demonstration_text,
     load_demonstration,
     read_demonstration,
 )
-from smooth_operator.simulation.tasks.perturbation import Perturbation, draw_perturbation
-from smooth_operator.simulation.tasks.task_registry import task_named
-from smooth_operator.simulation.tasks.trial_loop import perform
-from smooth_operator.types import as_side
 
 WORLDS_SEED: Final = 1000
 """Of the worlds that the search sees; the benchmark's have others."""
@@ -51,76 +45,16 @@ FINAL_SEED: Final = 2000
 """Of the worlds by which the last few candidates are compared."""
 
 _SIGMA: Final = 0.06  # first standard deviation of a joint in a key pose [rad]
-_OFF: Final = 0.015  # standard deviation by which a joint is off in a perturbed world [rad]
-_ENOUGH: Final = 1.95  # merit of the centre at which little is left to gain
+_PACE: Final = 2.0  # of the logarithm of a duration, against a radian of a joint
+_FASTEST: Final = 0.5  # least and most factor of a duration, against the first guess
+_ENOUGH: Final = 1.05  # merit of the centre at which little is left to gain
+_MEMORY: Final = 0.8  # of the centre's merit from generation to generation: worlds differ
 _KEPT: Final = 4  # candidates that are compared in the end, besides the centre
-_FINAL_WORLDS: Final = 16
+_FIRST: Final = 0.4  # share of the worlds in which all candidates are judged
+_OBJECTS: Final = 32  # worlds that differ in object, friction and mass
+_FINAL_WORLDS: Final = 32
 
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """What a worker judges.
-
-    Attributes:
-        demonstration: the key poses.
-        worlds: how many perturbed worlds it has to do, if it does the unperturbed one.
-        seed: of those.
-    """
-
-    demonstration: Demonstration
-    worlds: int
-    seed: int = WORLDS_SEED
-
-
-@cache
-def _place(task: str, name: str, side: str) -> tuple[Hand, Scene]:
-    hand = load_hand(name, as_side(side))
-    return hand, scene_for(task, hand)
-
-
-def tried(
-    demonstration: Demonstration, world: Perturbation, off: Float[np.ndarray, " m"] | float = 0.0
-) -> float:
-    """How far a demonstration gets in a world; see ``progress``.
-
-    Args:
-        demonstration: what is done.
-        world: with which object; operator and tracker don't matter.
-        off: (m,) by how much each actuated joint is off [rad].
-    """
-    hand, scene = _place(demonstration.task, demonstration.hand, demonstration.side)
-    physics = ScenePhysics(hand, world.scene(scene))
-    world.prepare(physics)
-    task = task_named(demonstration.task)
-    moments = list(
-        perform(
-            physics,
-            task,
-            lambda time, state, physics: hand.full_configuration(
-                demonstration.pose(time + PERIOD_S) + off
-            ),
-            seconds=float(demonstration.times[-1]),
-        )
-    )
-    return 0.0 if physics.resets else progress(task.name, moments)
-
-
-def merit(candidate: Candidate) -> float:
-    """0 to 1 by how far it gets unperturbed; one that succeeds, 1 to 2.1 by the other worlds."""
-    demonstration = candidate.demonstration
-    value = tried(demonstration, draw_perturbation(0))
-    if value < 1.0:
-        return value
-    rng = np.random.default_rng(candidate.seed)
-    others = [
-        tried(
-            demonstration,
-            draw_perturbation(number, candidate.seed),
-            _OFF * rng.standard_normal(demonstration.poses.shape[1]),
-        )
-        for number in range(1, candidate.worlds + 1)
-    ]
-    return 1.0 + float(np.mean([value, *others]))
+_Pool = PersistentPool[Candidate, list[float]]
 
 
 def _joints_of(hand: Hand) -> list[int]:
@@ -133,15 +67,11 @@ def _joints_of(hand: Hand) -> list[int]:
     return [int(k) for k in np.flatnonzero(np.abs(moved[:, index]).max(axis=(1, 2)) > 1e-6)]
 
 
-def _merits(
-    pool: PersistentPool[Candidate, float], tasks: list[Candidate]
-) -> Float[np.ndarray, " c"]:
-    merits = np.zeros(len(tasks))
-    for result in pool.run(tasks):
-        if result.value is None:
-            raise StudyError(f"a candidate can't be judged: {result.error}")
-        merits[result.index] = result.value
-    return merits
+def _worlds(generation: int, count: int, seed: int) -> tuple[World, ...]:
+    """The unperturbed world and others; objects come again, operators don't."""
+    numbers = generation * count + np.arange(count)
+    others = (World(seed, 1 + int(n) % _OBJECTS, 1 + int(n)) for n in numbers)
+    return (World(seed, 0), *others)
 
 
 class Search:
@@ -149,60 +79,91 @@ class Search:
 
     Args:
         first: the first guess.
-        worlds: perturbed worlds.
+        worlds: perturbed worlds of a generation.
         seed: of the random numbers.
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
+        share: of the operators' errors that counts.
 
     Attributes:
         state: of the evolution.
         best: the best demonstrations so far with their merits, best first.
-        merit: of the centre of the last generation.
+        merit: of the centre of the last generations, on average.
     """
 
     def __init__(
-        self, first: Demonstration, worlds: int, seed: int, count: int, sigma: float = _SIGMA
-    ) -> None:
+        self, first: Demonstration, worlds: int, seed: int, count: int,
+        sigma: float = _SIGMA, share: float = 1.0,
+    ) -> None:  # fmt: skip
         hand = first.robot
-        self._hand, self._worlds = hand, worlds
+        self._hand, self._worlds, self._share = hand, worlds, share
         self._free = _joints_of(hand)
         self.best: list[tuple[float, Demonstration]] = []
         self.merit = -np.inf
-        self.state = Evolution.begin(first.poses[1:, self._free].ravel(), sigma, seed, count)
+        paces = np.zeros(len(first.times) - 1)
+        point = np.concatenate([first.poses[1:, self._free].ravel(), paces])
+        self.state = Evolution.begin(point, sigma, seed, count)
         self._base = first
 
-    def generation(self, pool: PersistentPool[Candidate, float]) -> None:
+    def generation(self, pool: _Pool) -> None:
         """Judge a generation; the first candidate is its centre.
+
+        All are judged in some worlds, the better half of them and the centre in all.
 
         Raises:
             StudyError: a candidate can't be judged.
         """
         points = self.state.candidates()
         points[0] = self.state.mean
-        demonstrations = [self._of(point) for point in points]
-        merits = _merits(pool, [Candidate(one, self._worlds) for one in demonstrations])
+        found = [self._of(point) for point in points]
+        worlds = _worlds(self.state.generation, self._worlds, WORLDS_SEED)
+        now = max(2, round(_FIRST * len(worlds)))
+        centre = demonstration_text(found[0])
+        early = self._judged(pool, found, worlds[:now], centre)
+        half = np.argsort(-early.mean(axis=1), kind="stable")[: len(found) // 2]
+        again = sorted({0, *half.tolist()})
+        late = self._judged(pool, [found[k] for k in again], worlds[now:], centre)
+        whole = np.concatenate([early[again], late], axis=1).mean(axis=1)
+        merits = early.mean(axis=1) - 10.0  # behind all that were judged in all worlds
+        merits[half] = whole[np.searchsorted(again, half)]
+        before = self.merit if np.isfinite(self.merit) else float(whole[0])
+        self.merit = _MEMORY * before + (1.0 - _MEMORY) * float(whole[0])
         self.state = self.state.judged(points, merits)
-        found = [*self.best, *zip(merits.tolist(), demonstrations, strict=True)]
-        self.best = sorted(found, key=lambda one: -one[0])[:_KEPT]
-        self.merit = float(merits[0])
+        better = [(float(value), found[k]) for k, value in zip(again, whole, strict=True)]
+        self.best = sorted([*self.best, *better], key=lambda one: -one[0])[:_KEPT]
 
-    def result(self, pool: PersistentPool[Candidate, float]) -> tuple[Demonstration, float]:
+    def result(self, pool: _Pool) -> tuple[Demonstration, float]:
         """The best of the few best and the centre, in worlds that the search has not seen.
 
         Returns:
             it, and its merit there.
         """
-        last = [demonstration for _, demonstration in self.best]
-        last.append(self._of(self.state.mean))
-        merits = _merits(pool, [Candidate(one, _FINAL_WORLDS, FINAL_SEED) for one in last])
+        last = [self._of(self.state.mean), *(demonstration for _, demonstration in self.best)]
+        worlds = _worlds(0, _FINAL_WORLDS, FINAL_SEED)
+        merits = self._judged(pool, last, worlds, demonstration_text(last[0])).mean(axis=1)
         top = int(np.argmax(merits))
         return last[top], float(merits[top])
 
+    def _judged(
+        self, pool: _Pool, found: list[Demonstration], worlds: tuple[World, ...], centre: str
+    ) -> Float[np.ndarray, "c w"]:
+        values = np.zeros((len(found), len(worlds)))
+        tasks = [Candidate(one, worlds, centre, self._share) for one in found]
+        for result in pool.run(tasks):
+            if result.value is None:
+                raise StudyError(f"a candidate can't be judged: {result.error}")
+            values[result.index] = result.value
+        return values
+
     def _of(self, point: Float[np.ndarray, " n"]) -> Demonstration:
-        poses = self._base.poses.copy()
-        poses[1:, self._free] = point.reshape(len(poses) - 1, -1)
+        base = self._base
+        count = len(base.times) - 1
+        poses = base.poses.copy()
+        poses[1:, self._free] = point[:-count].reshape(count, -1)
         poses = np.clip(poses, self._hand.limits[:, 0], self._hand.limits[:, 1])
-        return replace(self._base, poses=np.round(poses, 3))
+        pace = np.clip(np.exp(_PACE * point[-count:]), _FASTEST, 1.0 / _FASTEST)
+        times = np.concatenate([[0.0], np.cumsum(np.diff(base.times) * pace)])
+        return replace(base, poses=np.round(poses, 3), times=np.round(times, 2))
 
     def save(self, path: Path) -> None:
         """Write where the search is."""
@@ -224,6 +185,17 @@ class Search:
         self.state = Evolution.from_json(content["state"])
 
 
+def _first(name: str, task: str, hand: str) -> Demonstration:
+    """The first guess from a file, or from a hand that has a demonstration."""
+    if name.endswith(".json"):
+        found = read_demonstration(Path(name).read_text(encoding="utf-8"))
+        if found.task != task:
+            raise StudyError(f"{name} demonstrates task {found.task!r}, not {task!r}")
+    else:
+        found = load_demonstration(task, name)
+    return found if found.hand == hand else transferred(found, load_hand(hand))
+
+
 def main(arguments: list[str] | None = None) -> None:
     """The command."""
     parser = argparse.ArgumentParser(
@@ -233,23 +205,27 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("task", help="card, cube or screwdriver")
     parser.add_argument("--output", type=Path, required=True, help="JSON file of the result")
     parser.add_argument(
-        "--first", default=DEFAULT_HAND, help="hand whose demonstration is the first guess"
-    )
+        "--first", default=DEFAULT_HAND,
+        help="first guess: a hand with a demonstration, or the JSON file of one",
+    )  # fmt: skip
     parser.add_argument("--generations", type=int, default=60)
     parser.add_argument("--candidates", type=int, default=16, help="in a generation")
-    parser.add_argument("--worlds", type=int, default=4, help="perturbed worlds of a candidate")
+    parser.add_argument("--worlds", type=int, default=8, help="perturbed worlds of a generation")
     parser.add_argument("--sigma", type=float, default=_SIGMA, help="first step [rad]")
+    parser.add_argument(
+        "--errors", type=float, default=1.0, help="share of the operators' errors; 0: none"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
     parser.add_argument("--state", type=Path, help="file to resume from, and to go on writing")
     given = parser.parse_args(arguments)
-    first = load_demonstration(given.task, given.first)
-    if given.hand != given.first:
-        first = transferred(first, load_hand(given.hand))
-    search = Search(first, given.worlds, given.seed, given.candidates, given.sigma)
+    search = Search(
+        _first(given.first, given.task, given.hand), given.worlds, given.seed, given.candidates,
+        given.sigma, given.errors,
+    )  # fmt: skip
     if given.state is not None and given.state.exists():
         search.resume(given.state)
-    with PersistentPool(merit, given.workers) as pool:
+    with PersistentPool(judge, given.workers) as pool:
         while search.state.generation < given.generations and search.merit < _ENOUGH:
             search.generation(pool)
             print(

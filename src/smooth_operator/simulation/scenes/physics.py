@@ -77,6 +77,12 @@ class ScenePhysics(HandPhysics):
         """Its state; to look at."""
         return self._data
 
+    def restart(self) -> None:
+        """Begin again: time 0, the hand at rest in the neutral pose, the object at its start."""
+        super().restart()
+        self.starts = 0
+        self.reset_object()
+
     def reset_object(self) -> None:
         """Put the object back to its start, as soon as the hand is out of its place."""
         self._ghost, self._fixed, self._gripped = True, self.scene.fixture, 0
