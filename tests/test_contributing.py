@@ -15,7 +15,7 @@ import yaml
 PROJECT = Path(__file__).resolve().parents[1]
 PARTS = (
     "method", "term", "hand", "source", "sink", "reader", "metric", "command", "experiment",
-    "physics measure", "doc page",
+    "physics measure", "demonstration", "doc page",
 )  # fmt: skip
 YAML_FILES = sorted({*PROJECT.glob(".github/**/*.yml"), PROJECT / ".pre-commit-config.yaml"})
 

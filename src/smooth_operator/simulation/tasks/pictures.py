@@ -19,7 +19,7 @@ from smooth_operator.simulation.tasks.demonstration import Demonstration, load_d
 
 _MOMENTS: Final = {
     "card": (0.02, 2.0, 3.2, 4.0),
-    "cube": (0.02, 1.0, 1.5, 2.1),
+    "cube": (0.02, 1.1, 1.75, 4.0),
     "screwdriver": (0.02, 1.2, 2.1, 4.3),
 }
 """Task -> when [s]."""
