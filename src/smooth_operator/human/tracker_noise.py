@@ -23,8 +23,8 @@ from smooth_operator.settings import check_numbers, is_off
 PALM: Final = (WRIST, *BASES)
 """Landmarks that keep their distances."""
 
-_RIGID: Final = 1e-4  # noise at which half is corrected [m]: a palm with less is rigid
-_SHORTEST: Final = 0.15  # 1 - correlation of noise between frames, at least: the rest is motion
+_RIGID: Final = 5e-5  # noise at which half is corrected [m]: a palm with less is rigid
+_SHORTEST: Final = 0.25  # 1 - correlation of noise between frames, at least: the rest is motion
 _SUDDEN: Final = 9.0  # how much more than its mean a frame may count
 _OWN_SHARE: Final = 2.0  # a fingertip's variance by that of a coordinate: its own, and the palm's
 
