@@ -215,6 +215,7 @@ def test_a_second_run_measures_nothing(
     for word in ("thumb cosine", "synthetic-right-5[0:40]", "+1mm[0:40] (t)", "latency p99"):
         assert word in table
     assert table.count("without noise**") == 1  # one of the two has noise
+    assert "synthetic-right-6+1mm[0:40], without noise" in table
     assert first["figures"]["truth/synthetic-right-6+1mm[0:40]/geort/jitter_mm"] > 0
     monkeypatch.setattr(judging, "_figures", lambda task: pytest.fail("it measured again"))
     program.main(replace(settings, latency=0))
@@ -249,6 +250,8 @@ def test_against_the_operator_without_noise():
     # 1 mm in three coordinates, of tip and wrist, in both frames of a step: 3.5 mm; the palm's more
     assert 3.5 < copied.robot.jitter_mm < 7.0
     assert copied.robot.motion_preservation < 0.7
+    assert exact.metrics["cosine_similarity"] == pytest.approx(1.0)
+    assert copied.human == exact.human
 
 
 def test_noise_is_for_the_operator(tmp_path: Path):

@@ -13,8 +13,8 @@ three synthetic operators: clean, and with 0.5 and 1 mm of tracker noise. The ta
 than sbr" for other hands. The other methods' figures are kept, and measured again only where
 their own code, or that of a metric, has changed.
 
-Noise counts as motion in these targets, so for an operator with noise a table more compares the
-judged methods and the others with the same operator without it. It has no targets.
+Noise counts as the human's motion in these targets, so an operator with noise has a column more:
+the same runs, of all methods, against the same operator without it. A table has the motion of each.
 """
 
 from __future__ import annotations
@@ -129,6 +129,15 @@ def main(settings: Settings) -> None:
                 if kind == "all"
                 else judge_hand(figures, theirs.get(SBR, {}))
             )
+            if own.truth is not None and kind == "all":
+                known = {
+                    name: truth.metrics
+                    for name in theirs
+                    if (truth := measured[source.name, name].truth) is not None
+                }
+                timeless = own.truth.metrics | {"latency_ms": NOT_TIMED}
+                against = judge(timeless, known, own.truth.human)
+                lines[label][f"{source.name}, without noise"] = against
     for one in measured.values():
         if one.stale:
             report.notes.append(f"{one.cell.label}: figures of other code than the present one")

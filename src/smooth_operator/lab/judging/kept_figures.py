@@ -79,7 +79,7 @@ def figures_job(cell: Cell, seed: int, per_frame: bool) -> Job[Cell]:
         "per_frame": per_frame,
     }
     if cell.source.request.noise:
-        key["truth"] = [field.name for field in fields(TruthFigures)]
+        key["truth"] = [field.name for field in (*fields(AgainstTruth), *fields(TruthFigures))]
     name = file_name("-".join(cell.key), (key_digest(key),))
     return Job(name, key, code_of(cell.config), cell, cell.label, len(cell.source.recording or ()))
 
@@ -130,7 +130,7 @@ def measure_cells(
         stale = result.job.name in cache.found_by_other_code
         human = HumanFigures(**result.value["human"])
         kept = result.value.get("truth")
-        truth = kept and AgainstTruth(**{name: TruthFigures(**one) for name, one in kept.items()})
+        truth = None if kept is None else AgainstTruth.kept(kept)
         yield CellFigures(
             cell, result.value["metrics"], human, fresh=result.fresh, stale=stale, truth=truth
         )

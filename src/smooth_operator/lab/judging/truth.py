@@ -8,13 +8,15 @@ noise is known, and these figures compare with that.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.lab.benchmark.recordings import Source, load_sources
-from smooth_operator.metrics import Trace, consistency
+from smooth_operator.lab.judging.targets import HumanFigures, human_figures
+from smooth_operator.metrics import Trace, consistency, evaluate
 from smooth_operator.types import HandRecording
 
 
@@ -43,10 +45,20 @@ class AgainstTruth:
     Attributes:
         robot: of the robot's fingertips.
         tracked: of the human's own, with the noise.
+        metrics: as evaluate() gives them, of the run against the operator without noise.
+        human: what the operator without noise did.
     """
 
     robot: TruthFigures
     tracked: TruthFigures
+    metrics: dict[str, Any]
+    human: HumanFigures
+
+    @classmethod
+    def kept(cls, values: dict[str, Any]) -> AgainstTruth:
+        """From what ``asdict`` made of one."""
+        robot, tracked = (TruthFigures(**values[name]) for name in ("robot", "tracked"))
+        return cls(robot, tracked, values["metrics"], HumanFigures(**values["human"]))
 
 
 def without_noise(source: Source) -> HandRecording | None:
@@ -75,9 +87,12 @@ def against_truth(trace: Trace, clean: Float[np.ndarray, "T 21 3"]) -> AgainstTr
         trace: the run.
         clean: (T, 21, 3) the operator's landmarks without noise, aligned as in the trace [m].
     """
-    truth = replace(trace, human=clean).human_reaches
-    found = [_figures(truth, moved, trace) for moved in (trace.robot_reaches, trace.human_reaches)]
-    return AgainstTruth(*found)
+    known = replace(trace, human=clean)
+    robot, tracked = (
+        _figures(known.human_reaches, moved, trace)
+        for moved in (trace.robot_reaches, trace.human_reaches)
+    )
+    return AgainstTruth(robot, tracked, evaluate(known), human_figures(clean, trace.fingers))
 
 
 def _figures(
