@@ -13,13 +13,21 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, StudyError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
-from smooth_operator.simulation.tasks.demonstration import load_demonstration
-from smooth_operator.simulation.virtual_operator import draw_person, intention_for
+from smooth_operator.simulation.tasks.task_registry import TASKS
+from smooth_operator.simulation.tasks.trial_loop import perform
+from smooth_operator.simulation.virtual_operator import Familiar, draw_person, simulate_trial
 from smooth_operator.simulation.virtual_operator.familiarisation import InternalModel
-from smooth_operator.simulation.virtual_operator.hand_model import ReachingHand, hand_model
+from smooth_operator.simulation.virtual_operator.grip_reach import GripReach
+from smooth_operator.simulation.virtual_operator.hand_model import (
+    HandModel,
+    ReachingHand,
+    hand_model,
+)
 from smooth_operator.simulation.virtual_operator.motor_noise import MotorNoise
 from smooth_operator.simulation.virtual_operator.person import (
     PHASE_MARGIN,
@@ -27,6 +35,7 @@ from smooth_operator.simulation.virtual_operator.person import (
     movement_time,
 )
 from smooth_operator.simulation.virtual_operator.points_on_hand import HandPoints, SeenTips
+from smooth_operator.simulation.virtual_operator.strategy_steps import Closing, Seen
 from smooth_operator.simulation.virtual_operator.visual_feedback import (
     CrossoverCorrection,
     DelayedView,
@@ -44,6 +53,7 @@ from smooth_operator.study.simulate.jobs import (
 from smooth_operator.study.simulate.run import LOG, NOTICE, simulate_study
 
 STEP = 0.01
+CARD_SCENE = scene_for("card", load_hand("mimic_p050", "right"))
 
 
 def closed_loop(
@@ -92,7 +102,7 @@ def test_correction_has_its_limits_and_threshold() -> None:
     assert not correction.update(np.array([[0.0019, 0, 0]]), 1.0).any()
     one = correction.update(np.array([[1.0, 0, 0]]), 0.1)
     assert one[0, 0] == pytest.approx(0.010)  # 0.1 m/s
-    assert correction.update(np.array([[1.0, 0, 0]]), 10.0)[0, 0] == pytest.approx(0.03)
+    assert correction.update(np.array([[1.0, 0, 0]]), 10.0)[0, 0] == pytest.approx(0.015)
 
 
 def test_persons_differ_by_seed_and_keep_their_phase_margin() -> None:
@@ -189,15 +199,105 @@ def test_a_person_learns_where_to_put_a_finger() -> None:
     assert error.max() < 0.005
 
 
-def test_an_intention_pauses_before_fingers_touch() -> None:
-    demonstration, hand = load_demonstration("cube"), load_hand("mimic_p050", "right")
-    intention = intention_for(demonstration, hand)
-    assert set(demonstration.times) < set(intention.keys)
-    assert intention.fingers[:2].all()
-    onset = int(np.flatnonzero(intention.touching.any(axis=1))[0]) / 100
-    before = intention.keys[intention.keys < onset].max()
-    assert before not in demonstration.times
-    assert onset - before < 0.3
+def test_closing_fingers_stop_where_they_are_seen_to_touch() -> None:
+    wide = {0: np.array([0.0, 0.0, 0.0]), 1: np.array([0.06, 0.0, 0.0])}
+    inward = {0: np.array([1.0, 0.0, 0.0]), 1: np.array([-1.0, 0.0, 0.0])}
+    closing = Closing(wide, inward, press=0.002)
+    assert np.allclose(closing(0.0, seen_touching())[0], 0.0)
+    early = closing(0.5, seen_touching())
+    assert 0.0 < early[0][0] < closing(1.0, seen_touching())[0][0]
+    assert not closing.complete
+    touched = closing(1.0, seen_touching(0))  # the tip is seen at 12 mm
+    assert touched[0][0] == pytest.approx(0.012 + 0.002)
+    assert closing(1.0, seen_touching())[0][0] == pytest.approx(0.014)  # and it stays there
+    assert not closing.complete
+    closing(1.0, seen_touching(1))
+    assert closing.complete
+    assert closing.pressed(-0.001)[1][0] == pytest.approx(0.012 + 0.001)
+
+
+def seen_touching(*fingers: int) -> Seen:
+    """Both fingertips at 12 mm; some of them touch."""
+    force = np.zeros(5)
+    force[list(fingers)] = 1.0
+    state = ScenePhysics(load_hand("mimic_p050", "right"), CARD_SCENE).observe()
+    tips = np.tile([0.012, 0.0, 0.0], (5, 1))
+    return Seen(replace(state, force=force), None, tips, tips)
+
+
+def test_strokes_turn_towards_the_goal_and_no_further() -> None:
+    hand = load_hand("mimic_p050", "right")
+    scene = scene_for("cube", hand)
+    reach, centre = GripReach(hand, scene), scene.start[0] + np.array([0.0, 0.0, 0.01])
+    faces = np.radians([0.0, 90.0, 180.0, 270.0])
+    for way in (1.0, -1.0):
+        stroke = reach.turn(centre, faces, way, np.radians(20.0), 0.024, 0.039)
+        if stroke is not None:
+            _, start, end = stroke
+            assert way * (end - start) == pytest.approx(np.radians(20.0), abs=np.radians(15.1))
+            assert 0 < way * (end - start) <= np.radians(20.0) + 1e-9
+    finger, start, end = reach.turn(centre, faces, 0.0, np.pi / 2, 0.024, 0.039)  # type: ignore[misc]
+    assert abs(end - start) > np.radians(30.0)
+    n = 0.024 * np.array([np.cos(end), np.sin(end), 0.0])
+    assert reach.off({0: centre - n, finger: centre + n}) < 0.005
+    assert reach.turn(centre + np.array([0.3, 0.0, 0.0]), faces, 0.0, 1.0, 0.024, 0.039) is None
+
+
+class ExactMap:
+    """Where the own fingertips of a hand of the robot's shape go, without anything to learn."""
+
+    def __init__(self, body: HandModel, hand: Hand) -> None:
+        q = np.random.default_rng(0).uniform(*hand.limits.T, (40, len(hand.limits)))
+        own = np.array([body.landmarks(one)[0][list(TIPS)] for one in q]).reshape(-1, 3)
+        robot = hand.tips(hand.full_configuration(q)).reshape(-1, 3)
+        self._map = np.linalg.lstsq(np.c_[robot, np.ones(len(robot))], own, rcond=None)[0]
+
+    def own_tips(self, robot: np.ndarray) -> np.ndarray:
+        return np.asarray(np.c_[robot, np.ones(len(robot))] @ self._map)
+
+
+def exact_person() -> Familiar:
+    """A person who has the robot's hand, and makes no errors; only vision is delayed."""
+    retargeter = Retargeter(load_hand("mimic_p050", "right"), method="keyvector")
+    person = replace(
+        draw_person(0), bone_factors=np.ones((5, 3)), map_error=np.zeros((5, 3)), motor_noise=0.0,
+        tremor_m=0.0, tracker_noise=0.0, frame_loss=0.0, pace=1.0, crossover=1e-9,
+    )  # fmt: skip
+    body = hand_model(person, retargeter.hand)
+    return Familiar(person, retargeter, body, ExactMap(body, retargeter.hand))  # type: ignore[arg-type]
+
+
+def test_a_person_without_errors_does_the_tasks() -> None:
+    person = exact_person()
+    cube = simulate_trial(person, TASKS["cube"], rate_hz=30.0, seconds=40.0)
+    assert cube.outcome.score == 1.0, cube
+    assert cube.outcome.seconds > 5.0  # in several strokes
+    screwdriver = simulate_trial(person, TASKS["screwdriver"], rate_hz=30.0)
+    assert screwdriver.outcome.score >= 0.5, screwdriver
+    assert screwdriver.outcome.ended in ("finished", "success")
+
+
+def test_a_person_who_misjudges_by_centimetres_does_not() -> None:
+    person = exact_person()
+    lost = replace(person, person=replace(person.person, map_error=np.full((5, 3), 0.03)))
+    trial = simulate_trial(lost, TASKS["cube"], rate_hz=30.0, seconds=8.0)
+    assert trial.outcome.score == 0.0
+
+
+def test_an_operator_is_granted_one_reset_and_may_stop() -> None:
+    hand = load_hand("mimic_p050", "right")
+    wishes = iter(["reset", None, "reset", None, "finish"])
+    physics = ScenePhysics(hand, CARD_SCENE)
+    hold = hand.full_configuration(hand.neutral)
+    moments = list(
+        perform(physics, TASKS["card"], lambda *_: hold, asked=lambda: next(wishes), seconds=1.0)  # type: ignore[arg-type,return-value]
+    )
+    assert [moment.run.resets for moment in moments] == [1] * 5
+    assert physics.starts == 2
+    outcome = moments[-1].run.outcome
+    assert outcome is not None
+    assert outcome.ended == "finished"
+    assert outcome.resets == 1
 
 
 def small_plan(**changes: object) -> Plan:

@@ -34,7 +34,7 @@ Examples:
     out."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
-    """Robot hand, of those with demonstrations of the tasks."""
+    """Robot hand, which must be able to do the tasks."""
 
     body: Literal["matched", "human"] = "matched"
     """Kinematics of the operators' hands: the robot's at human size with other bones, or published

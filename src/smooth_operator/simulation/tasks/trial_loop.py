@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -67,6 +67,9 @@ class FrameRetargeter(Protocol):
 Commands = Callable[[float, SceneState, ScenePhysics], Float[np.ndarray, " n"] | None]
 """(time since 'go' [s], scene, physics) -> (n,) positions of all joints [rad]; None holds."""
 
+Interventions = Callable[[], Literal["reset", "finish"] | None]
+"""What the operator asks for now: the object put back, or the end of the trial."""
+
 CommandLimit = Callable[[Float[np.ndarray, " n"], float], Float[np.ndarray, " n"]]
 """((n,) wanted positions [rad], seconds since the last command) -> (n,) what is sent."""
 
@@ -118,6 +121,7 @@ class TrialResult:
         frames: how many frames the retargeter received since 'go'.
         dropped: how many were dropped.
         diverged: how often the physics diverged and was reset; such a trial measures nothing.
+        resets: how often the object was put back.
         trace: what happened; None unless asked for.
     """
 
@@ -129,6 +133,7 @@ class TrialResult:
     frames: int
     dropped: int
     diverged: int
+    resets: int
     trace: TrialTrace | None = None
 
 
@@ -140,6 +145,7 @@ def perform(
     seconds: float | None = None,
     rate_hz: float = RATE_HZ,
     lead_s: float = 0.0,
+    asked: Interventions = lambda: None,
 ) -> Iterator[Moment]:
     """Do a trial with a source of joint commands.
 
@@ -154,6 +160,8 @@ def perform(
         seconds: after which the trial is left [s], still running; None for the task's own limit.
         rate_hz: periods a second [Hz].
         lead_s: how long the commands run before 'go' [s].
+        asked: what the operator asks for, after each command since 'go'; a reset beyond the one
+            that is allowed is not granted.
 
     Yields:
         the moment after each period since 'go', until the trial is done or the time over.
@@ -182,6 +190,14 @@ def perform(
         if command is not None:
             last = command
             physics.command(command)
+        wish = asked() if k >= 0 else None
+        if wish == "reset" and run.resets == 0:
+            run = run.reset()
+            physics.reset_object()
+        elif wish == "finish":
+            run = run.finish(physics.time)
+            yield Moment(state, run, last)
+            return
         physics.advance(period)
         state = physics.observe()
         run = run.observe(state)
@@ -248,6 +264,7 @@ def run_trial(
     seed: int | None = None,
     limit: CommandLimit | None = None,
     prepare: Callable[[ScenePhysics], None] | None = None,
+    asked: Interventions = lambda: None,
     trace: bool = False,
 ) -> TrialResult:
     """Do a trial with a retargeter, from a source of human landmarks.
@@ -270,6 +287,7 @@ def run_trial(
             sends them as they are, kept within the joints' limits by the servos. (The limits of
             teleoperation, 15 rad/s and 1500 rad/s^2, are far above what these tasks need.)
         prepare: changes the built scene before the trial, such as its friction.
+        asked: what the operator asks for; see ``perform``.
         trace: keep what happened.
 
     Raises:
@@ -282,7 +300,7 @@ def run_trial(
     positions, moments = [], []
     run = TaskRun(task, scene)
     for moment in perform(
-        physics, task, loop, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s
+        physics, task, loop, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s, asked=asked
     ):  # fmt: skip
         run = moment.run
         if trace:
@@ -296,7 +314,7 @@ def run_trial(
     assert outcome is not None  # it is done
     result = TrialResult(
         outcome.score, outcome.line, outcome.reason, outcome.seconds, outcome.ended,
-        len(loop.times) - loop.dropped, loop.dropped, physics.resets,
+        len(loop.times) - loop.dropped, loop.dropped, physics.resets, outcome.resets,
     )  # fmt: skip
     if not trace:
         return result

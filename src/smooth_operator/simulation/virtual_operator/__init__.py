@@ -1,6 +1,5 @@
 """Virtual operators: a model of a person who looks at the robot hand and corrects."""
 
-from smooth_operator.simulation.virtual_operator.intention import Intention, intention_for
 from smooth_operator.simulation.virtual_operator.operator import VirtualOperator
 from smooth_operator.simulation.virtual_operator.person import Person, draw_person
 from smooth_operator.simulation.virtual_operator.trial import (
@@ -12,12 +11,10 @@ from smooth_operator.simulation.virtual_operator.trial import (
 
 __all__ = [
     "Familiar",
-    "Intention",
     "OperatorTrial",
     "Person",
     "VirtualOperator",
     "draw_person",
-    "intention_for",
     "make_familiar",
     "simulate_trial",
 ]

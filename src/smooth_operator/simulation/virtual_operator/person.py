@@ -50,13 +50,14 @@ class Person:
             (Ferrell, Gandevia and McCloskey 1987), which is that much at the tip.
         practice: exponent of the power law of practice. 0.2 +- 0.05 (Newell and Rosenbloom 1981;
             Crossman 1959).
-        attempts: after so many the person gives up. 3 to 6; ours.
         bone_factors: (5, 3) length of each finger bone over the expected one. 5 %, 10 % at most;
             ours.
         anatomy: of the hand. Length 190 +- 10 mm for one half, 175 +- 9 mm for the other (Pheasant
             and Haslegrave 2006: British men and women); bones as ``draw_anatomy``.
-        tracker_noise_m: standard deviation of each coordinate of a landmark [m]. 0.2 to 0.6 mm;
-            ours, for a glove.
+        tracker_noise: standard deviation of each joint angle that the glove gives [rad]. 0.1 to
+            0.25 degrees: in a recording of a MANUS glove the palm is rigid and fingertips have
+            noise of up to 0.24 mm in each coordinate (third differences, the quietest 5 % of the
+            windows of 1 s, 118 Hz), which is 0.24 degrees in each joint of a finger.
         frame_loss: share of frames that do not arrive. 0 to 1 %; ours.
     """
 
@@ -70,10 +71,9 @@ class Person:
     tremor_m: float
     map_error: Float[np.ndarray, "5 3"]
     practice: float
-    attempts: int
     bone_factors: Float[np.ndarray, "5 3"]
     anatomy: HandAnatomy
-    tracker_noise_m: float
+    tracker_noise: float
     frame_loss: float
 
     def practised(self, trials: float) -> float:
@@ -120,10 +120,9 @@ def draw_person(number: int, seed: int = 0) -> Person:
         tremor_m=float(rng.uniform(3e-5, 1.5e-4)),
         map_error=shared + rng.normal(0.0, 0.004 * np.sqrt(0.5), (len(FINGERS), 3)),
         practice=float(np.clip(rng.normal(0.2, 0.05), 0.05, 0.4)),
-        attempts=int(rng.integers(3, 7)),
         bone_factors=1.0 + np.clip(rng.normal(0.0, 0.05, (len(FINGERS), 3)), -0.1, 0.1),
         anatomy=draw_anatomy(length, int(rng.integers(1 << 31))),
-        tracker_noise_m=float(rng.uniform(2e-4, 6e-4)),
+        tracker_noise=float(np.radians(rng.uniform(0.1, 0.25))),
         frame_loss=float(rng.uniform(0.0, 0.01)),
     )
 

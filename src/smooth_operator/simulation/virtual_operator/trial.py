@@ -4,34 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.simulation.scenes.scene_registry import scene_for
-from smooth_operator.simulation.tasks.demonstration import load_demonstration
+from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.task_registry import SimulatedTask
-from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun
-from smooth_operator.simulation.tasks.trial_loop import FrameRetargeter
+from smooth_operator.simulation.tasks.trial import Outcome
+from smooth_operator.simulation.tasks.trial_loop import FrameRetargeter, run_trial
 from smooth_operator.simulation.virtual_operator.familiarisation import (
     InternalModel,
     familiarise,
 )
+from smooth_operator.simulation.virtual_operator.grip_reach import GripReach
 from smooth_operator.simulation.virtual_operator.hand_model import (
     Body,
     HandModel,
     hand_model,
 )
-from smooth_operator.simulation.virtual_operator.intention import Intention, intention_for
 from smooth_operator.simulation.virtual_operator.operator import VirtualOperator
 from smooth_operator.simulation.virtual_operator.person import Person
-from smooth_operator.types import HandFrame
 
-_LOOK_S: Final = 0.01
-"""Between two looks of scorer and person at the scene [s]."""
+LOOKS_HZ: Final = 100.0
+"""Looks of scorer and person at the scene a second [Hz]."""
 
 LEAD_S: Final = 1.0
 """So long the person holds the open hand before 'go' [s]."""
@@ -109,60 +109,72 @@ def simulate_trial(
         rate_hz: frames of the tracker and commands a second [Hz].
         practised: trials of the task before this one, with any retargeter.
         practised_here: trials before this one with this retargeter.
-        resets: how often the object may be put back.
+        resets: how often the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
         seed: of all noise of this trial.
 
     Raises:
         HandModelError: the hand can't do the task.
-        StudyError: there is no demonstration of the task for the hand.
     """
-    person, retargeter = familiar.person, familiar.retargeter
-    hand = retargeter.hand
-    scene, intention = _prepared(task.name, hand)
-    physics = ScenePhysics(hand, scene)
-    limit = task.seconds if seconds is None else seconds
-    operator = VirtualOperator(
-        person, hand, familiar.body, familiar.model, intention, task, physics, practised=practised,
-        practised_here=practised_here, lag_s=0.5 / rate_hz + _SERVO_LAG_S, seed=seed,
+    scene, reach = _prepared(task.name, familiar.retargeter.hand)
+    source = _Tracked(familiar, task, scene, reach, rate_hz, practised, practised_here, resets,
+                      seed)  # fmt: skip
+    result = run_trial(
+        familiar.retargeter, scene, task, source, rate_hz=LOOKS_HZ, seconds=seconds, lead_s=LEAD_S,
+        seed=seed, asked=source.asked,
     )  # fmt: skip
-    rng = np.random.default_rng([seed, person.number, 0x7A])
-    state, frames, put_back, due = retargeter.init(seed), 0, 0, -LEAD_S
-    run = TaskRun(task, scene)
-    start, seen = physics.time + LEAD_S, physics.observe()
-    while run.phase is not Phase.DONE:
-        time = physics.time - start
-        if run.phase is Phase.READY and time >= -1e-9:
-            physics.reset_object()
-            seen = physics.observe()
-            run = run.go(physics.time)
-        if time >= limit or operator.gave_up:
-            run = run.finish(physics.time)
-            break
-        if time >= -1e-9:
-            operator.observe(time, seen, physics)
-        if time >= due - 1e-9:
-            due += 1.0 / rate_hz
-            points = operator.landmarks(time, seen, physics)
-            points = points + rng.normal(0.0, person.tracker_noise_m, points.shape)
-            if rng.random() >= person.frame_loss:
-                frame = HandFrame(points, time, hand.spec.side)
-                state, result = retargeter.step(state, frame)
-                physics.command(result.command.positions)
-                frames += 1
-            if operator.wants_reset and put_back < resets:
-                put_back += 1
-                run = run.reset()
-                physics.reset_object()
-                operator.restart()
-            operator.wants_reset = False
-        physics.advance(_LOOK_S)
-        seen = physics.observe()
-        run = run.observe(seen)
-    assert run.outcome is not None  # it is done
-    return OperatorTrial(run.outcome, operator.attempt, frames, physics.resets)
+    outcome = Outcome(
+        result.score, result.line, result.seconds, result.ended, result.reason, result.resets
+    )
+    return OperatorTrial(outcome, source.operator.attempts, result.frames, result.diverged)
+
+
+class _Tracked:
+    """A person before a tracker, which has noise, a frame rate and lost frames."""
+
+    def __init__(
+        self, familiar: Familiar, task: SimulatedTask, scene: Scene, reach: GripReach,
+        rate_hz: float, practised: int, practised_here: int, resets: int,
+        seed: int,
+    ) -> None:  # fmt: skip
+        self._person, self._period = familiar.person, 1.0 / rate_hz
+        self._rng = np.random.default_rng([seed, self._person.number, 0x7A])
+        self._resets = resets
+        self._due = float("-inf")
+        self.operator = VirtualOperator(
+            familiar.person, familiar.retargeter.hand, familiar.body, familiar.model, task, scene,
+            reach, practised=practised, practised_here=practised_here,
+            lag_s=0.5 / rate_hz + _SERVO_LAG_S, seed=seed,
+        )  # fmt: skip
+
+    def landmarks(
+        self, time: float, state: SceneState, physics: ScenePhysics
+    ) -> Float[np.ndarray, "21 3"] | None:
+        """See ``LandmarkSource``; None also between the frames of the tracker."""
+        if time >= 0.0:
+            self.operator.observe(time, state, physics)
+        if time < self._due - 1e-9:
+            return None
+        self._due = max(self._due, time) + self._period
+        self.operator.landmarks(time, state, physics)
+        body = self.operator.body
+        noise = self._rng.normal(0.0, self._person.tracker_noise, len(body.angles))
+        return None if self._rng.random() < self._person.frame_loss else body.tracked(noise)
+
+    def asked(self) -> Literal["reset", "finish"] | None:
+        """See ``perform``."""
+        if self.operator.gave_up:
+            return "finish"
+        if self.operator.wants_reset:
+            self.operator.wants_reset = False
+            if self._resets:
+                self._resets -= 1
+                self.operator.restart()
+                return "reset"
+        return None
 
 
 @lru_cache(maxsize=16)
-def _prepared(task: str, hand: Hand) -> tuple[Scene, Intention]:
-    return scene_for(task, hand), intention_for(load_demonstration(task, hand.name), hand)
+def _prepared(task: str, hand: Hand) -> tuple[Scene, GripReach]:
+    scene = scene_for(task, hand)
+    return scene, GripReach(hand, scene)

@@ -20,8 +20,8 @@ SPEED_LIMIT: Final = 0.10
 """Fastest correction of a fingertip [m/s]: corrective submovements of some 10 to 20 mm last 150 to
 200 ms (Meyer et al. 1988)."""
 
-REACH_LIMIT: Final = 0.03
-"""Largest correction [m]; ours: beyond it a person would call the robot broken."""
+REACH_LIMIT: Final = 0.015
+"""Largest correction [m]; ours: a fingertip that does not follow further can't go there."""
 
 
 class DelayedView(Generic[T]):

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any, Final
 
-from smooth_operator.errors import StudyError, UnknownNameError, listed
+from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.simulation.tasks.demonstration import DEFAULT_HAND, demonstrated_hands
+from smooth_operator.simulation.scenes.scene_registry import scene_for
+from smooth_operator.simulation.tasks.demonstration import DEFAULT_HAND
 from smooth_operator.simulation.tasks.task_registry import task_named
 from smooth_operator.simulation.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator.simulation.virtual_operator.hand_model import Body
@@ -34,7 +35,7 @@ class SimulationSettings:
 
     Attributes:
         plan: who does what.
-        hand: robot hand, for which there are demonstrations.
+        hand: robot hand, which must be able to do the tasks.
         body: whose kinematics the persons' hands have.
         seed: of persons and trials.
     """
@@ -54,12 +55,12 @@ class SimulationSettings:
                 raise StudyError(
                     f"task {task.name!r} of the plan can't be simulated: {error}"
                 ) from error
-            hands = demonstrated_hands(simulated.name)
-            if self.hand not in hands:
+            try:
+                scene_for(simulated.name, load_hand(self.hand, "right"))
+            except HandModelError as error:
                 raise StudyError(
-                    f"hand {self.hand!r} has no demonstration of task {task.name!r}; the hands "
-                    f"with one are {listed(hands)}"
-                )
+                    f"task {task.name!r} of the plan can't be simulated: {error}"
+                ) from error
         for condition in self.plan.protocol.conditions:
             try:
                 config = method_config(condition.method, condition.preset)

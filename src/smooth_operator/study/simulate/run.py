@@ -96,7 +96,7 @@ def simulate_study(
 def _code() -> str:
     """Digest of what a trial depends on."""
     modules = imported_modules("study/simulate/jobs.py")
-    return code_digest(*modules, "simulation/tasks/demonstrations", "baselines/models")
+    return code_digest(*modules, "baselines/models")
 
 
 def _rows(chunk: Chunk, trials: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
