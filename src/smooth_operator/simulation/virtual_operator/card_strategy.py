@@ -34,7 +34,7 @@ _PULL: Final = np.array([-0.027, 0.0, 0.006])  # way of the pinched card off the
 _LIFT: Final = np.array([0.0, 0.0, 0.024])  # and up
 _PINCH_M: Final = 0.010
 _SQUEEZE_M: Final = 0.003  # a pinch that is to hold is closed so much further [m]
-_BESIDE_M: Final = 0.015  # so far beside the place of the pinch the card is pressed on [m]
+_BESIDE_M: Final = 0.015  # the card is pressed on so far to the side of the pinch [m]
 _STICKS_OUT: Final = 0.025  # of the card over the edge, before it is pinched [m]
 
 
@@ -58,8 +58,8 @@ def card_strategy(scene: CardScene, reach: GripReach, seen: Seen) -> Strategy:
     below = np.array([edge - 0.016, y, top - 0.022])
     while True:
         far = min(scene.reach - 0.012, float(seen.state.position[0]) + CARD[0] / 2 - 0.012)
-        beside = float(np.clip(seen.state.position[1] - y, -_BESIDE_M, _BESIDE_M))
-        over = np.array([far, y + beside, above]) + lift
+        aside = float(np.clip(seen.state.position[1] - y, -_BESIDE_M, _BESIDE_M))
+        over = np.array([far, y + aside, above]) + lift
         seen = yield Step(still({THUMB: below, finger: over}))
         for _ in range(4):
             if _protrudes(seen) >= _STICKS_OUT:
