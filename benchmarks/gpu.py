@@ -23,9 +23,10 @@ import numpy as np
 import tyro
 from timing import percentiles
 
-from smooth_operator import Hand, HandFrame, Retargeter, SbrConfig, SmoothOperatorError
+from smooth_operator import Hand, HandFrame, Retargeter, SmoothOperatorError
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import palm_alignment
+from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator

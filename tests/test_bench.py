@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from metrics_cases import human_motion, make_trace
 
-from smooth_operator import Hand, Retargeter, SbrConfig, SyntheticOperator, load_hand
+from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
@@ -37,6 +37,7 @@ from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.registry import METHODS
+from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.plugins import Entry

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, SbrConfig, load_hand
+from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
 from smooth_operator.compilation import compile_cache as offline_cache
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.methods.presets import PRESETS
+from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from smooth_operator import Retargeter, SbrConfig
+from smooth_operator import Retargeter
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
@@ -31,6 +31,7 @@ from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.offline.jobs import Entry, checked
 from smooth_operator.lab.offline.scan import CHUNK, Scan, find_scan
 from smooth_operator.methods.presets import PRESETS
+from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator

@@ -26,7 +26,7 @@ HEAVY = ("matplotlib", "viser", "mcap", "tyro", "rich")
 LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "nlopt", "trimesh", "sqlalchemy")
 """What no package may import before one of its names is asked for."""
 
-MOST_NAMES = 95
+MOST_NAMES = 50
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
 PUBLIC_PACKAGES = (
     "calibration", "formats", "hands", "lab", "methods", "metrics", "objective", "solvers",
@@ -35,6 +35,8 @@ PUBLIC_PACKAGES = (
 
 PUBLIC_MODULES = ("errors", "landmarks")
 """Modules whose public names are in their ``__all__``."""
+APART = (*PUBLIC_MODULES, "calibration", "formats")
+"""Counted apart: errors, index maps, and readers and writers, which are one for each case."""
 
 # Runs in a fresh interpreter, with the statements to judge, one by one, as its arguments. JAX is
 # imported first: what it does to the process is not ours to answer for.
@@ -172,8 +174,10 @@ def public_names() -> list[str]:
 
 
 def test_the_public_names_are_few() -> None:
-    """Under a hundred for all that a user needs; a name that stands in two packages counts once."""
-    assert len({name.rpartition(".")[2] for name in public_names()}) <= MOST_NAMES
+    """A name that stands in two packages counts once; those of APART and the version do not."""
+    apart = {name.rpartition(".")[2] for name in public_names() if name.split(".")[1] in APART}
+    names = {name.rpartition(".")[2] for name in public_names()} - apart - {"__version__"}
+    assert len(names) <= MOST_NAMES
 
 
 def test_public_names_are_the_recorded_ones() -> None:

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from smooth_operator import (
-    CommandTrajectory,
-    HandFrame,
-    HandRecording,
-    JointCommand,
-    Result,
-    Status,
-    load_hand,
-)
+from smooth_operator import HandFrame, HandRecording, Result, Status, load_hand
+from smooth_operator.types import CommandTrajectory, JointCommand
 
 LANDMARKS = np.zeros((21, 3))
 COMMAND = JointCommand(np.array([0.5, -0.25, 0.0, 1.0]), ("a", "b", "c", "d"), 2.5)

@@ -23,16 +23,11 @@ from smooth_operator.landmarks import LANDMARKS as LANDMARKS
 from smooth_operator.methods.presets import method_config as method_config
 from smooth_operator.methods.presets import method_names as method_names
 from smooth_operator.methods.retargeter import Retargeter as Retargeter
-from smooth_operator.methods.retargeter import RetargetState as RetargetState
-from smooth_operator.methods.sbr import SbrConfig as SbrConfig
-from smooth_operator.methods.smooth import SmoothConfig as SmoothConfig
 from smooth_operator.metrics.assemble import assemble_trace as assemble_trace
 from smooth_operator.metrics.evaluation import evaluate as evaluate
 from smooth_operator.synthetic.operator import SyntheticOperator as SyntheticOperator
-from smooth_operator.types import CommandTrajectory as CommandTrajectory
 from smooth_operator.types import HandFrame as HandFrame
 from smooth_operator.types import HandRecording as HandRecording
-from smooth_operator.types import JointCommand as JointCommand
 from smooth_operator.types import Result as Result
 from smooth_operator.types import Status as Status
 from smooth_operator.version import __version__ as __version__

@@ -5,6 +5,3 @@ from smooth_operator.methods.method import ObjectiveMethodConfig as ObjectiveMet
 from smooth_operator.methods.presets import method_config as method_config
 from smooth_operator.methods.presets import method_names as method_names
 from smooth_operator.methods.retargeter import Retargeter as Retargeter
-from smooth_operator.methods.retargeter import RetargetState as RetargetState
-from smooth_operator.methods.sbr import SbrConfig as SbrConfig
-from smooth_operator.methods.smooth import SmoothConfig as SmoothConfig
