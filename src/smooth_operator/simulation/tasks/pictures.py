@@ -18,7 +18,7 @@ from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.demonstration import Demonstration, load_demonstration, play
 
 _MOMENTS: Final = {
-    "card": (0.02, 2.0, 3.2, 4.0),
+    "card": (0.02, 1.9, 3.5, 4.3),
     "cube": (0.02, 1.1, 1.75, 4.0),
     "screwdriver": (0.02, 1.2, 2.1, 4.3),
 }
