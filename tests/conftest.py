@@ -53,10 +53,14 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` sta
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
-LONG_FILES = ("test_paper_quick.py", "test_hand_matrix.py")
-"""Files that take more than a minute of CPU time, which run first: the worker that took one of them
-last would be alone for that minute. The others follow by number of tests, as pytest-xdist has it.
-"""
+LONG_FILES = (
+    "test_paper_quick.py", "test_hand_matrix.py", "test_operator_profile.py", "test_ablations.py",
+    "test_dataset.py", "test_smooth_terms.py", "test_slsqp_method.py", "test_published_methods.py",
+    "test_attainable.py", "test_rest_pose.py", "test_calibration.py", "test_virtual_operator.py",
+)  # fmt: skip
+"""Files that take long for how few tests they have, the longest first. They run first: the worker
+that took one of them last would be alone with it. The others follow by number of tests, as
+pytest-xdist has it."""
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_time import until
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
@@ -309,8 +310,7 @@ def test_ctrl_c_exits_130_and_leaves_nothing(tmp_path: Path) -> None:
     )
     assert process.stderr is not None
     assert "compiling" in process.stderr.readline()
-    time.sleep(0.5)
-    assert (tmp_path / "results").is_dir()
+    until((tmp_path / "results").is_dir, 60.0)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err

@@ -25,6 +25,8 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.types import Side
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 
 def world_tips(hand: Hand, q: np.ndarray) -> np.ndarray:
     """(T, f, 3) fingertips in the palm frame by MuJoCo, with the whole model posed."""

@@ -27,6 +27,8 @@ from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.reporting.drawing import name_points
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "smooth.md"
 HAND = "shadow_dexee"
 """Three fingers, which are compiled soonest."""

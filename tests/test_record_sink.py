@@ -9,12 +9,14 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator import Retargeter
@@ -195,20 +197,18 @@ def test_bad_settings(text: str) -> None:
         build_sink(text)
 
 
-def _slow_log(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    write = LogWriter.write_command
-
-    def slow(self: LogWriter, *args: object, **more: object) -> None:
-        time.sleep(seconds)
-        write(self, *args, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(LogWriter, "write_command", slow)
-
-
 def test_a_slow_disk_never_stops_the_loop_and_losses_are_told(
     hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _slow_log(monkeypatch, 0.02)
+    gate, written = threading.Event(), []
+    write = LogWriter.write_command
+
+    def slow(self: LogWriter, *args: object, **more: object) -> None:
+        gate.wait(60.0)
+        write(self, *args, **more)  # type: ignore[arg-type]
+        written.append(1)
+
+    monkeypatch.setattr(LogWriter, "write_command", slow)
     sink = RecordSink(tmp_path / "a.mcap", buffer=10)
     sink.open({"right": hand}, {})
     longest = 0.0
@@ -217,8 +217,8 @@ def test_a_slow_disk_never_stops_the_loop_and_losses_are_told(
         start = time.thread_time()
         sink.send(tick)
         longest = max(longest, time.thread_time() - start)
-        time.sleep(0.002)
-    time.sleep(0.5)
+    gate.set()
+    until(lambda: len(written) >= 10)
     sink.send(make_tick(hand, 60))
     sink.close()
     assert longest < 0.005

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -30,12 +31,21 @@ from smooth_operator.objective.terms.robot_vectors import RobotVectors
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
+
+@cache
+def rest_program(hand: Hand, config: RestPoseConfig):
+    return jax.jit(RestPose(hand, config))
+
 
 def rest_of(
     hand: Hand, q: np.ndarray, places: np.ndarray, config: RestPoseConfig, shown: np.ndarray
 ):
     still = jnp.zeros((len(hand.fingers), 3))
-    return RestPose(hand, config)(jnp.asarray(q), jnp.asarray(shown), jnp.asarray(places), still)
+    return rest_program(hand, config)(
+        jnp.asarray(q), jnp.asarray(shown), jnp.asarray(places), still
+    )
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "leap_hand", "inspire_hand"])

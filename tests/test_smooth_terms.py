@@ -35,6 +35,8 @@ from smooth_operator.objective.terms.fingertip_motion import FingertipMotion
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
 
@@ -212,7 +214,7 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
             )
         )
         found = run(jnp.asarray(hand.neutral, float))
-        cost, gradient, _ = smooth.value_grad_hess(found, goal)
+        cost, gradient, _ = jax.jit(lambda q: smooth.value_grad_hess(q, goal))(found)
         low, high = hand.limits.T
         free = np.clip(found - gradient, low, high) - found
         assert np.abs(free).max() < 1e-5
@@ -317,16 +319,16 @@ def test_the_slope_of_angle_and_length_is_that_of_the_price() -> None:
     vectors, targets = rng.normal(0, 0.02, (2, 12, 3))
     with float64():
         given, wanted = jnp.asarray(vectors), jnp.asarray(targets)
-        slope = jax.grad(lambda v: direction_length_cost(v, wanted, config).cost)(given)
-        found = direction_length_cost(given, wanted, config)
+        priced = jax.jit(lambda v: direction_length_cost(v, wanted, config))
+        slope = jax.jit(jax.grad(lambda v: priced(v).cost))(given)
+        found = priced(given)
         np.testing.assert_allclose(found.gradient, slope, rtol=1e-8, atol=1e-10)
         assert np.linalg.eigvalsh(np.asarray(found.hessian)).min() > -1e-9  # no step goes uphill
         # where a vector points as it should, nothing is left out
-        aligned = wanted * 1.0
-        exact = jax.hessian(lambda v: direction_length_cost(v[None], wanted[:1], config).cost)(
-            aligned[0]
-        )
-        near = direction_length_cost(aligned[:1], wanted[:1], config).hessian[0]
+        exact = jax.jit(
+            jax.hessian(lambda v: direction_length_cost(v[None], wanted[:1], config).cost)
+        )(wanted[0])
+        near = priced(wanted).hessian[0]
         assert np.abs(near - exact).max() < 0.2 * np.abs(exact).max()
 
 

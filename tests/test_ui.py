@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
@@ -23,7 +24,7 @@ from browser_page import changed, new_page, settled
 
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
-from smooth_operator.teleop.pages import Playback, PlaybackServer, serve
+from smooth_operator.teleop.pages import Playback, PlaybackServer, player, serve
 from smooth_operator.teleop.pages.clock import PlaybackClock
 from smooth_operator.teleop.pages.human import _turn_z, lit_tips
 from smooth_operator.teleop.pages.markup import plain
@@ -128,7 +129,7 @@ def server(playback: Playback) -> Iterator[PlaybackServer]:
         yield running
 
 
-def eventually(check: Any, seconds: float = 5.0) -> Any:
+def eventually(check: Any, seconds: float = 30.0) -> Any:
     """The first true value of ``check()``; an assertion error when time is up."""
     end = time.monotonic() + seconds
     while True:
@@ -518,12 +519,24 @@ def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
             assert shown.tolist() == [frame == 2, False]
 
 
-def test_playback_keeps_real_time_at_any_rate() -> None:
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The player's clock: the time [s] that is its only item."""
+    clock = [100.0]
+    monkeypatch.setattr(player, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    return clock
+
+
+def test_playback_keeps_real_time_at_any_rate(now: list[float]) -> None:
     with PlaybackServer(make_playback(1200, rate=2000.0), port=0, loop=False) as server:
-        begun = time.monotonic()
         server.play()
+        now[0] += 0.30025  # frame 600, and half of it is over
+        eventually(lambda: server.frame == 600)
+        assert server.playing
+        now[0] += 0.25
+        eventually(lambda: server.frame == 1100)
+        now[0] += 0.1
         eventually(lambda: not server.playing)
-        assert 0.55 < time.monotonic() - begun < 1.1
         assert server.frame == 1199
 
 
@@ -548,12 +561,16 @@ def test_pause_step_and_speed(server: PlaybackServer) -> None:
         server.set_speed(9.0)
 
 
-def test_scrubbing_holds_time_until_the_slider_rests(server: PlaybackServer) -> None:
+def test_scrubbing_holds_time_until_the_slider_rests(
+    now: list[float], server: PlaybackServer
+) -> None:
     server.play()
     server.scrub(20)
+    now[0] += 0.25
     time.sleep(0.1)
     assert server.frame == 20
     assert server.playing
+    now[0] += 0.25
     eventually(lambda: server.frame > 20)
 
 
