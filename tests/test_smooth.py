@@ -91,6 +91,30 @@ def test_it_follows_and_never_freezes(
     assert np.median(apart) < 0.004
 
 
+def test_with_grasp_a_pinch_hardly_moves_and_opens_on_time(smooth: Retargeter, hand: Hand) -> None:
+    still = landmarks_of(hand, np.tile(hand.neutral, (140, 1)))
+    t = np.arange(140) / RATE
+    closed = np.clip(t / 0.3, 0, 1) * np.clip((1.0 - t) / 0.1, 0, 1)
+    thumb, index, ring = TIPS[0], TIPS[1], TIPS[3]
+    meet = still[:, thumb] + 0.5 * (still[:, index] - still[:, thumb])
+    moving = 0.012 * np.sin(2 * np.pi * 2 * np.clip(t - 0.35, 0, None))[:, None] * [0, 0, 1.0]
+    for tip in (thumb, index):
+        still[:, tip] += 0.95 * closed[:, None] * (meet - still[:, tip]) + moving
+    still[:, ring] += moving
+
+    held = (t > 0.5) & (t < 0.88)
+
+    def span(points: np.ndarray) -> float:
+        return float(np.linalg.norm(np.ptp(points[held], axis=0)))
+
+    follows = hand.tips(commands(smooth, recording(still)))
+    grasps = hand.tips(commands(Retargeter(method="smooth", preset="grasp"), recording(still)))
+    assert span(grasps[:, :2].mean(axis=1)) < 0.5 * span(follows[:, :2].mean(axis=1))
+    assert span(grasps[:, 3]) > 0.8 * span(follows[:, 3])  # the ring finger is free
+    gap = np.linalg.norm(grasps[:, 1] - grasps[:, 0], axis=-1)
+    assert gap[held].max() < 0.012 < 0.02 < gap[t > 1.15].min()
+
+
 def test_steps_are_bounded_when_the_hand_leaps(smooth: Retargeter, hand: Hand) -> None:
     low, high = hand.limits.T
     q = np.where(np.arange(40)[:, None] % 10 < 5, low + 0.05, high - 0.05)

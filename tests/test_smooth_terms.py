@@ -280,6 +280,21 @@ def test_targets_of_a_pinch_stay_apart_and_point_the_same_way() -> None:
     assert np.abs(length - gaps)[gaps > 0.012].max() < 4e-5
 
 
+def test_latches_close_near_and_open_far_and_change_no_target() -> None:
+    config = CloseTargets(project=0.012, escape=0.02)
+    layout = config.layout(("thumb", "index", "middle"))
+    state, seen = config.init(layout), []
+    for gap in (0.03, 0.015, 0.011, 0.019, 0.021, 0.015):
+        human = jnp.full((6, 3), 0.03).at[3].set(jnp.array([gap, 0.0, 0.0]))
+        targets, state = config(state, layout, human)
+        seen.append(np.asarray(config.latched(state)).tolist())
+        plain = CloseTargets()((), layout, human)[0]
+        np.testing.assert_array_equal(targets.vectors, plain.vectors)
+    assert [first for first, _ in seen] == [False, False, True, True, False, False]
+    assert not any(second for _, second in seen)
+    assert CloseTargets().latched(()) is None
+
+
 # Angle and length
 
 
@@ -341,7 +356,9 @@ def test_prices_of_angle_and_length_are_checked(bad: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [{"apart": -0.01}, {"at": 0.0}, {"floor": -0.01}], ids=lambda bad: next(iter(bad))
+    "bad",
+    [{"apart": -0.01}, {"at": 0.0}, {"floor": -0.01}, {"project": 0.02, "escape": 0.01}],
+    ids=lambda bad: next(iter(bad)),
 )
 def test_target_settings_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError):

@@ -15,6 +15,7 @@ from smooth_operator.methods.registry import METHODS, as_presets
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets
 from smooth_operator.solvers.newton import NewtonConfig
@@ -36,15 +37,21 @@ SBR_REALTIME: Final = SbrConfig(
 )
 """For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
 
-The optimum that the paper's sampler only approaches follows fast motion more closely, jumps of
-the pinch latches included; so a latch moves over 2.5 frames, and weight goes from the
-finger-to-finger keyvectors to the thumb's. The weights were tuned on three recordings (a glove, the
-set that GeoRT trains on, the built-in operator); docs/reference/benchmarks.md says which and
-shows others.
+The optimum that the paper's sampler only approaches follows jumps of the pinch latches more
+closely; so a latch moves over 2.5 frames, and weight goes from the finger-to-finger keyvectors to
+the thumb's. docs/reference/benchmarks.md says what the weights were tuned on.
 """
 
 SMOOTH_TELEOP: Final = SmoothConfig()
 """For a live loop: causal, no frame later than the human's."""
+
+SMOOTH_GRASP: Final = replace(
+    SMOOTH_TELEOP,
+    pinch_damping=300.0,
+    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(project=0.012, escape=0.02)),
+)
+"""For a live loop that handles objects: fingers that pinch hardly follow the human's motion, so
+that they do not roll out what they hold (docs/explanation/smooth.md)."""
 
 
 _FUTURE: Final = TrajectoryConfig(
@@ -60,9 +67,7 @@ SBR_OFFLINE: Final = TrajectoryMethodConfig(
 that move otherwise than the human's.
 
 With the future known, velocity need not cost anything, and the pull to the neutral pose can be
-weaker for the same smoothness. The figures were chosen on the first 500 frames of a glove
-recording, 1,000 of the set that GeoRT trains on and 8 s of the built-in operator (seed 42, 0.5 mm
-of noise).
+weaker for the same smoothness.
 """
 
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
@@ -71,14 +76,10 @@ SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     jump=0.02,
     noise=50.0,
 )
-"""For recordings: the objective of ``smooth`` for all frames together, without its filters.
-
-That objective is stiffer than Eq. (1), and so is what stands against it.
-"""
-
+"""For recordings: the objective of ``smooth`` for all frames together, without its filters."""
 
 SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}
-SMOOTH: Final = {"teleop": SMOOTH_TELEOP, "offline": SMOOTH_OFFLINE}
+SMOOTH: Final = {"teleop": SMOOTH_TELEOP, "grasp": SMOOTH_GRASP, "offline": SMOOTH_OFFLINE}
 
 
 class _Presets(Mapping[str, Mapping[str, MethodConfig]]):

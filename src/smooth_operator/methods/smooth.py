@@ -72,6 +72,9 @@ class SmoothConfig(ObjectiveMethodConfig):
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
+        pinch_damping: added to the velocity weight of joints that move the thumb and a finger that
+            is latched to it. Fingers that follow the human while they hold something roll it out of
+            themselves. Needs ``objective.targets.project``.
         rest_pose: where the pull of Eq. (1) goes where fingertips are near their targets.
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
@@ -96,6 +99,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     )
     motion_weight: float = 1300.0
     motion_speed: float = 0.1
+    pinch_damping: float = 0.0
     rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
@@ -126,7 +130,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         check_numbers(
             self,
             positive=("joint_speed", "settle_sigma", "rate_hz", "gap"),
-            not_negative=("motion_weight", "motion_speed"),
+            not_negative=("motion_weight", "motion_speed", "pinch_damping"),
         )
 
     def build(self, hand: Hand) -> Smooth:
@@ -304,6 +308,11 @@ class Smooth(Method):
         # the further apart two frames are, the less they hold each other
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         velocity = config.objective.velocity_weight * holds
+        latched = config.objective.targets.latched(policy_state)
+        if latched is not None and not is_off(config.pinch_damping):
+            pinching = jnp.concatenate([latched.any()[None], latched])
+            damped = (pinching[:, None] & jnp.asarray(self.rest_pose.moves)).any(axis=0)
+            velocity = velocity + config.pinch_damping * holds * damped
         tips = np.array([self.needs.index(TIPS[FINGERS.index(f)]) for f in self.hand.fingers])
         wrist = self.needs.index(WRIST)
         moves = steps[tips] - steps[wrist]
@@ -331,7 +340,7 @@ class Smooth(Method):
 
         def sampled(round: Array, q: Array) -> Array:
             return sample_minimise(
-                lambda candidates: self.eq_1(candidates, goal),
+                lambda candidates: self.eq_1(candidates, goal._replace(velocity_weight=0.0)),
                 q,
                 limits,
                 frame_key(state.seed, state.frames + round.astype(jnp.uint32)),

@@ -1,24 +1,23 @@
-"""Targets of ``smooth``: the human's vectors, weighted so that directions count, near ones most.
-
-The direction of a short vector turns with the least error of its ends, so an error of the same
-length costs more on it: a pinch is held closely without a latch that could jump.
-"""
+"""Targets of ``smooth``: the human's vectors, weighted so that directions count, near ones most,
+since an error of the same length turns them more."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import Component, OperatorProfile, pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.targets import StatelessTargets, Targets, base_weights
+from smooth_operator.objective.targets import TargetPolicy, Targets, base_weights
+from smooth_operator.settings import check_numbers, is_off
 
 
 @dataclass(frozen=True)
-class CloseTargets(StatelessTargets[KeyvectorLayout]):
+class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     """Every keyvector follows the human's; the nearer its ends, the more closely.
 
     Attributes:
@@ -35,6 +34,9 @@ class CloseTargets(StatelessTargets[KeyvectorLayout]):
             operator: (finger, length at the robot's size [m]). It is taken off the lengths of
             thumb-to-tip targets: in full under 10 mm, not at all over 45 mm. Directions stay the
             human's. Empty without a calibration.
+        project, escape: a finger is latched to the thumb when their tips come nearer than the one
+            [m], until they are farther apart than the other. Latches change no target; they tell
+            what the hand pinches. 0: no latches.
     """
 
     w_wrist: float = 1.0
@@ -46,27 +48,20 @@ class CloseTargets(StatelessTargets[KeyvectorLayout]):
     floor: float = 0.01
     apart: float = 0.0035
     pinch_gaps: tuple[tuple[str, float], ...] = ()
+    project: float = 0.0
+    escape: float = 0.0
 
     def __post_init__(self) -> None:
-        if (
-            all(isinstance(n, float) for n in (self.at, self.floor))
-            and min(self.at, self.floor) <= 0
-        ):
-            raise ConfigError(
-                f"at and floor must be positive lengths [m], not {self.at}, {self.floor}"
-            )
-        if isinstance(self.apart, int | float) and not self.apart >= 0:
-            raise ConfigError(f"apart must not be a negative length [m]: {self.apart}")
+        check_numbers(self, positive=("at", "floor"), not_negative=("apart", "project"))
+        if isinstance(self.project, float) and not self.project <= self.escape:
+            raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
         for finger, gap in self.pinch_gaps:
             if not 0 <= gap < 0.1:
                 raise ConfigError(f"pinch_gaps: {finger} must have 0 to 0.1 m, not {gap}")
 
     def with_operator(self, operator: OperatorProfile) -> tuple[CloseTargets, OperatorProfile]:
-        """Targets that close the operator's pinches by their length alone.
-
-        The thumb's vectors are held by direction and by length. To move landmarks would turn the
-        directions with them, which cost cosine similarity (docs/calibration.md).
-        """
+        """Targets that close the operator's pinches by their length alone: to move landmarks turns
+        directions, which cost cosine similarity."""
         kept = operator.without(*self.unused_components(operator))
         if not operator.has("pinch"):
             return self, kept
@@ -74,18 +69,25 @@ class CloseTargets(StatelessTargets[KeyvectorLayout]):
         return replace(self, pinch_gaps=gaps), kept.without("pinch")
 
     def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """``scale``: one scale for all frames helped on no recording, and on video it preserved
-        motion less (docs/calibration.md). A scale in the configuration itself is used."""
+        """``scale``: it helped on no recording, and on video it preserved motion less."""
         return ("scale",) if operator.has("scale") else ()
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
         return KeyvectorLayout(fingers)
 
+    def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"] | tuple[()]:
+        """Open latches, if there are any."""
+        return () if is_off(self.project) else jnp.zeros(len(layout.fingers) - 1, bool)
+
+    def latched(self, state: Any) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None without latches."""
+        return None if is_off(self.project) else state
+
     def __call__(
-        self, state: tuple[()], layout: KeyvectorLayout, human: Float[Array, "K 3"]
-    ) -> tuple[Targets, tuple[()]]:
-        """Targets of one frame."""
+        self, state: Any, layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, Any]:
+        """Targets of one frame, and the latches after it."""
         length = jnp.sqrt((human * human).sum(-1) + 1e-12)
         ratio = (self.at**2 + self.floor**2) / (length**2 + self.floor**2)
         base = jnp.asarray(base_weights(layout, 1.0, 0.0, 0.0), human.dtype) * self.w_wrist
@@ -97,6 +99,8 @@ class CloseTargets(StatelessTargets[KeyvectorLayout]):
             + between * self.w_between * ratio ** (self.focus_between / 2)
         )
         near = length[layout.thumb]
+        if not is_off(self.project):
+            state = jnp.where(state, near <= self.escape, near < self.project)
         if self.pinch_gaps:
             gaps = dict(self.pinch_gaps)
             left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)

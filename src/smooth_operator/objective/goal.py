@@ -16,7 +16,8 @@ class FrameGoal(NamedTuple):
         vectors: (K, 3) keyvector targets [m].
         weights: (K,) their weights.
         previous: (m,) last command of the actuated joints [rad].
-        velocity_weight: lambda_vel of the frame; 0 where there is no last command to be near to.
+        velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 where there is no last
+            command to be near to.
         tips: (F, 3) where fingertips arrive if they move as the human's do [m]; for the term of
             fingertip motion only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
@@ -27,7 +28,7 @@ class FrameGoal(NamedTuple):
     vectors: Float[AnyArray, "K 3"]
     weights: Float[AnyArray, " K"]
     previous: Float[AnyArray, " m"]
-    velocity_weight: Float[Array, ""] | float
+    velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
     tips: Float[Array, "F 3"] | None = None
     motion_weights: Float[Array, " F"] | None = None
     rest: Float[Array, " m"] | None = None

@@ -1,10 +1,8 @@
 """The rest pose of a frame: where the hand is pulled to without being pulled off its target.
 
 The second term of Eq. (1) pulls joints to a neutral pose, and so holds fingertips off targets that
-they could reach. Where a fingertip is where the human's is, give or take some millimetres, only the
-part of the pull that moves no fingertip is kept: that in the null space of the fingertips'
-Jacobian. There the hand takes the human's direction of the last finger segment, which turns the
-pads as the human's are. Where targets are out of reach, the pull is that of Eq. (1).
+they could reach. Where fingertips are near the human's, only the part of the pull that moves none
+of them is kept. It takes the human's direction of the last finger segments, which turns the pads.
 """
 
 from __future__ import annotations
@@ -60,13 +58,8 @@ class RestGoal(NamedTuple):
 
 
 class _Directions(NamedTuple):
-    """Errors of the last segments' directions, and their derivatives.
-
-    Attributes:
-        error: (3 S,) the human's unit vector minus the robot's, across the robot's; 0 where the
-            human's is not known.
-        slopes: (3 S, m) derivatives of the robot's.
-    """
+    """(3 S,) last segments' unit vectors, human minus robot, across the robot's, 0 where
+    unknown; and (3 S, m) derivatives of the robot's."""
 
     error: Float[Array, " S3"]
     slopes: Float[Array, "S3 m"]

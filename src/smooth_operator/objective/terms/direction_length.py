@@ -1,8 +1,7 @@
 """Direction error (1 - cosine) and length error of the thumb-to-tip vectors, each with its cost.
 
-The distance from a target does not tell the two apart: where parts that touch keep a short vector
-from its target, the nearest point to the target may lie in any direction. With a cost of its own,
-the direction stays the human's while the vector is a little longer.
+Where parts that touch keep a short vector from its target, the nearest point to the target may lie
+in any direction. With a cost of its own, the direction stays the human's.
 """
 
 from __future__ import annotations

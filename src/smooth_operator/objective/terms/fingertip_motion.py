@@ -14,9 +14,8 @@ from smooth_operator.objective.terms.term import PointTerm, Quadratic
 
 @dataclass(frozen=True, eq=False)
 class FingertipMotion(PointTerm):
-    """Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last answer) - the human's step|^2.
-
-    The goal holds mu_i (``motion_weights``) and where each fingertip arrives (``tips``).
+    """Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last answer) - the human's step|^2, with
+    the goal's mu_i (``motion_weights``) and places of arrival (``tips``).
 
     Attributes:
         hand: the robot hand.

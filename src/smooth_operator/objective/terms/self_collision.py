@@ -87,12 +87,8 @@ class SelfCollision(PointTerm):
     def expand(
         self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
     ) -> Quadratic:
-        """See ``PointTerm``.
-
-        The depth is differentiated with the nearest points held fixed on their segments, which is
-        exact, since they are nearest; of its second derivative, only what the kinematics adds is
-        kept.
-        """
+        """See ``PointTerm``; nearest points are held fixed on their segments: exact for the first
+        derivative. Of the second, only what the kinematics adds is kept."""
         pairs, config = self.pairs, self.config
         first, second = pairs.pairs.T
         one, other = ((points[2 * c], points[2 * c + 1]) for c in (first, second))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smooth_operator.geometry import AnyKind
@@ -15,11 +16,17 @@ from smooth_operator.objective.terms.term import JointTerm, Square, SquaredJoint
 
 @dataclass(frozen=True, eq=False)
 class Velocity(SquaredJointTerm):
-    """lambda_vel |q - q_prev|^2, with the weight of the frame."""
+    """lambda_vel |q - q_prev|^2, with the weight of the frame, or one for each joint."""
 
     def square(self, goal: FrameGoal) -> Square:
         """About the last command."""
         return Square(goal.velocity_weight, goal.previous)
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        weight: Any = goal.velocity_weight
+        each: AnyKind = weight * (q - goal.previous) ** 2
+        return each.sum(axis=-1) if jnp.ndim(weight) else super().cost(q, goal)
 
 
 @dataclass(frozen=True, eq=False)
