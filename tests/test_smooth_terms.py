@@ -281,7 +281,7 @@ def test_targets_of_a_pinch_stay_apart_and_point_the_same_way() -> None:
 
 
 def test_latches_close_near_and_open_far_and_change_no_target() -> None:
-    config = CloseTargets(project=0.012, escape=0.02)
+    config = CloseTargets(latches=True, project=0.012, escape=0.02)
     layout = config.layout(("thumb", "index", "middle"))
     state, seen = config.init(layout), []
     for gap in (0.03, 0.015, 0.011, 0.019, 0.021, 0.015):

@@ -48,11 +48,10 @@ SMOOTH_TELEOP: Final = SmoothConfig()
 SMOOTH_GRASP: Final = replace(
     SMOOTH_TELEOP,
     pinch_damping=300.0,
-    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(project=0.012, escape=0.02)),
+    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(latches=True)),
 )
 """For a live loop that handles objects: fingers that pinch hardly follow the human's motion, so
 that they do not roll out what they hold (docs/explanation/smooth.md)."""
-
 
 _FUTURE: Final = TrajectoryConfig(
     acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0

@@ -72,9 +72,8 @@ class SmoothConfig(ObjectiveMethodConfig):
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
-        pinch_damping: added to the velocity weight of joints that move the thumb and a finger that
-            is latched to it. Fingers that follow the human while they hold something roll it out of
-            themselves. Needs ``objective.targets.project``.
+        pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
+            the targets have latched to it, for fingers that move roll out what they hold.
         rest_pose: where the pull of Eq. (1) goes where fingertips are near their targets.
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.

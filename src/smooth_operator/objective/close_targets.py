@@ -13,7 +13,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.human.operator import Component, OperatorProfile, pinch_nearness
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import TargetPolicy, Targets, base_weights
-from smooth_operator.settings import check_numbers, is_off
+from smooth_operator.settings import check_numbers
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
             operator: (finger, length at the robot's size [m]). It is taken off the lengths of
             thumb-to-tip targets: in full under 10 mm, not at all over 45 mm. Directions stay the
             human's. Empty without a calibration.
-        project, escape: a finger is latched to the thumb when their tips come nearer than the one
-            [m], until they are farther apart than the other. Latches change no target; they tell
-            what the hand pinches. 0: no latches.
+        latches: whether fingers are latched to the thumb; it changes no target.
+        project, escape: a finger is latched when the tips come nearer than the one [m], until they
+            are farther apart than the other.
     """
 
     w_wrist: float = 1.0
@@ -48,11 +48,12 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     floor: float = 0.01
     apart: float = 0.0035
     pinch_gaps: tuple[tuple[str, float], ...] = ()
-    project: float = 0.0
-    escape: float = 0.0
+    latches: bool = False
+    project: float = 0.012
+    escape: float = 0.02
 
     def __post_init__(self) -> None:
-        check_numbers(self, positive=("at", "floor"), not_negative=("apart", "project"))
+        check_numbers(self, positive=("at", "floor", "project"), not_negative=("apart",))
         if isinstance(self.project, float) and not self.project <= self.escape:
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
         for finger, gap in self.pinch_gaps:
@@ -78,11 +79,11 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
 
     def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"] | tuple[()]:
         """Open latches, if there are any."""
-        return () if is_off(self.project) else jnp.zeros(len(layout.fingers) - 1, bool)
+        return jnp.zeros(len(layout.fingers) - 1, bool) if self.latches else ()
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None without latches."""
-        return None if is_off(self.project) else state
+        return state if self.latches else None
 
     def __call__(
         self, state: Any, layout: KeyvectorLayout, human: Float[Array, "K 3"]
@@ -99,7 +100,7 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
             + between * self.w_between * ratio ** (self.focus_between / 2)
         )
         near = length[layout.thumb]
-        if not is_off(self.project):
+        if self.latches:
             state = jnp.where(state, near <= self.escape, near < self.project)
         if self.pinch_gaps:
             gaps = dict(self.pinch_gaps)
