@@ -20,7 +20,7 @@ from smooth_operator.simulation.tasks.demonstration import Demonstration, load_d
 _MOMENTS: Final = {
     "card": (0.02, 1.9, 3.5, 4.3),
     "cube": (0.02, 1.1, 1.75, 4.0),
-    "screwdriver": (0.02, 1.2, 2.1, 4.3),
+    "screwdriver": (0.02, 1.3, 2.2, 3.4),
 }
 """Task -> when [s]."""
 
