@@ -79,7 +79,7 @@ def card_strategy(scene: CardScene, reach: GripReach, seen: Seen) -> Strategy:
 
             seen = yield Step(
                 drawn,
-                lambda s: _protrudes(s) >= _STICKS_OUT, presses=(finger,), normal=down,
+                lambda s: _protrudes(s) >= _STICKS_OUT, presses=(finger,),
                 longest_s=0.4, path=True,
             )  # fmt: skip
             seen = yield Step(still({THUMB: below, finger: seen.tips[finger] + lift}), via=True)
@@ -96,20 +96,20 @@ def card_strategy(scene: CardScene, reach: GripReach, seen: Seen) -> Strategy:
             firm = pinch.pressed(press + _SQUEEZE_M)
             closed, off = pinch.pressed(press), moved(firm, _PULL)
             seen = yield Step(
-                along(closed, off), presses=both, normal=down, longest_s=0.2, seconds=STROKE_S,
+                along(closed, off), presses=both, longest_s=0.2, seconds=STROKE_S,
                 path=True,
             )  # fmt: skip
             seen = yield Step(
                 along(off, moved(off, _LIFT)),
-                lambda s: _clear(s, 0.2) or not s.touches(*both), presses=both, normal=down,
+                lambda s: _clear(s, 0.2) or not s.touches(*both), presses=both,
                 longest_s=1.0, seconds=STROKE_S, path=True,
             )  # fmt: skip
             held = {f: seen.sent[f] for f in both}
             while seen.touches(*both) and _clear(seen, 0.0):
-                seen = yield Step(still(held), presses=both, normal=down, longest_s=0.5)
+                seen = yield Step(still(held), presses=both, longest_s=0.5)
             if seen.touches(*both):  # it does not come off: put it back
                 seen = yield Step(
-                    along(held, closed), presses=both, normal=down, longest_s=0.2,
+                    along(held, closed), presses=both, longest_s=0.2,
                     seconds=STROKE_S, path=True,
                 )  # fmt: skip
         seen = yield from again(seen)

@@ -6,8 +6,8 @@ correction (``visual_feedback.py``), tremor and motor noise (``motor_noise.py``)
 the strategy takes the time of Fitts' law; the person looks whether what is wanted is seen, corrects
 fingertips that are not where they should be, and goes on.
 
-Simplifications: a finger that presses is corrected across the direction of pressing only; nothing
-is felt, as in the paper's study.
+Simplifications: a finger that presses is not corrected by what is seen of it (that made grips slip
+in trials); nothing is felt, as in the paper's study.
 """
 
 from __future__ import annotations
@@ -139,12 +139,8 @@ class VirtualOperator:
         error, step = np.zeros_like(seen.tips), self._step
         if step is None or step.via:
             return error
-        for finger in step.aims(1.0, seen):
-            apart = self._foreseen[finger] - seen.tips[finger]
-            if finger not in step.presses:
-                error[finger] = apart
-            elif step.normal is not None:
-                error[finger] = apart - (apart @ step.normal) * step.normal
+        free = [finger for finger in step.aims(1.0, seen) if finger not in step.presses]
+        error[free] = self._foreseen[free] - seen.tips[free]
         return error
 
     def landmarks(

@@ -69,7 +69,7 @@ def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, seen: Seen) 
 
         def held(press: float, t: Closing = touch, w: Aims = wide) -> Step:
             aims = t.pressed(press) | {second: w[second]}
-            return Step(still(aims), presses=(THUMB, pivot), normal=across, longest_s=0.1)
+            return Step(still(aims), presses=(THUMB, pivot), longest_s=0.1)
 
         seen = yield held(press)
         squeeze, high = press, float(seen.state.position[2])

@@ -62,9 +62,7 @@ class Step:
     Attributes:
         aims: share of the movement from 0 to 1, and what is seen -> where fingertips go.
         until: the step is over as soon as this is seen; None: when the fingertips are in place.
-        presses: fingers that press on the object.
-        normal: (3,) direction along which they do; their place is corrected only across it. None:
-            it is not corrected.
+        presses: fingers that press on the object; their place is not corrected.
         longest_s: a wait for ``until`` or for fingertips that do not arrive ends after this [s].
         seconds: least duration of the movement [s].
         via: only passed on the way: the person does not wait and does not correct.
@@ -77,7 +75,6 @@ class Step:
     aims: Callable[[float, Seen], Aims]
     until: Callable[[Seen], bool] | None = None
     presses: tuple[int, ...] = ()
-    normal: Float[np.ndarray, "3"] | None = None
     longest_s: float = 2.0
     seconds: float = 0.0
     via: bool = False
