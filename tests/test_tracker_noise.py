@@ -23,6 +23,8 @@ from smooth_operator.human.tracker_noise import (
 )
 from smooth_operator.landmarks import TIPS, WRIST
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.program import align_frame
+from smooth_operator.types import Status
 
 NEEDS = (WRIST, *TIPS)
 DT = 0.01
@@ -141,3 +143,15 @@ def test_without_a_scale_of_motion_nothing_is_removed():
 def test_settings_are_checked(name: str):
     with pytest.raises(ConfigError, match=f"tracker_noise.{name}"):
         NoiseConfig(**{name: 0.0})
+
+
+def test_landmarks_that_are_marked_invalid_are_not_known():
+    hand = load_hand("mimic_p050")
+    config = method_config("smooth")
+    method = config.build(hand)
+    landmarks = jnp.asarray(reference_landmarks(hand), jnp.float32).at[9].add(0.5)
+    valid = jnp.ones(21, bool).at[9].set(False)
+    frame = align_frame(method, config.alignment, landmarks, valid)
+    assert int(frame.status) == Status.OK
+    unknown = np.isnan(np.asarray(frame.aligned)).any(axis=-1)
+    assert np.flatnonzero(unknown).tolist() == [9]
