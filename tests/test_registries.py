@@ -77,7 +77,7 @@ def test_help_imports_no_numerical_library() -> None:
 def test_the_summary_of_a_method_lists_its_presets() -> None:
     for name, entry in METHODS.built_in.items():
         listed = re.split(r",? or |, ", entry.summary)
-        named = [re.sub(r" for recordings$", "", each) for each in listed]
+        named = [re.sub(r" for (recordings|objects)$", "", each) for each in listed]
         assert [each for each in named if "file of a model" not in each] == list(PRESETS[name])
 
 
@@ -85,8 +85,8 @@ def test_a_method_of_ones_own_is_named_by_its_module() -> None:
     assert method_config(f"{__name__}:OWN") is OWN
     assert method_config(f"{__name__}:TWO") is OWN
     assert method_config(f"{__name__}:TWO", "slow") is TWO["slow"]
-    assert method_config("smooth_operator:SbrConfig") == SbrConfig()  # the class itself
-    assert default_preset("smooth_operator:SbrConfig") == "default"
+    assert method_config("smooth_operator.methods.sbr:SbrConfig") == SbrConfig()  # the class itself
+    assert default_preset("smooth_operator.methods.sbr:SbrConfig") == "default"
     chosen = select_methods((f"{__name__}:TWO", f"{__name__}:TWO:slow", "sbr:paper"))
     assert [c.config for c in chosen] == [*TWO.values(), method_config("sbr", "paper")]
     labels = [method_label(c.method, c.preset) for c in chosen]
