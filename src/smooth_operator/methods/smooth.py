@@ -35,6 +35,7 @@ from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
+from smooth_operator.objective.straight_fingers import StraightFingers
 from smooth_operator.objective.terms.direction_length import (
     DirectionLength,
     DirectionLengthConfig,
@@ -223,6 +224,11 @@ class Smooth(Method):
         """The pose that the hand is pulled to."""
         return RestPose(self.hand, self.config.rest_pose)
 
+    @cached_property
+    def straight_fingers(self) -> StraightFingers:
+        """The fingers that a joint bends past straight."""
+        return StraightFingers(self.hand)
+
     @property
     def needs(self) -> tuple[int, ...]:
         """Wrist and fingertips."""
@@ -335,13 +341,14 @@ class Smooth(Method):
         return goal, policy_state
 
     def _solve(self, state: SmoothState, goal: FrameGoal, clock: _Clock) -> Float[Array, " m"]:
-        config, limits = self.config, self.hand.limits
+        config, fingers = self.config, len(self.hand.fingers)
+        limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[:fingers])
 
         def sampled(round: Array, q: Array) -> Array:
             return sample_minimise(
                 lambda candidates: self.eq_1(candidates, goal._replace(velocity_weight=0.0)),
                 q,
-                limits,
+                self.hand.limits,
                 frame_key(state.seed, state.frames + round.astype(jnp.uint32)),
                 config.sampling,
                 config.settle_sigma,
@@ -369,5 +376,6 @@ class Smooth(Method):
             return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
 
         nothing_yet = jnp.asarray(jnp.inf, state.solved.dtype)
-        best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (state.solved, nothing_yet))
+        first = jnp.clip(state.solved, limits[:, 0], limits[:, 1])
+        best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (first, nothing_yet))
         return best[0]

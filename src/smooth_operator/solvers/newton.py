@@ -66,7 +66,7 @@ def newton_candidates(
     q: Float[Array, " m"],
     gradient: Float[Array, " m"],
     hessian: Float[Array, "m m"],
-    limits: Float[np.ndarray, "m 2"],
+    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
 ) -> Float[Array, "c m"]:
     """Where damped Newton steps from a point lead, within bounds; one candidate per damping.
@@ -104,7 +104,7 @@ def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:
 def newton_minimise(
     value_grad_hess: ValueGradHess,
     start: Float[Array, " m"],
-    limits: Float[np.ndarray, "m 2"],
+    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
 ) -> NewtonResult:
     """Descend from a start within bounds, with derivatives of every candidate; cost never rises.
@@ -140,7 +140,7 @@ def damped_newton(
     value_grad_hess: ValueGradHess,
     values: Callable[[Array], Array],
     start: Float[Array, " m"],
-    limits: Float[np.ndarray, "m 2"],
+    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
     still: float = STILL,
 ) -> Float[Array, " m"]:
