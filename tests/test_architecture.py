@@ -38,6 +38,7 @@ CORE = {
 """Core: module -> level. It imports nothing of what follows."""
 
 SHARED = {
+    "atomic_files": 3,
     "formats": 3,
     "parallel": 3,
     "web": 3,

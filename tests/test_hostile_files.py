@@ -19,13 +19,13 @@ import hostile_files
 import numpy as np
 import pytest
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats import commands as results_module
 from smooth_operator.formats.bounds import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.io.atomic import output_error
 from smooth_operator.io.documents import json_object, parse_json, parse_toml, read_text
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import identity

@@ -5,9 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smooth_operator import HandFrame, Retargeter, load_hand, method_config
+from smooth_operator import HandRecording, Retargeter, load_hand, method_config
+from smooth_operator.human.alignment import align_recording
+from smooth_operator.landmarks import TIPS
 from smooth_operator.objective.straight_fingers import StraightFingers
-from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.simulation.tasks.demonstration import load_demonstration
+from smooth_operator.simulation.tasks.demonstration_landmarks import DemonstrationLandmarks
+from smooth_operator.simulation.tasks.perturbation import draw_perturbation
 
 
 def test_fingers_are_found_where_a_joint_bends_them_past_straight() -> None:
@@ -43,21 +47,19 @@ def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit() 
 
 
 def test_a_finger_stretched_too_far_is_not_left_straight() -> None:
-    hand = load_hand("mimic_p050")
-    bent, stretched = np.array(hand.neutral), np.array(hand.neutral)
-    middle = [hand.actuated_names.index(f"middle_{part}") for part in ("mcp2pp", "pp2mp")]
-    bent[middle], stretched[middle] = (0.3, 0.8), (0.3, 0.2)
-    share = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, 60))[:, None]
-    frames = human_landmarks(hand, stretched + share * (bent - stretched))
-    longer = frames.copy()  # as with longer bones: out of reach while the finger is straight
-    base, tips = longer[:, 9:10], slice(10, 13)
-    longer[:, tips] = base + 1.03 * (longer[:, tips] - base)
-    config = method_config("smooth")
-    retargeter = Retargeter(hand, config=replace(config, settle_rounds=2))
-    state = retargeter.init(seed=0)
-    for points, stamp in zip(longer, 0.02 * np.arange(60), strict=True):
-        state, result = retargeter.step(state, HandFrame(points, stamp, hand.spec.side))
-    q = result.command.positions
-    asked = longer[-1, 12] - longer[-1, 0]
-    reached = hand.tips(q)[hand.fingers.index("middle")] - hand.wrist
-    assert np.linalg.norm(reached - asked) < 2e-3
+    """An operator whose bones stretch the middle finger, which then bends."""
+    demonstration = load_demonstration("screwdriver", "mimic_p050")
+    hand, source = demonstration.robot, DemonstrationLandmarks(demonstration)
+    operator = draw_perturbation(6).operator
+    retargeter = Retargeter(hand, config=replace(method_config("smooth"), settle_rounds=2))
+    stamps = np.arange(0.0, 0.8, 0.02)
+    shown = np.stack([operator(source.at(stamp)) for stamp in stamps])
+    recording = HandRecording(shown, stamps, hand.spec.side)
+    state, tips = retargeter.init(seed=0), []
+    for frame in recording:
+        state, result = retargeter.step(state, frame)
+        tips.append(hand.tips(result.command.positions) - hand.wrist)
+    aligned = align_recording(recording, hand)
+    asked = aligned[:, list(TIPS)] - aligned[:, :1]
+    errors = np.linalg.norm(np.array(tips) - asked, axis=-1)
+    assert errors[-10:].max() < 2e-3

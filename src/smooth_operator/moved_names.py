@@ -24,6 +24,7 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "hands.published": ("hand_files.vendor_model",),
     "hands.renderer": ("simulation.renderer",),
     "human.calibration": ("calibration",),
+    "io.atomic": ("atomic_files",),
     "io.arrays": ("formats.arrays",),
     "io.bounds": ("formats.bounds",),
     "io.checks": ("formats.checks",),
@@ -117,7 +118,7 @@ _FORMER: Final[dict[str, str]] = {  # module -> names that were elsewhere
     "human.alignment": "align_recording calibrate_scale "
     "human.AlignmentConfig human.align_recording human.calibrate_scale",
     "human.operator": "human.OperatorProfile",
-    "io.atomic": "io.atomic_write io.output_error",
+    "atomic_files": "io.atomic_write io.output_error",
     "io.jsonable": "io.to_json",
     "lab.discovery.discover": "lab.discover",
     "lab.validation.round_trip": "lab.round_trip",

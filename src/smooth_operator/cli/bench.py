@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 
+from smooth_operator.atomic_files import write_json
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.cli.bench_options import Bench, default_of
 from smooth_operator.cli.bench_tables import print_comparison, print_results
@@ -15,7 +16,6 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
-from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark import (
     Settings,
     compare,

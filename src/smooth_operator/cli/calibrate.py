@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.calibration.estimate import calibrate
 from smooth_operator.calibration.operator_file import read_operator, write_operator
 from smooth_operator.calibration.report import report
@@ -21,7 +22,6 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.calibration_picture import draw_calibration
 from smooth_operator.methods.default import DEFAULT_METHOD

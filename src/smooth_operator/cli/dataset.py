@@ -9,13 +9,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import requested
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
 from smooth_operator.lab.offline.finished import claimed, read_configuration

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.cli.console import Progressing, print_metrics
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
@@ -12,7 +13,6 @@ from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline import Outcome
 from smooth_operator.metrics import Trace

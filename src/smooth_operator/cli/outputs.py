@@ -7,9 +7,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.io.atomic import output_error
 from smooth_operator.lab.offline.finished import read_configuration as read_configuration
 
 

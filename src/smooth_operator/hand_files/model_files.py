@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.model_xml import is_file, read_model_xml
-from smooth_operator.io.atomic import output_error
 
 MOST_BYTES: Final = 500_000_000
 """Models with their meshes have 0.1 to 100 MB; what is larger is left where it is."""

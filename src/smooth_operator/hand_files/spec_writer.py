@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
-from smooth_operator.io.atomic import atomic_write, output_error
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r"}

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_files.model_files import copy_model
 from smooth_operator.hand_files.spec_writer import write_hand_spec
@@ -13,7 +14,6 @@ from smooth_operator.hands.registry import HANDS, origin, shadowing
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import check_hand_name
 from smooth_operator.hands.user_folder import find_specs, model_folder, spec_name, user_hands_folder
-from smooth_operator.io.atomic import output_error
 from smooth_operator.types import Side
 
 

@@ -1,4 +1,4 @@
-"""Reading and writing of files: documents within bounds, checks of landmarks, atomic writing.
+"""Reading of files: documents within bounds, checks of landmarks.
 
 Nothing here unpickles. The formats of recordings and commands are in ``smooth_operator.formats``.
 """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from smooth_operator.io.atomic import atomic_write
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.methods.registry import method_color
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from smooth_operator.io.atomic import atomic_write, output_error
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.reporting.drawing import write_figure
 from smooth_operator.reporting.html import Html, element, escape, figure, join
 

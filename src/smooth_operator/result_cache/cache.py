@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Final, TypeAlias
 
 import numpy as np
 
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import DocumentError, SmoothOperatorError
-from smooth_operator.io.atomic import atomic_write, output_error, write_json
 from smooth_operator.io.documents import check_plain_file, read_json
 from smooth_operator.io.jsonable import to_json
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import DocumentError
-from smooth_operator.io.atomic import output_error
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.result_cache.cache import Note, key_digest, no_note, outdated

@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_operator.atomic_files import output_error, write_json
 from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.formats.commands import read_commands, write_commands
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.atomic import output_error, write_json
 from smooth_operator.io.documents import read_json
 from smooth_operator.lab.benchmark.cells import Cell, benchmark_code, fingerprint
 from smooth_operator.lab.benchmark.latency import Latency

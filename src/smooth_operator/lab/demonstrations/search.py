@@ -22,10 +22,10 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import StudyError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.lab.demonstrations.evolution import Evolution
 from smooth_operator.lab.demonstrations.judging import Candidate, World, judge
 from smooth_operator.lab.demonstrations.seed import FINGERS, transferred

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import DocumentError, OutputError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.io.atomic import output_error
 from smooth_operator.io.documents import check_plain_file, read_json
 from smooth_operator.planning import PROGRAM
 from smooth_operator.version import package_version

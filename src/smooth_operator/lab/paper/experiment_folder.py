@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import output_error, write_json
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.atomic import output_error, write_json
 from smooth_operator.lab.benchmark import benchmark_folder as benchmark_store
 from smooth_operator.lab.offline.finished import read_configuration
 from smooth_operator.planning import PROGRAM

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.io.atomic import write_json
+from smooth_operator.atomic_files import write_json
 from smooth_operator.io.documents import read_json
 from smooth_operator.lab.paper.experiment import Experiment, Outcome, Table
 from smooth_operator.lab.paper.experiment_folder import RESULTS, ExperimentFolder

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.atomic import atomic_write, write_json
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.lab.physics.suite import COMMAND, MeasureOutcome
 from smooth_operator.planning import PROGRAM

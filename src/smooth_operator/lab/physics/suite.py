@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import write_json
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark.benchmark_folder import CONFIG, check_folder
 from smooth_operator.lab.benchmark.cells import (
     benchmark_code,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import require
 from smooth_operator.formats.csv_table import csv_text
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.lab.training.loop import TrainingState
 from smooth_operator.lab.training.losses import LOSSES
 

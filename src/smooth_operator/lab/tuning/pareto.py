@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.io.atomic import atomic_write
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial_log import Trial
 from smooth_operator.reporting.drawing import INK, colors_of, name_points, plain_logs, styled

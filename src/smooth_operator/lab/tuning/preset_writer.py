@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.methods.preset_file import FORMAT, PresetFile
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")

@@ -10,9 +10,9 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from smooth_operator.atomic_files import write_json
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.atomic import write_json
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
 from smooth_operator.lab.tuning.preset_writer import write_preset_file

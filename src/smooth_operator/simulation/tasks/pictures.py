@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from jaxtyping import UInt8
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import StudyError
-from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.simulation.renderer import open_renderer
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.state import SceneState

@@ -16,9 +16,9 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import SmoothOperatorError, StudyError, brief, listed
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
-from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.io.documents import parse_json
 from smooth_operator.simulation.scenes.state import SceneState
 from smooth_operator.simulation.tasks.trial import Outcome

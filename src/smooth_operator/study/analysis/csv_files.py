@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.operators import operator_means
 from smooth_operator.study.analysis.results import ScopeResult, plain

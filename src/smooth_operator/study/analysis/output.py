@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.io.atomic import atomic_write
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.citations import CITATIONS
 from smooth_operator.study.analysis.csv_files import write_tables

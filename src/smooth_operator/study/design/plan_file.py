@@ -49,8 +49,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import StudyError
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.study.design.enrolment import Enrolment, Orders
 from smooth_operator.study.design.plan import Plan, make_plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from smooth_operator.io.atomic import atomic_write
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import NAME, write_plan
 from smooth_operator.study.design.schedule import schedule_csv, schedule_text

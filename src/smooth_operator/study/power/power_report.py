@@ -8,8 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
-from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.study.analysis.results import MODES, POOLED, Mode, Outcome
 from smooth_operator.study.power.power_run import PowerSettings, Truth
 from smooth_operator.study.power.tally import Rate, Tally, rate, rates

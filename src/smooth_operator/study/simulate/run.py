@@ -7,8 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.formats.csv_table import csv_text
-from smooth_operator.io.atomic import atomic_write, write_json
 from smooth_operator.result_cache import (
     Job,
     Note,

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.csv_table import csv_text
-from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.study.data.checked_tables import (
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,

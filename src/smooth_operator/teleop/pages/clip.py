@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
-from smooth_operator.io.atomic import atomic_write
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.simulation.renderer import open_renderer
 from smooth_operator.teleop.pages.page_layout import FOV, camera_for, view_axes

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.hands.hand import Hand
-from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.palette import PALM, finger_colors

@@ -18,8 +18,8 @@ from typing import IO, Any, Literal
 
 import numpy as np
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.io.atomic import output_error
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
 from smooth_operator.teleop.recording.loop_state import LoopState

@@ -13,8 +13,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import OutputError, RecordingError, SmoothOperatorError
-from smooth_operator.io.atomic import output_error
 
 
 @contextlib.contextmanager

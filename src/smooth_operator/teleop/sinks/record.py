@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.io.atomic import output_error
 from smooth_operator.teleop.sinks.recorder import Recorder
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.take_names import is_folder, next_part, take_paths

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.io.atomic import output_error
 from smooth_operator.types import Side
 
 SUFFIX = ".mcap"

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import SourceError
-from smooth_operator.io.atomic import atomic_write, output_error
 from smooth_operator.result_cache.user_cache import user_cache
 
 SWITCH: Final = "SMOOTH_OPERATOR_HAND_MODEL"
