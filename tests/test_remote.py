@@ -175,7 +175,14 @@ def test_another_method_while_the_hand_moves(stage: Stage) -> None:
     assert answer == {"ok": True, "method": "geort", "preset": "default"}
     assert stage.loop.pipelines["right"].retargeter is not before  # in force, not just asked for
     assert stage.do("status")["method"] == "geort"
-    until(lambda: stage.ticks[-1].mode is Mode.TRACKING, LONG)
+
+    def tracks() -> bool:  # with the new method, and not yet with the old one
+        last = stage.ticks[-1]
+        return (
+            last.mode is Mode.TRACKING and last.driver is not None and last.driver.method == "geort"
+        )
+
+    until(tracks, LONG)
     ticks = stage.ticks[first:]
     assert [t.number for t in ticks] == list(range(ticks[0].number, ticks[-1].number + 1))
     assert {t.mode for t in ticks} <= {Mode.TRACKING, Mode.BLENDING, Mode.HOLDING}
