@@ -224,7 +224,7 @@ def teleoperate(
                 nonlocal granted
                 if priority == "high":
                     granted = first.enter_context(going_first())
-                _announce(source, said)
+                first.enter_context(_announced(source, said))
                 tried.begin()
                 if started is not None:
                     started(loop)
@@ -344,17 +344,26 @@ def _show_page(
         open_page(url)
 
 
-def _announce(source: LiveSource, said: Reporter) -> None:
+@contextlib.contextmanager
+def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
     """What the operator has to do before frames come: where to connect, with which code."""
+    over = threading.Event()
 
     def tell() -> None:
         end = time.monotonic() + _ANNOUNCE_S
         while not (health := source.health()).detail and time.monotonic() < end:
-            time.sleep(0.1)
+            if over.wait(0.1):
+                return
         if health.detail:
             said.note(f"{source.label}: {health.detail}", matters=health.state != "running")
 
-    threading.Thread(target=tell, daemon=True).start()
+    thread = threading.Thread(target=tell, name="announce", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:  # a thread that outlives the command can abort the interpreter as it ends
+        over.set()
+        thread.join()
 
 
 @contextlib.contextmanager
