@@ -324,7 +324,7 @@ def test_the_default_method_closes_pinches_and_keeps_its_directions(
     config = method_config("smooth")
     before, after = judged(config), judged(config.with_operator(operator))
     assert after[0] < before[0] - 0.2
-    # before, fingers no longer stay straight that should bend (0.9567 instead of 0.9529); after, 0.9533
+    # without a calibration, fingers that should bend no longer stay straight: 0.9567, not 0.9529
     assert before[1] > 0.955
     assert after[1] > before[1] - 0.004
     assert after[2] > before[2] - 0.005
