@@ -59,7 +59,8 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         # not by role: the knob of one that can't be moved is not drawn
         sliders = page.locator('[role="slider"]')
         assert sliders.count() == len(hand.joint_names)
-        # there is a hand
+        # there is a hand, and all of it: parts of the scene come one after the other
+        page.wait_for_timeout(2_000)
         rest = settled(page, SHOWN, HEIGHT, lambda p: (p.max(axis=-1) > 60).mean() > 0.02)
 
         moved = 1 + int(np.argmax(np.ptp(hand.limits, axis=1)[1:]))
