@@ -37,14 +37,17 @@ class StraightFingers:
     def __init__(self, hand: Hand) -> None:
         self.found: list[tuple[int, int, float, float]] = []
         centres = []
+        swept = []
+        for joint, (low, high) in enumerate(hand.limits):
+            q = np.tile(hand.neutral, (_POSES, 1))
+            q[:, joint] = np.linspace(low, high, _POSES)
+            swept.append((q[:, joint], hand.tips(hand.full_configuration(q)) - hand.wrist))
         for f, name in enumerate(hand.fingers):
             circles = []
-            for joint, (low, high) in enumerate(hand.limits):
-                q = np.tile(hand.neutral, (_POSES, 1))
-                q[:, joint] = np.linspace(low, high, _POSES)
-                tips = hand.tips(hand.full_configuration(q))[:, f] - hand.wrist
+            for joint, (positions, every) in enumerate(swept):
+                tips = every[:, f]
                 if np.ptp(tips, axis=0).max() > _MOVES:
-                    circles.append((*_circle(tips), joint, q[:, joint], tips))
+                    circles.append((*_circle(tips), joint, positions, tips))
             circles.sort(key=lambda one: -one[0])
             parallel = [one for one in circles if abs(one[2] @ circles[-1][2]) > _PARALLEL]
             if len(parallel) != 2 or name == "thumb":  # the thumb's other joint moves about
