@@ -43,6 +43,7 @@ SHARED = {
     "parallel": 3,
     "web": 3,
     "hand_files": 4,
+    "poses": 4,
     "result_cache": 4,
     "simulation": 5,
     "calibration": 5,

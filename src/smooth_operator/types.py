@@ -78,6 +78,9 @@ class HandFrame:
             finite ones are valid.
         metacarpals: (4, 3) metacarpal bases of index .. pinky [m], where the tracker has them.
         orientations: (21, 4) landmark orientations, quaternion wxyz, where known.
+        T_world_wrist: (7,) the wrist in the world, x y z [m] and unit quaternion wxyz, axes as in
+            docs/reference/conventions.md; all NaN: not valid now; None: the tracker has none.
+        world: name of that world frame.
 
     Raises:
         RecordingError: if an array has the wrong shape.
@@ -89,6 +92,8 @@ class HandFrame:
     valid: Bool[np.ndarray, "21"] | None = None
     metacarpals: Float[np.ndarray, "4 3"] | None = None
     orientations: Float[np.ndarray, "21 4"] | None = None
+    T_world_wrist: Float[np.ndarray, "7"] | None = None
+    world: str | None = None
 
     def __post_init__(self) -> None:
         _set(self, "landmarks", _shaped(self.landmarks, (NUM_LANDMARKS, 3), "landmarks"))
@@ -99,10 +104,7 @@ class HandFrame:
         if valid.shape != (NUM_LANDMARKS,):
             raise RecordingError(f"valid must have shape (21,), not {valid.shape}")
         _set(self, "valid", valid & finite)
-        if self.metacarpals is not None:
-            _set(self, "metacarpals", _shaped(self.metacarpals, (4, 3), "metacarpals"))
-        if self.orientations is not None:
-            _set(self, "orientations", _shaped(self.orientations, (21, 4), "orientations"))
+        _set_optional(self)
 
     def __repr__(self) -> str:
         assert self.valid is not None  # filled in on construction
@@ -135,6 +137,8 @@ class HandRecording:
         valid: (T, 21) False where a landmark is missing. Default: the finite ones are valid.
         metacarpals: (T, 4, 3) metacarpal bases [m] or None.
         orientations: (T, 21, 4) quaternions wxyz or None.
+        T_world_wrist: (T, 7) poses of the wrist or None, as in ``HandFrame``.
+        world: name of the frame that they are in.
         name: where it came from, for reports.
     """
 
@@ -146,6 +150,8 @@ class HandRecording:
     orientations: Float[np.ndarray, "T 21 4"] | None = None
     name: str = "recording"
     meta: dict[str, Any] = field(default_factory=dict)
+    T_world_wrist: Float[np.ndarray, "T 7"] | None = None
+    world: str | None = None
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks, np.float64)
@@ -159,10 +165,7 @@ class HandRecording:
         if valid.shape != finite.shape:
             raise RecordingError(f"valid must have shape {finite.shape}, not {valid.shape}")
         _set(self, "valid", valid & finite)
-        for name, shape in (("metacarpals", (count, 4, 3)), ("orientations", (count, 21, 4))):
-            value = getattr(self, name)
-            if value is not None:
-                _set(self, name, _shaped(value, shape, name))
+        _set_optional(self, count)
 
     def __repr__(self) -> str:
         assert self.valid is not None  # filled in on construction
@@ -182,10 +185,11 @@ class HandRecording:
     def __getitem__(self, key: int | slice) -> HandFrame | HandRecording:
         optional: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[key]
-            for name in ("valid", "metacarpals", "orientations")
+            for name in ("valid", *_OPTIONAL)
         }
         if isinstance(key, slice):
             return replace(self, landmarks=self.landmarks[key], stamps=self.stamps[key], **optional)
+        optional["world"] = self.world
         return HandFrame(self.landmarks[key], float(self.stamps[key]), self.side, **optional)
 
     def __iter__(self) -> Iterator[HandFrame]:
@@ -288,3 +292,22 @@ def _shaped(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
     if array.shape != shape:
         raise RecordingError(f"{name} must have shape {shape}, not {array.shape}")
     return array
+
+
+_OPTIONAL = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
+
+
+def _set_optional(obj: HandFrame | HandRecording, *count: int) -> None:
+    for name, shape in _OPTIONAL.items():
+        if (value := getattr(obj, name)) is not None:
+            value = _shaped(value, (*count, *shape), name)
+            _set(obj, name, unit_poses(value) if name == "T_world_wrist" else value)
+
+
+def unit_poses(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 7"]:
+    """Poses with unit quaternions; all NaN where a number is not finite or there is no rotation."""
+    size = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+    good = (size > 1e-6) & (size < 1e6) & np.isfinite(poses).all(axis=-1, keepdims=True)
+    other = good & (np.abs(size - 1.0) > 1e-12)  # a unit one stays as it is, to the last bit
+    unit = np.concatenate([poses[..., :3], poses[..., 3:] / np.where(other, size, 1.0)], axis=-1)
+    return np.where(good, unit, np.nan)

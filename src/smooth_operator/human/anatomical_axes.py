@@ -42,8 +42,8 @@ def palm_axes(landmarks: AnyKind, side: Side) -> PalmAxes[AnyKind]:
     return PalmAxes(distal, handed * xp.cross(distal, palmar), palmar)
 
 
-def unit_vectors(vector: AnyArray, xp: ModuleType) -> AnyArray:
+def unit_vectors(vector: AnyKind, xp: ModuleType) -> AnyKind:
     """Unit vectors; zero of a zero vector."""
     length = xp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    out: AnyArray = vector / xp.maximum(length, _TINY)
+    out: AnyKind = vector / xp.maximum(length, _TINY)
     return out

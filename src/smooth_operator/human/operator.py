@@ -19,7 +19,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.anatomical_axes import PalmAxes
+from smooth_operator.human.anatomical_axes import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import Side
 
@@ -319,7 +319,7 @@ def tip_frames(
     xp = array_namespace(points)
     distal, radial, palmar = (np.asarray(axis, points.dtype) for axis in axes)
     tips = [TIPS[i] for i in fingers]
-    along = _unit(points[..., tips, :] - points[..., [t - 1 for t in tips], :], xp)
+    along = unit_vectors(points[..., tips, :] - points[..., [t - 1 for t in tips], :], xp)
     # Two cross products: a hand and its mirror image have mirrored pads.
     hinge = xp.broadcast_to(xp.asarray(np.cross(distal, palmar)), along.shape)
     if fingers[0] == 0:
@@ -327,7 +327,7 @@ def tip_frames(
         metacarpal = points[..., BASES[0] + 1, :] - points[..., BASES[0], :]
         thumb = xp.cross(metacarpal, xp.broadcast_to(xp.asarray(towards), metacarpal.shape))
         hinge = xp.concatenate([thumb[..., None, :], hinge[..., 1:, :]], axis=-2)
-    return along, _unit(xp.cross(hinge, along), xp)
+    return along, unit_vectors(xp.cross(hinge, along), xp)
 
 
 def pinch_nearness(distance: Any, xp: ModuleType) -> Any:
@@ -348,12 +348,6 @@ def _put(points: Any, rows: list[int], values: Any, xp: ModuleType) -> Any:
         out[..., rows, :] = values
         return out
     return points.at[..., np.array(rows), :].set(values.astype(points.dtype))
-
-
-def _unit(vector: AnyKind, xp: ModuleType) -> AnyKind:
-    length = xp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    out: AnyKind = vector / xp.maximum(length, _TINY)
-    return out
 
 
 def _matrix(q: tuple[float, float, float, float]) -> Float[np.ndarray, "3 3"]:

@@ -198,7 +198,7 @@ def _read_hand(
         stamps = stamps_from_rate(count, rate, str(path))
     check_stamps(stamps, str(path))
     check_rate(stamps, rate, str(path))
-    optional = {
+    optional: dict[str, Any] = {
         key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
         for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4)))
     }

@@ -54,6 +54,24 @@ class Mode(enum.Enum):
 
 
 @dataclass(frozen=True, eq=False)
+class WristCommand:
+    """Where the wrist of a robot hand is to be, after the clutch.
+
+    Attributes:
+        pose: (7,) of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion w x y z;
+            within all limits, and held while it is not engaged.
+        engaged: whether the operator's wrist moves it.
+        valid: whether the frame that it answers had a wrist that counts.
+        world: name of the frame that it is in, the base of the robot.
+    """
+
+    pose: Float[np.ndarray, "7"]
+    engaged: bool
+    valid: bool
+    world: str = "base"
+
+
+@dataclass(frozen=True, eq=False)
 class Tick:
     """One command to one robot hand.
 
@@ -75,6 +93,8 @@ class Tick:
         events: what happened at this tick, a sentence each: a mode that changed, frames refused.
         driver: what the hand is driven by, if the loop knows; the same object until it
             changes.
+        wrist: the target of the hand's wrist, with the same stamp; None where the loop moves
+            fingers only.
     """
 
     side: Side
@@ -91,3 +111,4 @@ class Tick:
     scale: float = float("nan")
     events: tuple[str, ...] = ()
     driver: Driver | None = None
+    wrist: WristCommand | None = None

@@ -1,0 +1,238 @@
+"""Rigid poses of the wrist: their algebra, and the frames of trackers brought to the project's own.
+
+A pose is seven numbers, x y z [m] and a unit quaternion w x y z; ``T_a_b`` maps points of frame b
+to frame a. All functions take (..., 7) arrays, return float64, and give NaN for a row with NaN,
+which means "not valid".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import ConfigError, brief
+from smooth_operator.human.anatomical_axes import palm_axes
+from smooth_operator.types import Side, unit_poses
+
+IDENTITY: Final[Float[np.ndarray, "7"]] = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+"""The pose that moves nothing."""
+
+_TINY: Final = 1e-12
+
+
+def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
+    """A change of axes, from the names of our axes in the tracker's frame.
+
+    Args:
+        x: what our x is there: ``x``, ``y`` or ``z``, with a minus sign where it is reversed.
+        y: our y.
+        z: our z.
+
+    Returns:
+        (3, 3) matrix M with ours = M @ theirs; its determinant is -1 for a left-handed tracker.
+
+    Raises:
+        ConfigError: these are no three different axes.
+    """
+    rows = np.zeros((3, 3))
+    for row, name in zip(rows, (x, y, z), strict=True):
+        if name[-1:] not in ("x", "y", "z") or name[:-1] not in ("", "+", "-"):
+            raise ConfigError(f"an axis must be x, y or z, with a minus or none, not {brief(name)}")
+        row["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
+    if not np.abs(rows).any(axis=0).all():
+        raise ConfigError(f"three different axes are needed, not {x}, {y}, {z}")
+    return rows
+
+
+WORLD_AXES: Final[Mapping[str, Float[np.ndarray, "3 3"]]] = MappingProxyType(
+    {
+        "z_up": np.eye(3),
+        "openxr": axes("-z", "-x", "y"),
+        "unity": axes("z", "-x", "y"),
+        "z_up_y_forward": axes("y", "-x", "z"),
+    }
+)
+"""World axes of trackers: x forward, y left, z up, in each one's axes.
+
+``openxr`` is right-handed, y up, -z forward: OpenXR, WebXR, ARKit (visionOS), OpenVR (Vive
+trackers). ``unity`` is left-handed, y up, z forward. ``z_up_y_forward`` is right-handed, x right:
+libsurvive (Vive trackers), and what ``avp_stream`` makes of ARKit's. ``z_up`` is ours.
+"""
+
+WRIST_AXES: Final[Mapping[str, Float[np.ndarray, "3 3"]]] = MappingProxyType(
+    {
+        "ours": np.eye(3),
+        "openxr": axes("-z", "-x", "y"),
+        "unity": axes("z", "-x", "y"),
+    }
+)
+"""Wrist axes of trackers: to the middle finger, z x x, out of the back of the hand, in each one's.
+
+``openxr`` (XR_EXT_hand_tracking, WebXR): -z to the fingers, y out of the back, on both hands.
+``unity`` (XR Hands): the same with z to the fingers, left-handed. A tracker with other axes names
+them with ``axes``.
+"""
+
+
+def to_ours(
+    poses: ArrayLike,
+    world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"],
+    wrist: Float[np.ndarray, "3 3"] = WRIST_AXES["openxr"],
+) -> Float[np.ndarray, "*n 7"]:
+    """Poses of a tracker's wrist in its world, as poses of our wrist frame in our z-up world.
+
+    Args:
+        poses: (..., 7) x y z [m], quaternion w x y z, of any length; left-handed ones as the
+            tracker gives them.
+        world: the tracker's world axes, of ``WORLD_AXES`` or from ``axes``.
+        wrist: its wrist axes, of ``WRIST_AXES`` or from ``axes``.
+
+    Raises:
+        ConfigError: only one of the two is left-handed, so that no rotation maps one to the other.
+    """
+    if np.linalg.det(world) * np.linalg.det(wrist) < 0:
+        raise ConfigError("world and wrist axes of one tracker are of one handedness")
+    given = unit_poses(np.asarray(poses, np.float64))
+    rotation = world @ rotation_matrices(given[..., 3:]) @ wrist.T
+    return np.concatenate([given[..., :3] @ world.T, quaternions(rotation)], axis=-1)
+
+
+def points_to_ours(
+    points: ArrayLike, world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"]
+) -> Float[np.ndarray, "*n 3"]:
+    """(..., 3) points of a tracker's world in our z-up, right-handed world, in the same unit."""
+    moved: np.ndarray = np.asarray(points, np.float64) @ world.T
+    return moved
+
+
+def wrist_from_landmarks(
+    landmarks: Float[np.ndarray, "*n 21 3"], side: Side
+) -> Float[np.ndarray, "*n 7"]:
+    """The wrist frame of a hand without tracked orientation, from its palm's landmarks.
+
+    Args:
+        landmarks: (..., 21, 3) in a z-up, right-handed world [m].
+        side: which hand.
+
+    Returns:
+        (..., 7) poses; NaN where wrist, or index, middle or pinky MCP are missing or in line.
+    """
+    distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
+    rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)
+    flat = np.linalg.norm(palmar, axis=-1) < 0.5  # points in line have no palm
+    rotation = np.where(flat[..., None, None], np.nan, rotation)
+    return np.concatenate([landmarks[..., 0, :], quaternions(rotation)], axis=-1)
+
+
+def is_valid(poses: Float[np.ndarray, "*n 7"] | None) -> Bool[np.ndarray, "*n"]:
+    """Whether each pose is one; False for None, the pose of a tracker that has none."""
+    return np.asarray(np.isfinite(np.full(7, np.nan) if poses is None else poses).all(axis=-1))
+
+
+def compose(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
+    """``T_x_z`` of ``T_x_y`` and ``T_y_z``."""
+    return np.concatenate(
+        [a[..., :3] + rotate(a[..., 3:], b[..., :3]), multiply(a[..., 3:], b[..., 3:])], axis=-1
+    )
+
+
+def invert(pose: Float[np.ndarray, "*n 7"]) -> np.ndarray:
+    """``T_y_x`` of ``T_x_y``."""
+    back = conjugate(pose[..., 3:])
+    return np.concatenate([-rotate(back, pose[..., :3]), back], axis=-1)
+
+
+def relative(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
+    """``T_a_b`` of two poses in one frame: b as seen from a."""
+    return compose(invert(a), b)
+
+
+def separation(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
+    """(..., 2) how far two poses are apart: distance [m], and angle from 0 to pi [rad]."""
+    distance = np.linalg.norm(b[..., :3] - a[..., :3], axis=-1)
+    angle = np.linalg.norm(rotation_vectors(multiply(conjugate(a[..., 3:]), b[..., 3:])), axis=-1)
+    return np.stack([distance, angle], axis=-1)
+
+
+def matrices(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
+    """Homogeneous matrices."""
+    out = np.zeros((*poses.shape[:-1], 4, 4))
+    out[..., :3, :3] = rotation_matrices(poses[..., 3:])
+    out[..., :3, 3] = poses[..., :3]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def from_matrices(matrix: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:
+    """Poses of homogeneous matrices with a proper rotation."""
+    return np.concatenate([matrix[..., :3, 3], quaternions(matrix[..., :3, :3])], axis=-1)
+
+
+def multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"]) -> np.ndarray:
+    """Product of quaternions: first b, then a."""
+    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    real = aw * bw - (av * bv).sum(axis=-1, keepdims=True)
+    return np.concatenate([real, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
+
+
+def conjugate(q: Float[np.ndarray, "*n 4"]) -> np.ndarray:
+    """The inverse of a unit quaternion."""
+    inverse: np.ndarray = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
+
+
+def rotate(q: Float[np.ndarray, "*n 4"], points: Float[np.ndarray, "*n 3"]) -> np.ndarray:
+    """Points turned by unit quaternions."""
+    turn = 2.0 * np.cross(q[..., 1:], points)
+    turned: np.ndarray = points + q[..., :1] * turn + np.cross(q[..., 1:], turn)
+    return turned
+
+
+def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
+    """Axis times angle, 0 to pi [rad], of unit quaternions; q and -q give the same."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    vectors: np.ndarray = q[..., 1:] * np.where(sine > _TINY, angle / np.maximum(sine, _TINY), 2.0)
+    return vectors
+
+
+def from_rotation_vectors(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
+    """Unit quaternions of axis times angle [rad]."""
+    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    # sinc keeps the limit at no rotation: sin(a / 2) / a = sinc(a / 2 pi) / 2
+    return np.concatenate(
+        [np.cos(angle / 2.0), 0.5 * np.sinc(angle / (2.0 * np.pi)) * vectors], axis=-1
+    )
+
+
+def rotation_matrices(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Matrices of unit quaternions."""
+    columns = [rotate(q, np.broadcast_to(e, (*q.shape[:-1], 3))) for e in np.eye(3)]
+    return np.stack(columns, axis=-1)
+
+
+def quaternions(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
+    """Unit quaternions with w >= 0 of proper rotation matrices."""
+    m = np.moveaxis(np.asarray(rotation, np.float64), (-2, -1), (0, 1))
+    (a, b, c), (d, e, f), (g, h, i) = m
+    # 4 q q^T; the row of its largest diagonal entry loses no digits (Shepperd 1978)
+    rows = np.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    best = np.einsum("kk...->k...", rows).argmax(axis=0)
+    picked = np.take_along_axis(np.moveaxis(rows, 0, -1), best[None, ..., None], axis=-1)
+    q = np.moveaxis(picked[..., 0], 0, -1)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    positive: np.ndarray = np.where(q[..., :1] < 0, -q, q)
+    return positive
