@@ -95,6 +95,21 @@ def check_units(
     )
 
 
+def check_palm(
+    landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], where: str
+) -> None:
+    """The same for one frame of a stream; a hand whose palm is not seen is not judged.
+
+    Raises:
+        RecordingError: as ``check_units``.
+    """
+    if not (valid[WRIST] and valid[index("middle_mcp")]):
+        return
+    palm = math.dist(landmarks[WRIST].tolist(), landmarks[index("middle_mcp")].tolist())
+    if not PALM_RANGE_M[0] <= palm <= PALM_RANGE_M[1]:
+        check_units(landmarks[None], valid[None], where)  # it has the words
+
+
 def _length_hint(palm: float) -> str:
     if palm <= 0.0:
         return "the landmarks coincide: the tracker never saw the hand"

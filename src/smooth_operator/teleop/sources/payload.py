@@ -7,13 +7,14 @@ A message is one of
   where only ``landmarks`` is needed; or ``{"hands": [...]}`` with several of them; or the
   landmarks alone.
 
-In place of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR), which are mapped. Nothing
-here waits, keeps state or unpickles: bytes in, hand frames out, or an error that says why not.
+In place of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR), which are mapped; in place
+of a row x y z, an object, a row with a quaternion or a 4 x 4 matrix (``point_forms``). ``wrist`` is
+the pose of the wrist in the frame ``world``. Nothing here waits, keeps state or unpickles: bytes
+in, hand frames out, or an error that says why not.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -23,10 +24,17 @@ from jaxtyping import Float
 
 from smooth_operator import landmarks as schema
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError
-from smooth_operator.formats.checks import PALM_RANGE_M, check_units
+from smooth_operator.formats.checks import check_palm
 from smooth_operator.io import documents
 from smooth_operator.io.anatomy import layout_order
-from smooth_operator.teleop.sources.live import LATEST_STAMP_S
+from smooth_operator.teleop.sources.message_stamps import StampUnit, read_stamp
+from smooth_operator.teleop.sources.point_forms import (
+    MatrixOrder,
+    QuaternionOrder,
+    read_numbers,
+    read_points,
+    short,
+)
 from smooth_operator.types import HandFrame, Side, as_side
 
 MAX_BYTES: Final = 65_536
@@ -35,7 +43,10 @@ MAX_BYTES: Final = 65_536
 _BINARY: Final = {
     count * 3 * size: (count, f"<f{size}") for count in schema.NODE_LAYOUTS for size in (4, 8)
 }
-_MIDDLE: Final = schema.index("middle_mcp")
+_SHARED: Final = ("stamp", "timestamp", "session", "world")
+TRACKER_WORLD: Final = "tracker"
+"""Name of the world frame of a wrist in a message that does not name it."""
+
 _WHERE: Final = "the message"
 
 
@@ -54,8 +65,32 @@ class Reading:
     session: str | None = None
 
 
+@dataclass(frozen=True)
+class Forms:
+    """What a message can't say by itself.
+
+    Attributes:
+        layout: order of the landmarks in a message of 21; None for the project's own.
+        stamp_unit: unit of its stamps.
+        quaternion: order in rows of 7.
+        matrix: how 4 x 4 matrices are written; ``auto`` decides by their row or column 0 0 0 1.
+    """
+
+    layout: str | None = None
+    stamp_unit: StampUnit = "s"
+    quaternion: QuaternionOrder = "wxyz"
+    matrix: MatrixOrder = "auto"
+
+
 def read_payload(
-    data: bytes, *, side: Side | None, received: float, layout: str | None = None
+    data: bytes,
+    *,
+    side: Side | None,
+    received: float,
+    layout: str | None = None,
+    stamp_unit: StampUnit = "s",
+    quaternion: QuaternionOrder = "wxyz",
+    matrix: MatrixOrder = "auto",
 ) -> tuple[Reading, ...]:
     """Read a message.
 
@@ -63,13 +98,14 @@ def read_payload(
         data: the message.
         side: which hand it is where it does not say; None refuses a message that does not say.
         received: when it came, the stamp where it has none [s].
-        layout: order of the landmarks in a message of 21; None for the project's own.
+        layout, stamp_unit, quaternion, matrix: see ``Forms``.
 
     Raises:
         RecordingError: it can't be read: too long, of no known size, broken JSON, a wrong shape,
-            no stamp in seconds, no side, landmarks in another unit (with the likely factor).
+            an impossible stamp, no side, landmarks in another unit (with the likely factor).
     """
     check_size(data)
+    forms = Forms(layout, stamp_unit, quaternion, matrix)
     binary = _BINARY.get(len(data))
     if data[:1] in (b"{", b"["):
         try:
@@ -78,7 +114,7 @@ def read_payload(
             if binary is None:  # of 128 messages of numbers, one starts with such a byte
                 raise
         else:
-            return _read_json(message, side, received, layout)
+            return _read_json(message, side, received, forms)
     if binary is None:
         sizes = ", ".join(str(size) for size in _BINARY)
         raise RecordingError(
@@ -124,6 +160,8 @@ def hand_frame(
     orientations: Float[np.ndarray, "n 4"] | None = None,
     metacarpals: Float[np.ndarray, "4 3"] | None = None,
     layout: str | None = None,
+    wrist: Float[np.ndarray, "7"] | None = None,
+    world: str | None = None,
 ) -> HandFrame:
     """A hand frame from a tracker's own points.
 
@@ -136,6 +174,7 @@ def hand_frame(
         orientations: quaternions wxyz of the points; made unit quaternions.
         metacarpals: where the points do not hold them.
         layout: order of 21 points; None for the project's own.
+        wrist, world: ``HandFrame.T_world_wrist`` and its world frame.
 
     Raises:
         RecordingError: a wrong shape, or another unit than metres.
@@ -153,7 +192,7 @@ def hand_frame(
         flags &= _flags(valid, len(points), rows)
     if not landmarks.any():  # NaN counts as something here, and is invalid anyway
         flags[:] = False
-    _check_palm(landmarks, flags)
+    check_palm(landmarks, flags, _WHERE)
     return HandFrame(
         landmarks,
         stamp,
@@ -161,26 +200,9 @@ def hand_frame(
         valid=flags,
         metacarpals=metacarpals if bases is None else points[list(bases)],
         orientations=None if orientations is None else _unit(orientations[rows]),
+        T_world_wrist=wrist,
+        world=world,
     )
-
-
-def read_stamp(message: Mapping[str, Any]) -> float | None:
-    """The stamp of a message [s], None where it has none.
-
-    Raises:
-        RecordingError: it is no finite number of seconds.
-    """
-    stamp = message.get("stamp", message.get("timestamp"))
-    if stamp is None:
-        return None
-    if isinstance(stamp, bool) or not isinstance(stamp, (int, float)) or not _finite(stamp):
-        raise RecordingError(f"the stamp must be a finite number of seconds, not {_short(stamp)}")
-    if abs(stamp) < LATEST_STAMP_S:
-        return float(stamp)
-    units = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-    likely = next((u for u, factor in units.items() if abs(stamp) * factor < LATEST_STAMP_S), None)
-    hint = f"; it looks like {likely} (multiply by {units[likely]:g})" if likely else ""
-    raise RecordingError(f"the stamp must be in seconds, not {stamp:.6g}{hint}")
 
 
 def read_side(label: Any, otherwise: Side | None) -> Side:
@@ -194,19 +216,7 @@ def read_side(label: Any, otherwise: Side | None) -> Side:
     try:
         return as_side(str(label))
     except ConfigError:
-        raise RecordingError(f"the side must be 'right' or 'left', not {_short(label)}") from None
-
-
-def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
-    """Numbers of a JSON value as an array; null is NaN.
-
-    Raises:
-        RecordingError: there is something else in it, or its rows differ in length.
-    """
-    try:
-        return np.array(value, np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise RecordingError(f"{what} must be numbers in rows of one length: {error}") from error
+        raise RecordingError(f"the side must be 'right' or 'left', not {short(label)}") from None
 
 
 def read_session(message: Mapping[str, Any]) -> str | None:
@@ -216,45 +226,48 @@ def read_session(message: Mapping[str, Any]) -> str | None:
 
 
 def _read_json(
-    message: Any, side: Side | None, received: float, layout: str | None
+    message: Any, side: Side | None, received: float, forms: Forms
 ) -> tuple[Reading, ...]:
     if isinstance(message, list):
-        return (_read_hand({"landmarks": message}, side, received, layout),)
+        return (_read_hand({"landmarks": message}, side, received, forms),)
     hands = message.get("hands")
     if hands is None:
-        return (_read_hand(message, side, received, layout),)
+        return (_read_hand(message, side, received, forms),)
     if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
         raise RecordingError("'hands' must be a list of objects, one for each hand")
-    shared = {key: message[key] for key in ("stamp", "timestamp", "session") if key in message}
-    return tuple(_read_hand({**shared, **hand}, side, received, layout) for hand in hands)
+    shared = {key: message[key] for key in _SHARED if key in message}
+    return tuple(_read_hand({**shared, **hand}, side, received, forms) for hand in hands)
 
 
 def _read_hand(
-    message: Mapping[str, Any], side: Side | None, received: float, layout: str | None
+    message: Mapping[str, Any], side: Side | None, received: float, forms: Forms
 ) -> Reading:
     found = next((key for key in ("landmarks", "joints") if key in message), None)
     if found is None:
-        keys = ", ".join(map(_short, list(message)[:8])) or "nothing"
+        keys = ", ".join(map(short, list(message)[:8])) or "nothing"
         raise RecordingError(f"{_WHERE} has no 'landmarks', but {keys}")
-    points = read_numbers(message[found], f"'{found}'")
-    if points.ndim == 1 and points.size % 3 == 0:
-        points = points.reshape(-1, 3)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise RecordingError(f"'{found}' must be 21 rows of x, y, z, not shape {points.shape}")
-    stamp = read_stamp(message)
+    points, turned = read_points(
+        message[found], f"'{found}'", quaternion=forms.quaternion, matrix=forms.matrix
+    )
+    orientations = _beside(message, "orientations", (len(points), 4))
+    stamp = read_stamp(message, forms.stamp_unit)
+    wrist = _beside(message, "wrist", (7,))
+    world = message.get("world")
     frame = hand_frame(
         points,
         stamp=received if stamp is None else stamp,
         side=read_side(message.get("side"), side),
         valid=message.get("valid"),
-        orientations=_beside(message, "orientations", (len(points), 4)),
+        orientations=turned if orientations is None else orientations,
         metacarpals=_beside(message, "metacarpals", (4, 3)),
-        layout=layout,
+        layout=forms.layout,
+        wrist=wrist,
+        world=None if wrist is None else TRACKER_WORLD if world is None else str(world)[:64],
     )
     return Reading(frame, stamp is not None, read_session(message))
 
 
-def _beside(message: Mapping[str, Any], key: str, shape: tuple[int, int]) -> np.ndarray | None:
+def _beside(message: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndarray | None:
     if message.get(key) is None:
         return None
     value = read_numbers(message[key], f"'{key}'")
@@ -275,18 +288,9 @@ def _known(side: Side | None) -> Side:
 def _flags(valid: Any, count: int, rows: np.ndarray) -> np.ndarray:
     good = isinstance(valid, list) and all(isinstance(flag, (bool, int)) for flag in valid)
     if not good or len(valid) not in (count, len(rows)):
-        raise RecordingError(f"'valid' must be {count} times true or false, not {_short(valid)}")
+        raise RecordingError(f"'valid' must be {count} times true or false, not {short(valid)}")
     flags: np.ndarray = np.array(valid, bool)
     return flags[rows] if len(flags) == count else flags
-
-
-def _check_palm(landmarks: Float[np.ndarray, "21 3"], valid: np.ndarray) -> None:
-    """Refuse another unit, where the palm is seen; a hand that is not seen has none."""
-    if not (valid[schema.WRIST] and valid[_MIDDLE]):
-        return
-    palm = math.dist(landmarks[schema.WRIST].tolist(), landmarks[_MIDDLE].tolist())
-    if not PALM_RANGE_M[0] <= palm <= PALM_RANGE_M[1]:
-        check_units(landmarks[None], valid[None], _WHERE)  # it has the words
 
 
 def _unit(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
@@ -294,15 +298,3 @@ def _unit(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
     unit: np.ndarray = np.full_like(quaternions, np.nan)
     np.divide(quaternions, norms, out=unit, where=norms > 0.0)
     return unit
-
-
-def _finite(value: int | float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number beyond all floats
-        return False
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

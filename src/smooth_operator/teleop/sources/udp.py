@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.sources.message_receiver import Message
+from smooth_operator.teleop.sources.message_stamps import StampUnit
 from smooth_operator.teleop.sources.payload import MAX_BYTES, Reading, read_payload
+from smooth_operator.teleop.sources.point_forms import MatrixOrder, QuaternionOrder
 from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
 from smooth_operator.types import Side
 
@@ -32,6 +34,10 @@ class UdpSource(StreamSource):
             ``both`` each datagram must say.
         layout: order of the landmarks in a message of 21, by its name in
             ``LAYOUTS``.
+        stamp_unit: unit of the stamps in JSON.
+        quaternion: order of the quaternion in rows of 7.
+        matrix: how 4 x 4 matrices are written: row by row or column by column; ``auto`` decides
+            by where 0 0 0 1 stands.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -42,6 +48,9 @@ class UdpSource(StreamSource):
     host: str = "127.0.0.1"
     side: Hands = "right"
     layout: str = "mediapipe"
+    stamp_unit: StampUnit = "s"
+    quaternion: QuaternionOrder = "wxyz"
+    matrix: MatrixOrder = "auto"
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65_535:
@@ -66,7 +75,13 @@ class UdpSource(StreamSource):
     def read(self, message: Message, received: float) -> Sequence[Reading]:
         """The hands of a datagram."""
         return read_payload(
-            message[0], side=only_side(self.side), received=received, layout=self.layout
+            message[0],
+            side=only_side(self.side),
+            received=received,
+            layout=self.layout,
+            stamp_unit=self.stamp_unit,
+            quaternion=self.quaternion,
+            matrix=self.matrix,
         )
 
 

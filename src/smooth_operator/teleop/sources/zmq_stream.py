@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.sources.message_receiver import Message
+from smooth_operator.teleop.sources.message_stamps import StampUnit
 from smooth_operator.teleop.sources.payload import Reading, read_payload
+from smooth_operator.teleop.sources.point_forms import MatrixOrder, QuaternionOrder
 from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
 from smooth_operator.teleop.sources.zmq_inbox import Pattern, ZmqInbox
 from smooth_operator.types import Side
@@ -28,6 +30,10 @@ class ZmqSource(StreamSource):
         pattern: ``sub`` for a publisher, ``pull`` for a pusher.
         layout: order of the landmarks in a message of 21, by its name in
             ``LAYOUTS``.
+        stamp_unit: unit of the stamps in JSON.
+        quaternion: order of the quaternion in rows of 7.
+        matrix: how 4 x 4 matrices are written: row by row or column by column; ``auto`` decides
+            by where 0 0 0 1 stands.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -40,6 +46,9 @@ class ZmqSource(StreamSource):
     topic: str = ""
     pattern: Pattern = "sub"
     layout: str = "mediapipe"
+    stamp_unit: StampUnit = "s"
+    quaternion: QuaternionOrder = "wxyz"
+    matrix: MatrixOrder = "auto"
 
     def __post_init__(self) -> None:
         sides_of(self.side)
@@ -70,4 +79,12 @@ class ZmqSource(StreamSource):
         data = message[-1]
         if len(message) == 1 and self.topic:
             data = data.removeprefix(self.topic.encode()).lstrip(b" ")
-        return read_payload(data, side=only_side(self.side), received=received, layout=self.layout)
+        return read_payload(
+            data,
+            side=only_side(self.side),
+            received=received,
+            layout=self.layout,
+            stamp_unit=self.stamp_unit,
+            quaternion=self.quaternion,
+            matrix=self.matrix,
+        )

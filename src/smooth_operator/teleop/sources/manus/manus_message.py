@@ -24,16 +24,16 @@ from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
+from smooth_operator.teleop.sources.message_stamps import read_stamp
 from smooth_operator.teleop.sources.payload import (
     Reading,
     check_size,
     hand_frame,
     parse_json,
-    read_numbers,
     read_session,
     read_side,
-    read_stamp,
 )
+from smooth_operator.teleop.sources.point_forms import read_numbers
 from smooth_operator.types import HandFrame, Side
 
 NODES: Final = 25

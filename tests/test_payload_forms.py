@@ -1,0 +1,211 @@
+"""Messages in the forms of other programs: objects, rows of 7, matrices, stamps, the wrist.
+
+The encoders here are written from the formats alone and share no code with the readers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from typing import Any
+
+import fuzzing
+import numpy as np
+import pytest
+
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.io.anatomy import chirality
+from smooth_operator.landmarks import FROM_OPENXR_26
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.sources.payload import Reading, read_payload
+from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.teleop.sources.udp import UdpSource
+
+HAND = next(SyntheticOperator(seed=2).frames())
+POINTS = HAND.landmarks
+QUATERNIONS = HAND.orientations
+JOINTS = np.zeros((26, 3))
+JOINTS[list(FROM_OPENXR_26)] = POINTS
+
+
+def turn(q: Any) -> list[list[float]]:
+    """The rotation matrix of a unit quaternion wxyz, by the textbook."""
+    w, x, y, z = (float(v) for v in q)
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def matrix(point: Any, q: Any, columns: bool = False) -> list[list[float]]:
+    rows = [[*row, float(v)] for row, v in zip(turn(q), point, strict=True)] + [
+        [0.0, 0.0, 0.0, 1.0]
+    ]
+    return [list(column) for column in zip(*rows, strict=True)] if columns else rows
+
+
+def read(
+    side: Any = "right", received: float = 7.0, /, *, settings: Any = None, **said: Any
+) -> Any:
+    found: tuple[Reading, ...] = read_payload(
+        json.dumps(said).encode(), side=side, received=received, **(settings or {})
+    )
+    return found[0].frame
+
+
+def same_turns(a: Any, b: Any) -> bool:
+    return bool((np.abs((np.asarray(a) * np.asarray(b)).sum(axis=1)) > 1 - 1e-9).all())
+
+
+def test_objects_as_mediapipe_writes_them() -> None:
+    rows: list[Any] = [
+        {"x": x, "y": y, "z": z, "visibility": 0.0, "presence": 0.0} for x, y, z in POINTS.tolist()
+    ]
+    assert np.array_equal(read(landmarks=rows).landmarks, POINTS)
+    rows[3], rows[8] = None, {"x": None, "y": 0.1, "z": 0.2}
+    assert read(landmarks=rows).valid.tolist() == [k not in (3, 8) for k in range(21)]
+    rows[5] = {"x": 1.0, "y": 2.0}
+    with pytest.raises(RecordingError, match="objects with x, y and z"):
+        read(landmarks=rows)
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_rows_of_seven_keep_their_orientations(order: str) -> None:
+    rows: list[Any] = [
+        [*p, *(q if order == "wxyz" else [*q[1:], q[0]])]
+        for p, q in zip(POINTS.tolist(), QUATERNIONS.tolist(), strict=True)
+    ]
+    frame = read(landmarks=rows, settings={"quaternion": order})
+    assert np.array_equal(frame.landmarks, POINTS)
+    np.testing.assert_allclose(frame.orientations, QUATERNIONS, atol=1e-12)
+    rows[4] = None
+    frame = read(joints=rows, settings={"quaternion": order})
+    assert frame.valid.tolist() == [k != 4 for k in range(21)]
+    assert np.isnan(frame.orientations[4]).all()
+
+
+def test_26_rows_of_seven_are_mapped_with_their_orientations() -> None:
+    turned = np.tile([0.0, 0.0, 0.0, 1.0], (26, 1))
+    turned[list(FROM_OPENXR_26)] = np.roll(QUATERNIONS, -1, axis=1)
+    frame = read(joints=np.hstack([JOINTS, turned]).tolist(), settings={"quaternion": "xyzw"})
+    np.testing.assert_allclose(frame.landmarks, POINTS)
+    np.testing.assert_allclose(frame.orientations, QUATERNIONS, atol=1e-12)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("columns", [False, True])
+def test_matrices_say_by_themselves_how_they_are_written(columns: bool, flat: bool) -> None:
+    rows: list[Any] = [matrix(p, q, columns) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
+    if flat:
+        rows = [[v for row in each for v in row] for each in rows]
+    said = "columns" if columns else "rows"
+    for settings in ({}, {"matrix": said}):
+        frame = read(landmarks=rows, settings=settings)
+        np.testing.assert_allclose(frame.landmarks, POINTS, atol=1e-12)
+        assert same_turns(frame.orientations, QUATERNIONS)
+    with pytest.raises(
+        RecordingError, match=r"matrix=columns\)" if not columns else r"matrix=rows"
+    ):
+        read(landmarks=rows, settings={"matrix": "rows" if columns else "columns"})
+    rows[7] = None
+    assert read(landmarks=rows).valid.tolist() == [k != 7 for k in range(21)]
+
+
+def test_matrices_that_are_no_rigid_transforms_are_refused() -> None:
+    good = [matrix(p, q) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
+    projective, scaled, mirrored = (json.loads(json.dumps(good)) for _ in range(3))
+    projective[2][3] = [0.1, 0.0, 0.0, 1.0]
+    scaled[2][0] = [v * 1.1 for v in scaled[2][0]]
+    for each in mirrored:
+        each[1] = [-v for v in each[1]]
+    for rows, words in (
+        (projective, "neither the last row nor the last column"),
+        (scaled, "scaled or skewed"),
+        (mirrored, "mirror image"),
+    ):
+        with pytest.raises(RecordingError, match=words):
+            read(landmarks=rows)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)]
+)
+def test_stamps_of_four_units(unit: str, factor: int) -> None:
+    rows = POINTS.tolist()
+    said = {"stamp_unit": unit}
+    assert read(landmarks=rows, stamp=3 * factor, settings=said).stamp == 3.0
+    # of Unix time in whole nanoseconds, nothing is lost but what float64 can't hold
+    stamp = 1_732_613_438_765_715_200 * factor // 10**9
+    found = read(landmarks=rows, timestamp=stamp, settings=said).stamp
+    assert math.isclose(found, stamp / factor, abs_tol=3e-7)
+    assert read(landmarks=rows, settings=said).stamp == 7.0
+
+
+def test_a_stamp_in_another_unit_names_the_setting() -> None:
+    unix_ns = 1_732_613_438_765_715_200
+    for stamp, unit in ((unix_ns, "ns"), (unix_ns // 10**3, "us"), (unix_ns // 10**6, "ms")):
+        with pytest.raises(RecordingError, match=f"stamp_unit={unit}"):
+            read(landmarks=POINTS.tolist(), stamp=stamp)
+    with pytest.raises(RecordingError, match=r"in ms \(stamp_unit=ms\).*stamp_unit=us"):
+        read(landmarks=POINTS.tolist(), stamp=unix_ns // 10**3, settings={"stamp_unit": "ms"})
+    with pytest.raises(RecordingError, match="stamp_unit=s, ms, us or ns"):
+        read(landmarks=POINTS.tolist(), stamp=1e300)
+    for stamp in (True, "1", [1]):
+        with pytest.raises(RecordingError, match="finite number"):
+            read(landmarks=POINTS.tolist(), stamp=stamp)
+
+
+def test_the_wrist_has_a_pose_in_a_named_world() -> None:
+    rows = POINTS.tolist()
+    frame = read(landmarks=rows, wrist=[1, 2, 3, 0, 0, 0, 2], world="table")
+    assert frame.world == "table"
+    np.testing.assert_allclose(frame.T_world_wrist, [1, 2, 3, 0, 0, 0, 1])
+    frame = read(landmarks=rows, wrist=[1, 2, 3, 1, 0, 0, None])
+    assert frame.world == "tracker"
+    assert np.isnan(frame.T_world_wrist).all()
+    frame = read(landmarks=rows, world="table")
+    assert frame.T_world_wrist is None
+    hands = [{"side": side, "landmarks": rows, "wrist": [0, 0, 0, 1, 0, 0, 0]} for side in "RL"]
+    both = read_payload(
+        json.dumps({"hands": hands, "world": "map"}).encode(), side=None, received=0.0
+    )
+    assert [(r.frame.side, r.frame.world) for r in both] == [("right", "map"), ("left", "map")]
+    with pytest.raises(RecordingError, match=r"'wrist' must have shape \(7,\)"):
+        read(landmarks=rows, wrist=[1, 2, 3])
+
+
+def test_sources_have_the_settings() -> None:
+    source = build_source("udp:0,stamp_unit=ns,quaternion=xyzw,matrix=columns")
+    rows = [[*p, *q[1:], q[0]] for p, q in zip(POINTS.tolist(), QUATERNIONS.tolist(), strict=True)]
+    data = json.dumps({"stamp": 5_000_000_000, "landmarks": rows}).encode()
+    assert isinstance(source, UdpSource)
+    (reading,) = source.read((data,), 0.0)
+    assert (reading.frame.stamp, reading.stamped) == (5.0, True)
+    np.testing.assert_allclose(reading.frame.orientations, QUATERNIONS, atol=1e-12)
+    # the same hand as the plain landmarks, not its mirror image
+    assert chirality(reading.frame.landmarks[None])[0] > 0
+    with pytest.raises(ConfigError, match="s or ms or us or ns"):
+        build_source("zmq:tcp://127.0.0.1:1,stamp_unit=min")
+
+
+def test_damaged_messages_are_refused_in_a_sentence() -> None:
+    rng = random.Random(5)
+    rows = [matrix(p, q, True) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
+    objects = [dict(zip("xyz", p, strict=True)) for p in POINTS.tolist()]
+    good = [
+        json.dumps({"stamp": 4, "wrist": [0] * 7, "world": "w", "landmarks": each}).encode()
+        for each in (rows, objects)
+    ]
+    refused: list[str] = []
+    for k in range(300):
+        data = good[k % 2]
+        data = fuzzing.mutate_json(rng, data) if k % 3 else fuzzing.mutate_bytes(rng, data)
+        try:
+            for reading in read_payload(data, side="right", received=0.0):
+                assert np.isfinite(reading.frame.landmarks[reading.frame.valid]).all()
+        except SmoothOperatorError as error:
+            refused.append(str(error))
+    assert 30 < len(refused) < 300
+    assert all(0 < len(words) < 1500 for words in refused)
