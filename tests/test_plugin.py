@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
-import sys
-import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from plugin_environment import environment_with
 
 from smooth_operator.synthetic import SyntheticOperator
 
@@ -24,19 +22,7 @@ RATE = 50.0
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Python of an environment that has the plugin, and all that this one has."""
-    folder = tmp_path_factory.mktemp("plugin")
-    source, home = folder / "source", folder / "venv"
-    shutil.copytree(PLUGIN, source, ignore=shutil.ignore_patterns("__pycache__"))
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
-    paths = sysconfig.get_paths(vars={"base": str(home), "platbase": str(home)})
-    site = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
-    install += ["--no-build-isolation", "--target", str(site), str(source)]
-    subprocess.run(install, check=True)
-    own = [path for path in map(Path, sys.path) if path.name == "site-packages"]
-    lines = [f"import site; site.addsitedir({str(path)!r})" for path in own]
-    (site / "parent.pth").write_text("\n".join(lines) + "\n")
-    return Path(paths["scripts"]) / Path(sys.executable).name
+    return environment_with(tmp_path_factory.mktemp("plugin"), PLUGIN)
 
 
 @pytest.fixture

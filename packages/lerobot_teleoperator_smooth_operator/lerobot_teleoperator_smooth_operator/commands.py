@@ -1,0 +1,169 @@
+"""The newest command of each hand, and how old it is."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+FORMAT = 1
+"""Version of the messages that this plug-in reads."""
+
+_SPAN_S = 30.0
+"""Time in which the quickest message is looked for; longer, and two clocks drift apart [s]."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of one hand.
+
+    Attributes:
+        names: (n) model's joints.
+        positions: (n) angles [rad].
+        wrist: target of the wrist in the robot's base: x y z [m], quaternion w x y z; None
+            where the message has none.
+        mode: what the loop is doing: ``tracking``, ``holding``, ``paused``, ``stopped``, ...
+        valid_for_s: how long it may be acted upon [s].
+        sent: when it was ready, by this process's clock as far as that can be known [s].
+    """
+
+    names: tuple[str, ...]
+    positions: tuple[float, ...]
+    wrist: tuple[float, ...] | None
+    mode: str
+    valid_for_s: float
+    sent: float
+
+
+class _Lateness:
+    """How much longer a message took than the quickest one of late.
+
+    Sender and receiver have clocks of their own, whose difference is not known; the quickest
+    message stands for no delay. So a queue of old messages does not pass as new ones.
+    """
+
+    def __init__(self) -> None:
+        self._least = [math.inf, math.inf]  # of this span of time, and of the one before
+        self._since = -math.inf
+        self._last_sent = -math.inf
+
+    def of(self, sent: float, arrived: float) -> float:
+        """Lateness [s], from the sender's and the receiver's clock."""
+        if sent < self._last_sent:  # another session, perhaps with another clock
+            self._least = [math.inf, math.inf]
+            self._since = arrived
+        self._last_sent = sent
+        if arrived - self._since > _SPAN_S:
+            self._least, self._since = [math.inf, self._least[0]], arrived
+        took = arrived - sent
+        self._least[0] = min(self._least[0], took)
+        return took - min(self._least)
+
+
+class Newest:
+    """Newest command of each hand; messages come from a thread, readers never wait.
+
+    Args:
+        clock: of this process [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._commands: dict[str, Command] = {}
+        self._silent: dict[str, str] = {}
+        self._lateness: dict[str, _Lateness] = {}
+        self._refused = ""
+        self._changed = threading.Condition()
+
+    def command(self, side: str) -> Command | None:
+        """The newest command of a hand; None before the first."""
+        return self._commands.get(side)
+
+    def age(self, command: Command) -> float:
+        """How old a command is [s]."""
+        return self._clock() - command.sent
+
+    def silence(self, side: str) -> str:
+        """Why no command comes, where the loop said so; else empty."""
+        return self._silent.get(side, "")
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Hands that commands came for."""
+        return tuple(self._commands)
+
+    @property
+    def refused(self) -> str:
+        """What was wrong with the last message that could not be read; empty for nothing."""
+        return self._refused
+
+    def wait(self, enough: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until something is so, and say whether it is."""
+        with self._changed:
+            return self._changed.wait_for(enough, timeout_s)
+
+    def wake(self) -> None:
+        """Have those who wait look again."""
+        with self._changed:
+            self._changed.notify_all()
+
+    def receive(self, data: bytes) -> None:
+        """Take a message as it came; one that can't be read is left out and remembered."""
+        try:
+            message = json.loads(data)
+        except ValueError as error:
+            self._refused = f"a message is not JSON: {error}"
+            return
+        self.take(message)
+
+    def take(self, message: Any) -> None:
+        """Take a message; one that can't be read is left out and remembered."""
+        try:
+            self._take(message)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            self._refused = f"a message can't be read: {type(error).__name__}: {error}"
+        self.wake()
+
+    def _take(self, message: dict[str, Any]) -> None:
+        kind, side = message["type"], message["side"]
+        if message["format"] != FORMAT:
+            raise ValueError(
+                f"messages have format {message['format']}, not {FORMAT}; install a plug-in and a "
+                "smooth-operator of one version"
+            )
+        if kind in ("stalled", "end"):
+            self._silent[side] = "no command comes" if kind == "stalled" else "teleop has ended"
+        elif kind == "command":
+            self._commands[side] = self._command(side, message)
+            self._silent.pop(side, None)
+
+    def _command(self, side: str, message: dict[str, Any]) -> Command:
+        names = tuple(map(str, message["names"]))
+        positions = tuple(map(float, message["positions"]))
+        if len(names) != len(positions) or not all(map(math.isfinite, positions)):
+            raise ValueError(f"{len(names)} joints and the positions {positions}")
+        arrived = self._clock()
+        lateness = self._lateness.setdefault(side, _Lateness()).of(float(message["time"]), arrived)
+        return Command(
+            names,
+            positions,
+            _wrist(message.get("wrist")),
+            str(message["mode"]),
+            float(message["valid_for_s"]),
+            arrived - lateness,
+        )
+
+
+def _wrist(message: Any) -> tuple[float, ...] | None:
+    if message is None:
+        return None
+    # The loop holds it while the operator's wrist is lost or the clutch is open.
+    pose = tuple(map(float, message["pose"]))
+    length = math.sqrt(sum(value * value for value in pose[3:]))
+    if len(pose) != 7 or not all(map(math.isfinite, pose)) or abs(length - 1.0) > 1e-3:
+        raise ValueError(f"a wrist's pose is 3 coordinates and a unit quaternion, not {pose}")
+    return pose

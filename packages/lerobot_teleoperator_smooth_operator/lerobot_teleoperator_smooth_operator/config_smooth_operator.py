@@ -1,0 +1,52 @@
+"""Settings of the teleoperator, as LeRobot's command line shows them."""
+
+from dataclasses import dataclass, field
+
+from lerobot.teleoperators.config import TeleoperatorConfig
+
+
+# LeRobot makes an option of each field and finds the class by the name without "Config".
+@TeleoperatorConfig.register_subclass("smooth_operator")
+@dataclass(kw_only=True)
+class SmoothOperatorConfig(TeleoperatorConfig):
+    """Settings of the teleoperator; they are checked when it is made.
+
+    Attributes:
+        address: where ``smooth-operator teleop --sink zmq`` publishes.
+        side: ``right``, ``left`` or ``both``; with ``both`` each key begins with ``right_`` or
+            ``left_``.
+        joints: model's joint -> robot's joint, ``{right_i-mcp: index_mcp}``; its key is
+            ``index_mcp.pos``. Empty for all joints, by the model's names.
+        left_joints: the same for the left hand with ``both``; empty for ``joints``.
+        unit: of the robot's keys: ``degrees``, ``radians``, ``range_m100_100`` (-100 to 100) or
+            ``range_0_100``.
+        ends: robot's joint -> model's angles [rad] at the two ends of a range,
+            ``{index_mcp: [0.0, 1.6]}``; the first may be the larger. For the ranges only.
+        signs: robot's joint -> 1 or -1, in degrees and radians; 1 where it is not named.
+        offsets: robot's joint -> what its angle is at the model's zero [unit].
+        wrist: ``none``, ``rotation_6d`` (``tcp.x``, ``tcp.y``, ``tcp.z`` [m] and ``tcp.r1`` to
+            ``tcp.r6``: first and second column of the rotation matrix) or ``quaternion``
+            (``tcp.qw``, ``tcp.qx``, ``tcp.qy``, ``tcp.qz``).
+        timeout_s: how long ``connect`` waits for the first command [s].
+        hold_s: how long the last action is repeated when commands stop or are too old [s]; after
+            that ``get_action`` raises.
+        source: run the loop in this process, from this source (``webxr``, ``manus``,
+            ``synthetic``); empty to subscribe to ``address``.
+        hand: robot hand of the loop in this process.
+        method: its retargeting method; empty for the default.
+    """
+
+    address: str = "tcp://127.0.0.1:5556"
+    side: str = "right"
+    joints: dict[str, str] = field(default_factory=dict)
+    left_joints: dict[str, str] = field(default_factory=dict)
+    unit: str = "degrees"
+    ends: dict[str, list[float]] = field(default_factory=dict)
+    signs: dict[str, float] = field(default_factory=dict)
+    offsets: dict[str, float] = field(default_factory=dict)
+    wrist: str = "none"
+    timeout_s: float = 5.0
+    hold_s: float = 2.0
+    source: str = ""
+    hand: str = "mimic_p050"
+    method: str = ""

@@ -1,0 +1,130 @@
+"""From the model's joints [rad] to a robot's keys, in its unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+RANGES = {"range_m100_100": (-100.0, 100.0), "range_0_100": (0.0, 100.0)}
+"""Units that are shares of a joint's range, and their two ends."""
+
+UNITS = ("degrees", "radians", *RANGES)
+"""Units of a robot's joints."""
+
+
+@dataclass(frozen=True)
+class JointKey:
+    """One joint of the robot: ``value = offset + factor * angle``, within its bounds.
+
+    Attributes:
+        joint: the model's name.
+        key: the robot's, such as ``index_mcp.pos``.
+        factor: unit of the robot for each radian.
+        offset: value at the model's zero [unit].
+        low: least value [unit].
+        high: largest value [unit].
+    """
+
+    joint: str
+    key: str
+    factor: float
+    offset: float
+    low: float = -math.inf
+    high: float = math.inf
+
+    def value(self, angle: float) -> float:
+        """The robot's value of an angle [rad]."""
+        return min(max(self.offset + self.factor * angle, self.low), self.high)
+
+
+def joint_keys(
+    joints: Mapping[str, str],
+    unit: str,
+    *,
+    ends: Mapping[str, Sequence[float]],
+    signs: Mapping[str, float],
+    offsets: Mapping[str, float],
+    prefix: str = "",
+) -> tuple[JointKey, ...]:
+    """Keys of a robot.
+
+    Args:
+        joints: model's joint -> robot's joint.
+        unit: one of ``UNITS``.
+        ends: robot's joint -> the model's angles at the two ends of its range [rad].
+        signs: robot's joint -> 1 or -1.
+        offsets: robot's joint -> its value at the model's zero [unit].
+        prefix: of every key.
+
+    Raises:
+        ValueError: the unit is unknown, a range has no ends or equal ones, a sign is not 1 or -1,
+            two joints have one key.
+    """
+    if unit not in UNITS:
+        raise ValueError(f"unit must be one of {', '.join(UNITS)}, not {unit!r}")
+    for setting, given in (("signs", signs), ("offsets", offsets)):
+        if given and unit in RANGES:
+            raise ValueError(f"{setting} are for degrees and radians; unit {unit} has ends")
+    if ends and unit not in RANGES:
+        raise ValueError(f"ends are for {' and '.join(RANGES)}; unit {unit} has signs and offsets")
+    keys = [
+        _joint_key(joint, name, unit, ends, signs, offsets, prefix)
+        for joint, name in joints.items()
+    ]
+    for number, made in enumerate(keys):
+        if any(made.key == other.key for other in keys[:number]):
+            raise ValueError(f"joints: two of the model's joints have the robot's key {made.key}")
+    return tuple(keys)
+
+
+def check_names(
+    joints: Mapping[str, str], of_joints: Mapping[str, Mapping[str, object]], all_joints: bool
+) -> None:
+    """Settings of a joint name joints that there are; a misspelt one would have no effect.
+
+    Raises:
+        ValueError: one does not.
+    """
+    for setting, values in of_joints.items():
+        for name in values:
+            if not all_joints and name not in joints.values():
+                known = ", ".join(joints.values())
+                raise ValueError(f"{setting}: {name!r} is none of the robot's joints: {known}")
+
+
+def _joint_key(
+    joint: str,
+    name: str,
+    unit: str,
+    ends: Mapping[str, Sequence[float]],
+    signs: Mapping[str, float],
+    offsets: Mapping[str, float],
+    prefix: str,
+) -> JointKey:
+    key = f"{prefix}{name}.pos"
+    if unit in RANGES:
+        first, last = _ends(name, unit, ends)
+        least, most = RANGES[unit]
+        factor = (most - least) / (last - first)
+        return JointKey(joint, key, factor, least - factor * first, least, most)
+    sign = float(signs.get(name, 1.0))
+    if sign not in (1.0, -1.0):
+        raise ValueError(f"signs: {name} must be 1 or -1, not {sign:g}")
+    factor = sign * (180.0 / math.pi if unit == "degrees" else 1.0)
+    offset = float(offsets.get(name, 0.0))
+    if not math.isfinite(offset):
+        raise ValueError(f"offsets: {name} must be a number, not {offset}")
+    return JointKey(joint, key, factor, offset)
+
+
+def _ends(name: str, unit: str, ends: Mapping[str, Sequence[float]]) -> tuple[float, float]:
+    if name not in ends:
+        raise ValueError(
+            f"unit {unit} needs the model's angles at both ends of {name}: "
+            f"ends={{{name}: [OPEN, CLOSED]}} [rad]"
+        )
+    pair = tuple(map(float, ends[name]))
+    if len(pair) != 2 or not all(map(math.isfinite, pair)) or abs(pair[0] - pair[1]) < 1e-3:
+        raise ValueError(f"ends: {name} must be two different angles [rad], not {list(pair)}")
+    return pair[0], pair[1]

@@ -1,0 +1,134 @@
+"""Where commands come from: a ZeroMQ socket, or a loop in this process."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, Protocol
+
+import zmq
+
+from lerobot_teleoperator_smooth_operator.commands import Newest
+
+_POLL_MS = 50
+"""How often the thread looks whether it is to end [ms]."""
+
+_PATIENCE_S = 5.0
+"""How long closing waits for a thread [s]."""
+
+
+class Feed(Protocol):
+    """A source of commands that is open."""
+
+    @property
+    def error(self) -> Exception | None:
+        """Why it ended; None while it is in order."""
+
+    def close(self) -> None:
+        """Give everything back; a second call does nothing."""
+
+
+class Subscription:
+    """A thread that takes the messages of ``smooth-operator teleop --sink zmq``.
+
+    Nobody need publish yet: ZeroMQ connects when somebody does, and again after a break.
+
+    Args:
+        address: of the publisher.
+        newest: where messages go.
+
+    Raises:
+        ValueError: the address is none of ZeroMQ's.
+    """
+
+    def __init__(self, address: str, newest: Newest) -> None:
+        self._newest = newest
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.SUBSCRIBE, b'{"side":')
+        try:
+            self._socket.connect(address)
+        except zmq.ZMQError as error:
+            self._socket.close()
+            self._context.term()
+            raise ValueError(
+                f"{address!r} is no ZeroMQ address ({error}); expected one such as "
+                "tcp://127.0.0.1:5556"
+            ) from error
+        self.error: Exception | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="smooth-operator", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and close the socket."""
+        self._ending.set()
+        self._thread.join(_PATIENCE_S)
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                if self._socket.poll(_POLL_MS):
+                    self._newest.receive(self._socket.recv())
+        except zmq.ZMQError as error:
+            self.error = error
+        finally:
+            self._socket.close()
+            self._context.term()
+            self._newest.wake()
+
+
+class InProcess:
+    """The loop of smooth-operator on a thread of this process.
+
+    It compiles and solves here, beside LeRobot's own loop: on a busy machine a ``teleop`` process
+    of its own is smoother.
+
+    Args:
+        source: where hand frames come from, as after ``--source``.
+        newest: where commands go.
+        hand: the robot hand.
+        side: ``right``, ``left`` or ``both``.
+        method: of retargeting; empty for the default.
+
+    Raises:
+        ImportError: smooth-operator is not installed.
+    """
+
+    def __init__(self, source: str, newest: Newest, hand: str, side: str, method: str) -> None:
+        try:
+            from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
+            from smooth_operator.teleop import teleoperate
+        except ImportError as error:
+            raise ImportError(
+                "a loop in this process needs smooth-operator: python -m pip install "
+                "'lerobot_teleoperator_smooth_operator[inprocess]'; without it, subscribe to a "
+                "running `smooth-operator teleop --sink zmq`"
+            ) from error
+        self._newest, self._loop = newest, None
+        self.error: Exception | None = None
+        self._ending = threading.Event()
+        options: dict[str, Any] = {"method": method} if method else {}
+
+        def started(loop: Any) -> None:
+            self._loop = loop
+            if self._ending.is_set():
+                loop.controls.quit()
+
+        def run() -> None:
+            try:
+                sink = MailboxSink(newest)
+                teleoperate(source, [sink], hand=hand, side=side, started=started, **options)
+            except Exception as error:  # `connect` and `get_action` raise it
+                self.error = error
+            newest.wake()
+
+        self._thread = threading.Thread(target=run, name="smooth-operator", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the loop."""
+        self._ending.set()
+        if self._loop is not None:
+            self._loop.controls.quit()
+        self._thread.join(_PATIENCE_S)

@@ -1,0 +1,355 @@
+"""The teleoperator: LeRobot's interface to the newest command."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lerobot.teleoperators.teleoperator import Teleoperator
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from lerobot_teleoperator_smooth_operator.commands import Command, Newest
+from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOperatorConfig
+from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
+from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
+from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
+
+logger = logging.getLogger(__name__)
+
+_POSE_KEYS = {
+    "rotation_6d": ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6"),
+    "quaternion": ("x", "y", "z", "qw", "qx", "qy", "qz"),
+    "none": (),
+}
+
+
+class _HandActions:
+    """Actions of one hand, with what was sent last.
+
+    Args:
+        side: which hand.
+        config: settings of the teleoperator.
+        joints: model's joint -> robot's joint; empty for all.
+        prefix: of the keys.
+    """
+
+    def __init__(
+        self, side: str, config: SmoothOperatorConfig, joints: Mapping[str, str], prefix: str
+    ) -> None:
+        self.side, self._config, self._prefix = side, config, prefix
+        self._given = dict(joints)
+        self.keys = self._made(joints)
+        self._order: tuple[int, ...] = ()
+        self._names: tuple[str, ...] = ()
+        self._joints, self._pose = Follower(), PoseFollower()
+        self.pose_keys = tuple(f"{prefix}tcp.{name}" for name in _POSE_KEYS[config.wrist])
+
+    def ready(self, command: Command | None) -> bool:
+        """Whether a command has all that an action needs."""
+        return command is not None and (command.wrist is not None or not self.pose_keys)
+
+    def arrange(self, command: Command) -> None:
+        """Find the joints in a command.
+
+        Raises:
+            ValueError: one is missing.
+        """
+        joints = self._given or {name: name for name in command.names}
+        missing = [name for name in joints if name not in command.names]
+        if missing:
+            raise ValueError(
+                f"joints: {', '.join(missing)} are not among those of the {self.side} hand that "
+                f"smooth-operator drives: {', '.join(command.names)}"
+            )
+        self.keys = self._made(joints)
+        self._order = tuple(command.names.index(key.joint) for key in self.keys)
+        self._names = command.names
+
+    def hold(self) -> None:
+        """The next action is the last one."""
+        self._joints.hold()
+        self._pose.hold()
+
+    def follow(self, command: Command, now: float) -> None:
+        """The next action goes to a command."""
+        if command.names != self._names:  # teleop was started again, with another hand
+            keys = self.keys
+            self.arrange(command)
+            if self.keys != keys:
+                raise ValueError(
+                    f"smooth-operator drives another {self.side} hand now; connect again, or name "
+                    "the joints in --teleop.joints"
+                )
+        self._joints.follow([command.positions[i] for i in self._order], now)
+        if self.pose_keys and command.wrist is not None:
+            self._pose.follow(command.wrist, now)
+        elif self.pose_keys:
+            self._pose.hold()
+
+    def action(self) -> dict[str, float] | None:
+        """The values by key; None before the first."""
+        angles, pose = self._joints.values, self._pose.values
+        if angles is None:
+            return None
+        values = {
+            key.key: key.value(float(angle)) for key, angle in zip(self.keys, angles, strict=True)
+        }
+        if self.pose_keys and pose is not None:
+            turn = rotation_6d(pose[3:]) if self._config.wrist == "rotation_6d" else pose[3:]
+            numbers = [*map(float, pose[:3]), *map(float, turn)]
+            values.update(zip(self.pose_keys, numbers, strict=True))
+        return values
+
+    def _made(self, joints: Mapping[str, str]) -> tuple[JointKey, ...]:
+        config = self._config
+        return joint_keys(
+            joints,
+            config.unit,
+            ends=config.ends,
+            signs=config.signs,
+            offsets=config.offsets,
+            prefix=self._prefix,
+        )
+
+
+class SmoothOperator(Teleoperator):
+    """A tracked human hand as a teleoperator, in the keys and unit of a robot.
+
+    ``get_action`` returns the newest command and never waits for one. A command that is older
+    than it may be (``valid_for_s`` in each message, 0.2 s) is not followed: the last action is
+    repeated for up to ``hold_s``, and then ``get_action`` raises. When commands come back within
+    that time, the action goes over to them in 0.5 s or more, without a jump.
+
+    Args:
+        config: settings.
+        clock: time [s]; for tests.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+
+    config_class = SmoothOperatorConfig
+    name = "smooth_operator"
+
+    def __init__(
+        self, config: SmoothOperatorConfig, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(config)
+        self.config, self._clock = config, clock
+        self._hands = _hands(config)
+        self._newest = Newest(clock)
+        self._feed: Feed | None = None
+        self._fresh_at: dict[str, float] = {}
+        self._warned = False
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Key -> ``float``. Without ``joints`` the names are known after ``connect``."""
+        if not all(hand.keys for hand in self._hands):
+            raise DeviceNotConnectedError(
+                "without --teleop.joints the joints are known once commands come: connect first, "
+                "or name them"
+            )
+        features: dict[str, type] = {}
+        for hand in self._hands:
+            features |= {key.key: float for key in hand.keys}
+            features |= dict.fromkeys(hand.pose_keys, float)
+        return features
+
+    @property
+    def feedback_features(self) -> dict[str, type]:
+        """Nothing is sent back."""
+        return {}
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether commands are received."""
+        return self._feed is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always: the operator is calibrated in smooth-operator."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing to do; see ``smooth-operator calibrate``."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Wait for the first command of each hand.
+
+        Raises:
+            DeviceAlreadyConnectedError: it is connected.
+            DeviceNotConnectedError: no command came in time.
+            ValueError: a joint is unknown, or the address is none.
+        """
+        if self._feed is not None:
+            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+        config = self.config
+        self._newest = Newest(self._clock)
+        self._hands = _hands(config)
+        self._fresh_at = {}
+        feed: Feed
+        if config.source:
+            feed = InProcess(config.source, self._newest, config.hand, config.side, config.method)
+        else:
+            feed = Subscription(config.address, self._newest)
+        try:
+            # The loop in this process compiles first, and says itself what goes wrong.
+            patience = math.inf if config.source else config.timeout_s
+            self._await(feed, patience)
+            for hand in self._hands:
+                command = self._newest.command(hand.side)
+                assert command is not None  # it was awaited
+                hand.arrange(command)
+        except BaseException:
+            feed.close()
+            raise
+        self._feed = feed
+
+    def get_action(self) -> dict[str, float]:
+        """The newest command, as the robot wants it; returns at once.
+
+        Raises:
+            DeviceNotConnectedError: not connected, or no command has come for ``hold_s``.
+        """
+        if self._feed is None:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first")
+        now = self._clock()
+        action: dict[str, float] = {}
+        held = []
+        for hand in self._hands:
+            command = self._newest.command(hand.side)
+            assert command is not None  # `connect` waited for it
+            why = self._stale(hand, command)
+            if why:
+                held.append(hand.side)
+                hand.hold()
+            else:
+                self._fresh_at[hand.side] = now
+                hand.follow(command, now)
+            silent = now - self._fresh_at.get(hand.side, -math.inf)
+            values = hand.action()
+            if values is None or silent > self.config.hold_s:
+                raise DeviceNotConnectedError(self._lost(hand.side, why, silent))
+            action |= values
+        self._report(held)
+        return action
+
+    @property
+    def modes(self) -> dict[str, str]:
+        """Side -> what the loop is doing with that hand: ``tracking``, ``holding``, ..."""
+        found = {side: self._newest.command(side) for side in self._newest.sides}
+        return {side: command.mode for side, command in found.items() if command is not None}
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None:
+        """Nothing to do."""
+
+    def disconnect(self) -> None:
+        """Stop receiving.
+
+        Raises:
+            DeviceNotConnectedError: it is not connected.
+        """
+        if self._feed is None:
+            raise DeviceNotConnectedError(f"{self} is not connected")
+        feed, self._feed = self._feed, None
+        feed.close()
+
+    def _await(self, feed: Feed, patience: float) -> None:
+        def there() -> bool:
+            return feed.error is not None or all(
+                hand.ready(self._newest.command(hand.side))
+                and not self._stale(hand, self._newest.command(hand.side))
+                for hand in self._hands
+            )
+
+        done = self._newest.wait(there, patience if math.isfinite(patience) else 600.0)
+        if feed.error is not None:
+            raise DeviceNotConnectedError(f"smooth-operator: {feed.error}") from feed.error
+        if not done:
+            raise DeviceNotConnectedError(self._nothing())
+
+    def _stale(self, hand: _HandActions, command: Command | None) -> str:
+        """Why a command may not be followed; empty if it may."""
+        if command is None:
+            return "no command has come"
+        silence = self._newest.silence(hand.side)
+        if silence:
+            return silence
+        age = self._newest.age(command)
+        if age > command.valid_for_s:
+            return f"the newest command is {age:.2f} s old"
+        return ""
+
+    def _nothing(self) -> str:
+        config = self.config
+        come = self._newest.sides
+        missing = [hand.side for hand in self._hands if hand.side not in come]
+        if missing and come:
+            return (
+                f"{config.address} has commands for the {' and '.join(come)} hand, none for the "
+                f"{' and '.join(missing)} one; set --teleop.side={come[0]}, or start teleop with "
+                "--side both"
+            )
+        if not missing and config.wrist != "none":
+            return (
+                f"commands come from {config.address}, but without the pose of a wrist; "
+                "use a source that tracks it, or --teleop.wrist=none"
+            )
+        text = (
+            f"no command at {config.address} within {config.timeout_s:g} s; start smooth-operator "
+            f"teleop --source SOURCE --side {config.side} --sink zmq:{config.address}"
+        )
+        return f"{text} ({self._newest.refused})" if self._newest.refused else text
+
+    def _lost(self, side: str, why: str, silent: float) -> str:
+        feed = self._feed
+        why = str(feed.error) if feed is not None and feed.error is not None else why
+        for_s = f" for {silent:.1f} s" if math.isfinite(silent) else ""
+        return (
+            f"no valid command for the {side} hand{for_s}: {why}; start teleop again, or have the "
+            "last action repeated for longer with --teleop.hold_s"
+        )
+
+    def _report(self, held: list[str]) -> None:
+        if held and not self._warned:
+            logger.warning(
+                "no valid command for the %s hand: the last action is repeated",
+                " and ".join(held),
+            )
+        elif self._warned and not held:
+            logger.warning("commands come again")
+        self._warned = bool(held)
+
+
+def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
+    """The hands that the settings ask for.
+
+    Raises:
+        ValueError: a setting is wrong.
+    """
+    if config.side not in ("right", "left", "both"):
+        raise ValueError(f"side must be right, left or both, not {config.side!r}")
+    if config.wrist not in _POSE_KEYS:
+        raise ValueError(f"wrist must be one of {', '.join(_POSE_KEYS)}, not {config.wrist!r}")
+    for name in ("timeout_s", "hold_s"):
+        if not getattr(config, name) >= 0.0:
+            raise ValueError(f"{name} must not be negative, not {getattr(config, name)}")
+    left = config.left_joints or config.joints
+    named = {**config.joints, **{f"{name} (left)": key for name, key in left.items()}}
+    about = {"ends": config.ends, "signs": config.signs, "offsets": config.offsets}
+    check_names(named, about, all_joints=not config.joints)
+    if config.side != "both":
+        if config.left_joints:
+            raise ValueError("left_joints is for --teleop.side=both; use joints for one hand")
+        return [_HandActions(config.side, config, config.joints, "")]
+    return [
+        _HandActions("right", config, config.joints, "right_"),
+        _HandActions("left", config, left, "left_"),
+    ]

@@ -1,0 +1,108 @@
+"""The part of LeRobot that the two plug-ins build on, for machines without LeRobot.
+
+Where LeRobot is installed, the plug-ins get the real one.
+"""
+
+from __future__ import annotations
+
+import abc
+import importlib.util
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
+
+import pytest
+
+PACKAGES = Path(__file__).resolve().parents[1] / "packages"
+TELEOPERATOR = "lerobot_teleoperator_smooth_operator"
+ROBOT = "lerobot_robot_smooth_hand"
+
+REAL = importlib.util.find_spec("lerobot") is not None
+"""Whether LeRobot is installed."""
+
+
+def use_plugins(patch: pytest.MonkeyPatch) -> None:
+    """Make both plug-ins importable, on LeRobot or on the stand-in."""
+    for name in (TELEOPERATOR, ROBOT):
+        patch.syspath_prepend(str(PACKAGES / name))
+    if not REAL:
+        for name, module in _modules().items():
+            patch.setitem(sys.modules, name, module)
+
+
+@dataclass(kw_only=True)
+class _Config:
+    id: str | None = None
+    calibration_dir: Path | None = None
+
+    registered: ClassVar[dict[str, type]] = {}
+
+    @classmethod
+    def register_subclass(cls, name: str) -> Any:
+        def register(subclass: type) -> type:
+            cls.registered[name] = subclass
+            return subclass
+
+        return register
+
+
+class _Device:
+    """What LeRobot's base classes of devices do themselves."""
+
+    def __init__(self, config: _Config) -> None:
+        self.id = config.id
+
+
+def _abstract(*names: str) -> type:
+    members = {name: abc.abstractmethod(lambda self: None) for name in names}
+    return abc.ABCMeta("Device", (_Device,), members)
+
+
+_COMMON = ("is_connected", "is_calibrated", "connect", "calibrate", "configure", "disconnect")
+
+
+def _modules() -> dict[str, ModuleType]:
+    class NotConnected(ConnectionError):
+        pass
+
+    class AlreadyConnected(ConnectionError):
+        pass
+
+    class TeleoperatorConfig(_Config):
+        registered: ClassVar[dict[str, type]] = {}
+
+    class RobotConfig(_Config):
+        registered: ClassVar[dict[str, type]] = {}
+
+    class CameraConfig(_Config):
+        registered: ClassVar[dict[str, type]] = {}
+
+    teleoperator = _abstract(
+        *_COMMON, "action_features", "feedback_features", "get_action", "send_feedback"
+    )
+    robot = _abstract(
+        *_COMMON, "action_features", "observation_features", "get_observation", "send_action"
+    )
+    contents: dict[str, dict[str, object]] = {
+        "lerobot": {},
+        "lerobot.cameras": {"CameraConfig": CameraConfig},
+        "lerobot.cameras.utils": {"make_cameras_from_configs": lambda configs: {}},
+        "lerobot.teleoperators": {},
+        "lerobot.teleoperators.config": {"TeleoperatorConfig": TeleoperatorConfig},
+        "lerobot.teleoperators.teleoperator": {"Teleoperator": teleoperator},
+        "lerobot.robots": {},
+        "lerobot.robots.config": {"RobotConfig": RobotConfig},
+        "lerobot.robots.robot": {"Robot": robot},
+        "lerobot.utils": {},
+        "lerobot.utils.errors": {
+            "DeviceNotConnectedError": NotConnected,
+            "DeviceAlreadyConnectedError": AlreadyConnected,
+        },
+    }
+    modules = {}
+    for name, content in contents.items():
+        modules[name] = ModuleType(name)
+        vars(modules[name]).update(content)
+    return modules

@@ -1,0 +1,360 @@
+"""The LeRobot teleoperator: keys and units, commands that stop, come late or come back."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot_stand_in import REAL, TELEOPERATOR, use_plugins
+from ticks import make_tick
+
+from smooth_operator import load_hand
+from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
+
+pytest.importorskip("zmq")
+PORTS = iter(range(15710, 15760))
+
+
+@pytest.fixture
+def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
+    use_plugins(monkeypatch)
+    import lerobot_teleoperator_smooth_operator as package
+    from lerobot.utils import errors
+    from lerobot_teleoperator_smooth_operator import commands, following
+
+    yield SimpleNamespace(package=package, commands=commands, following=following, errors=errors)
+    for name in [n for n in sys.modules if n.startswith(TELEOPERATOR) and not REAL]:
+        del sys.modules[name]  # they hold the classes of a stand-in that is gone
+
+
+class Clock:
+    """Time that the test sets [s]."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Session:
+    """A teleoperator whose messages come from the test; connected as LeRobot does it."""
+
+    def __init__(self, plugin: SimpleNamespace, monkeypatch: Any, **settings: Any) -> None:
+        self.clock, self.number, self.plugin = Clock(), 0, plugin
+        feed = SimpleNamespace(error=None, close=lambda: None)
+        module = sys.modules[f"{TELEOPERATOR}.teleoperator"]
+        config = plugin.package.SmoothOperatorConfig(**settings)
+        self.device = plugin.package.SmoothOperator(config, self.clock)
+
+        def subscribe(address: str, newest: Any) -> Any:
+            self.newest = newest
+            self.send()
+            return feed
+
+        monkeypatch.setattr(module, "Subscription", subscribe)
+        self.angles, self.wrist, self.sides = [0.1, 0.2], None, ("right",)
+        self.names = ["i-mcp", "i-pip"]
+
+    def send(self, sent: float | None = None, **more: Any) -> None:
+        self.number += 1
+        for side in self.sides:
+            message = {
+                "side": side, "type": "command", "format": 1, "hand": "orca_v2",
+                "number": self.number, "mode": "tracking", "names": self.names,
+                "positions": self.angles, "velocities": [0.0, 0.0], "stamp": 0.0,
+                "time": self.clock.now - 5000.0 if sent is None else sent,
+                "unix_time": 0.0, "valid_for_s": 0.2, "wrist": self.wrist, **more,
+            }  # fmt: skip
+            self.newest.receive(json.dumps(message).encode())
+
+
+@pytest.fixture
+def session(plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Session]:
+    return lambda **settings: Session(plugin, monkeypatch, **settings)
+
+
+JOINTS = {"i-mcp": "index_mcp", "i-pip": "index_pip"}
+
+
+def test_an_action_has_the_robots_keys_in_its_unit(session: Callable[..., Session]) -> None:
+    made = {
+        "degrees": ({}, [math.degrees(0.1), math.degrees(0.2)]),
+        "radians": ({"signs": {"index_mcp": -1}, "offsets": {"index_pip": 0.5}}, [-0.1, 0.7]),
+        "range_m100_100": (
+            {"ends": {"index_mcp": [0.0, 0.4], "index_pip": [0.4, 0.0]}},
+            [-50.0, 0.0],
+        ),
+        "range_0_100": ({"ends": {"index_mcp": [0.0, 0.05], "index_pip": [0.4, 0.0]}}, [100, 50]),
+    }
+    for unit, (more, expected) in made.items():
+        now = session(joints=JOINTS, unit=unit, **more)
+        assert now.device.action_features == {"index_mcp.pos": float, "index_pip.pos": float}
+        now.device.connect()
+        action = now.device.get_action()
+        assert list(action) == ["index_mcp.pos", "index_pip.pos"]
+        np.testing.assert_allclose(list(action.values()), expected, atol=1e-9)
+        now.device.disconnect()
+
+
+def test_both_hands_and_the_wrist_have_keys_of_their_own(session: Callable[..., Session]) -> None:
+    now = session(joints={"i-pip": "pip"}, side="both", unit="radians", wrist="rotation_6d")
+    now.sides = ("right", "left")
+    half = math.sqrt(0.5)  # a quarter turn about z: x of the wrist is y of the base
+    now.wrist = {"pose": [0.3, 0.2, 0.1, half, 0, 0, half], "valid": True, "engaged": True}
+    now.device.connect()
+    action = now.device.get_action()
+    assert action.keys() == now.device.action_features.keys()
+    pose = [action[f"left_tcp.{n}"] for n in ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6")]
+    np.testing.assert_allclose(pose, [0.3, 0.2, 0.1, 0, 1, 0, -1, 0, 0], atol=1e-12)
+    assert action["left_pip.pos"] == action["right_pip.pos"] == 0.2
+
+    now = session(joints={"i-pip": "pip"}, unit="radians", wrist="quaternion")
+    now.wrist = {"pose": [0.3, 0.2, 0.1, half, 0, 0, half], "valid": True, "engaged": True}
+    now.device.connect()
+    assert now.device.get_action()["tcp.qz"] == half
+
+
+def test_without_names_all_joints_are_known_once_commands_come(
+    session: Callable[..., Session], plugin: SimpleNamespace
+) -> None:
+    now = session()
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="connect first"):
+        _ = now.device.action_features
+    now.device.connect()
+    assert list(now.device.action_features) == ["i-mcp.pos", "i-pip.pos"]
+
+
+def test_an_old_command_is_not_followed_and_a_new_one_not_jumped_to(
+    session: Callable[..., Session], plugin: SimpleNamespace
+) -> None:
+    now = session(joints=JOINTS, unit="radians", hold_s=1.0)
+    device, clock = now.device, now.clock
+    device.connect()
+    first = device.get_action()
+    clock.now += 0.15
+    assert device.get_action() == first
+    now.angles = [1.1, 0.2]
+    clock.now += 0.5  # nothing came: what was sent last stays
+    assert device.get_action() == first
+    now.send()  # and the command that comes then is new
+    back = device.get_action()
+    assert abs(back["index_mcp.pos"] - first["index_mcp.pos"]) < 0.02
+    steps = []
+    for _ in range(150):
+        clock.now += 0.01
+        now.send()
+        steps.append(device.get_action()["index_mcp.pos"])
+    assert steps[-1] == 1.1
+    assert np.all(np.diff(steps) >= 0)
+    assert np.diff(steps).max() < 0.02  # 1 rad/s on average, 1.5 at most
+    clock.now += 0.9
+    assert device.get_action()["index_mcp.pos"] == 1.1
+    clock.now += 0.3
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match=r"right hand for 1\.2 s"):
+        device.get_action()
+
+
+def test_commands_that_waited_in_a_queue_are_old(session: Callable[..., Session]) -> None:
+    now = session(joints=JOINTS, unit="radians")
+    now.device.connect()
+    before = now.device.get_action()
+    sent = now.clock.now - 5000.0  # the sender's clock is another one
+    now.clock.now += 1.0
+    now.angles = [0.9, 0.9]
+    now.send(sent + 0.01)
+    now.send(sent + 0.02)  # both were on the way for a second
+    assert now.device.get_action() == before
+    now.send(sent + 1.0)  # new, and the way to it begins without a jump
+    np.testing.assert_allclose(list(now.device.get_action().values()), list(before.values()))
+    now.clock.now += 2.0
+    now.send()
+    assert now.device.get_action()["index_mcp.pos"] == 0.9
+
+
+def test_a_session_that_ended_is_not_followed(
+    session: Callable[..., Session], plugin: SimpleNamespace
+) -> None:
+    now = session(joints=JOINTS, hold_s=0.0)
+    now.device.connect()
+    now.device.get_action()
+    now.newest.take({"side": "right", "type": "end", "format": 1})
+    now.clock.now += 0.01
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="teleop has ended"):
+        now.device.get_action()
+    now.send()
+    assert now.device.get_action()
+
+
+def test_a_wrist_that_is_lost_stays_and_comes_back_without_a_jump(
+    session: Callable[..., Session],
+) -> None:
+    now = session(joints=JOINTS, wrist="quaternion")
+    pose = [0.3, 0.2, 0.1, 1.0, 0.0, 0.0, 0.0]
+    now.wrist = {"pose": pose, "valid": True, "engaged": True}
+    now.device.connect()
+    keys = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+
+    def step(wrist: Any) -> list[float]:
+        now.clock.now += 0.01
+        now.wrist = wrist
+        now.send()
+        action = now.device.get_action()
+        return [action[key] for key in keys]
+
+    step(now.wrist)
+    assert step({"pose": pose, "valid": False, "engaged": False}) == pose
+    assert step(None) == pose
+    away = {"pose": [0.5, 0.2, 0.1, 0.0, 0.0, 0.0, 1.0], "valid": True, "engaged": True}
+    path = np.array([step(away) for _ in range(400)])
+    np.testing.assert_allclose(path[0], pose, atol=1e-9)
+    np.testing.assert_allclose(path[-1], away["pose"], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(path[:, 3:], axis=1), 1.0)
+    assert np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1).max() < 0.002
+    turns = 2 * np.arccos(np.clip(np.abs((path[1:, 3:] * path[:-1, 3:]).sum(1)), 0, 1))
+    assert turns.max() < 0.02
+
+
+def test_messages_that_cannot_be_read_are_left_out(session: Callable[..., Session]) -> None:
+    now = session(joints=JOINTS)
+    now.device.connect()
+    before = now.device.get_action()
+    for wrong in (b"\xff", b"[]", b"{}", b'{"type":"command","side":"right","format":1}'):
+        now.newest.receive(wrong)
+    now.send(positions=[0.5])
+    now.send(positions=[math.nan, 0.0])
+    assert now.device.get_action() == before
+    now.send(format=2, positions=[0.5, 0.5])
+    assert now.device.get_action() == before
+    assert "format 2" in now.newest.refused
+    now.send(type="state", positions=[0.5, 0.5])  # what else a program may publish there
+    assert now.device.get_action() == before
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"side": "up"}, "right, left or both"),
+        ({"unit": "deg"}, "unit must be one of degrees, radians"),
+        ({"wrist": "euler"}, "wrist must be one of"),
+        ({"unit": "range_0_100", "joints": JOINTS}, "needs the model's angles at both ends"),
+        ({"joints": {"a": "one", "b": "one"}}, "robot's key one.pos"),
+        ({"joints": JOINTS, "signs": {"index_mcp": 2}}, "1 or -1"),
+        ({"joints": JOINTS, "offsets": {"indx": 2}}, "'indx' is none of"),
+        ({"joints": JOINTS, "ends": {"index_mcp": [0, 1]}}, "signs and offsets"),
+        ({"left_joints": JOINTS}, "side=both"),
+        ({"hold_s": -1.0}, "hold_s must not be negative"),
+    ],
+)
+def test_a_wrong_setting_is_refused(
+    plugin: SimpleNamespace, settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        plugin.package.SmoothOperator(plugin.package.SmoothOperatorConfig(**settings))
+
+
+def test_it_says_what_is_missing(plugin: SimpleNamespace) -> None:
+    address = f"tcp://127.0.0.1:{next(PORTS)}"
+    hand = load_hand("mimic_p050")
+
+    def refused(expected: str, **settings: Any) -> None:
+        for patience in (0.3, 2.0, 20.0):  # the longer ones for a machine that is busy
+            config = plugin.package.SmoothOperatorConfig(
+                address=address, timeout_s=patience, **settings
+            )
+            device = plugin.package.SmoothOperator(config)
+            with pytest.raises((ConnectionError, ValueError)) as caught:
+                device.connect()
+            assert not device.is_connected
+            if expected in str(caught.value):
+                return
+        pytest.fail(f"{caught.value}, not: {expected}")
+
+    config = plugin.package.SmoothOperatorConfig(address=address, timeout_s=0.05)
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="start smooth-operator teleop"):
+        plugin.package.SmoothOperator(config).connect()
+    sink = ZmqSink(address)
+    sink.open({"right": hand}, {})
+    with Publishing(sink, hand):
+        refused("set --teleop.side=right", side="left")
+        refused("without the pose of a wrist", wrist="quaternion")
+        refused("no_joint are not among", joints={"no_joint": "thumb"})
+    config = plugin.package.SmoothOperatorConfig(address="nowhere")
+    with pytest.raises(ValueError, match="no ZeroMQ address"):
+        plugin.package.SmoothOperator(config).connect()
+
+
+def test_it_reads_what_the_sink_zmq_sends(plugin: SimpleNamespace) -> None:
+    hand = load_hand("mimic_p050")
+    address = f"tcp://127.0.0.1:{next(PORTS)}"
+    sink = ZmqSink(address)
+    sink.open({"right": hand}, {})
+    config = plugin.package.SmoothOperatorConfig(address=address, unit="radians")
+    device = plugin.package.SmoothOperator(config)
+    with Publishing(sink, hand):
+        device.connect()
+        assert set(device.action_features) == {f"{name}.pos" for name in hand.joint_names}
+        seen = {tuple(device.get_action().values())}
+        deadline = time.monotonic() + 20.0
+        while len(seen) < 20 and time.monotonic() < deadline:
+            seen.add(tuple(device.get_action().values()))
+            time.sleep(0.002)
+        assert len(seen) >= 20
+        assert device.modes == {"right": "tracking"}
+        low, high = hand.limits.T
+        angles = dict(
+            zip((k.removesuffix(".pos") for k in device.get_action()), seen.pop(), strict=True)
+        )
+        actuated = [angles[hand.joint_names[i]] for i in hand.actuated]
+        assert np.all((actuated >= low - 1e-9) & (actuated <= high + 1e-9))
+    device.disconnect()
+    with pytest.raises(plugin.errors.DeviceNotConnectedError):
+        device.get_action()
+
+
+def test_the_loop_may_run_in_the_same_process(plugin: SimpleNamespace) -> None:
+    config = plugin.package.SmoothOperatorConfig(
+        source="synthetic", hand="mimic_p050", method="joint_angle"
+    )
+    device = plugin.package.SmoothOperator(config)
+    device.connect()
+    before, deadline = device.get_action(), time.monotonic() + 20.0
+    assert set(before) == {f"{name}.pos" for name in load_hand("mimic_p050").joint_names}
+    while device.get_action() == before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert device.get_action() != before
+    device.disconnect()
+
+    config = plugin.package.SmoothOperatorConfig(source="no_such_source")
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="no_such_source"):
+        plugin.package.SmoothOperator(config).connect()
+
+
+class Publishing:
+    """Has a sink send commands, each as if the loop had made it, until the block ends."""
+
+    def __init__(self, sink: ZmqSink, hand: Any) -> None:
+        self.sink, self.hand, self.over = sink, hand, threading.Event()
+        self.thread = threading.Thread(target=self.run)
+
+    def run(self) -> None:
+        number = 0
+        while not self.over.wait(0.005):
+            self.sink.send(make_tick(self.hand, number))
+            number += 1
+
+    def __enter__(self) -> None:
+        self.thread.start()
+
+    def __exit__(self, *error: object) -> None:
+        self.over.set()
+        self.thread.join()
+        self.sink.close()
