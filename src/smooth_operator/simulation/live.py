@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -16,16 +16,18 @@ Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
 """Called with the scene and the (n,) joint positions [rad], from the thread of the physics."""
 
 
-class SimulatedHand(NamedTuple):
-    """Where a simulated hand is.
+class SimulatedHand(Protocol):
+    """Where a simulated hand is."""
 
-    Attributes:
-        positions: (n,) positions of all joints [rad], in the order of ``hand.joint_names``.
-        time: for which moment, by the loop's clock [s].
-    """
+    @property
+    def positions(self) -> Float[np.ndarray, " n"]:
+        """(n,) positions of all joints [rad], in the order of ``hand.joint_names``."""
+        ...
 
-    positions: Float[np.ndarray, " n"]
-    time: float
+    @property
+    def time(self) -> float:
+        """For which moment, by the loop's clock [s]."""
+        ...
 
 
 class LiveSimulation(Protocol):

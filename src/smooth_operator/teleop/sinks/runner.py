@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
@@ -38,6 +38,7 @@ class SinkHealth:
         sent: ticks that it took.
         failed: how often it raised, opening again included.
         missed: ticks that went by while it was not open.
+        figures: further counts and times of its own (``Sink.figures``).
     """
 
     label: str
@@ -46,6 +47,7 @@ class SinkHealth:
     sent: int = 0
     failed: int = 0
     missed: int = 0
+    figures: Mapping[str, Any] = field(default_factory=dict)
 
 
 class SinkRunner:
@@ -265,7 +267,15 @@ class _Entry:
     def health(self) -> SinkHealth:
         """How it is; what the sink itself has to say comes first."""
         detail = "; ".join(part for part in (self.sink.note, self._error) if part)
-        return SinkHealth(self.sink.label, self.state, detail, self.sent, self.failed, self.missed)
+        return SinkHealth(
+            self.sink.label,
+            self.state,
+            detail,
+            self.sent,
+            self.failed,
+            self.missed,
+            dict(self.sink.figures),
+        )
 
     def _has_failed(self) -> bool:
         return self.state == "failed"

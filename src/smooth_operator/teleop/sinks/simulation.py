@@ -14,9 +14,10 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.live import SimulatedHand, Watcher
+from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
@@ -142,7 +143,7 @@ class Simulation(Sink):
         if self._world is not None:
             self._world.hold()
 
-    def state(self, side: Side) -> SimulatedHand | None:
+    def state(self, side: Side) -> HandState | None:
         """Where a hand is now; safe from any thread.
 
         Returns:
@@ -229,7 +230,7 @@ class _World:
     def __init__(self, physics: Mapping[Side, HandPhysics], events: list[str]) -> None:
         now = time.perf_counter()
         self.number = next(_NUMBERS)
-        self.seen = {side: SimulatedHand(p.positions, now) for side, p in physics.items()}
+        self.seen = {side: _measured(side, p, now) for side, p in physics.items()}
         self.physics, self._events = physics, events
         self.scenes: dict[Side, SceneState] = {
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
@@ -302,7 +303,7 @@ class _World:
                 text = f"the physics of the {side} hand came apart and was set back"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
-            self.seen[side] = SimulatedHand(physics.positions, now)
+            self.seen[side] = _measured(side, physics, now)
             if isinstance(physics, ScenePhysics):
                 self._show(side, physics)
 
@@ -317,3 +318,9 @@ class _World:
         state = self.scenes[side] = physics.observe()
         if watcher is not None:
             watcher(state, physics.positions)
+
+
+def _measured(side: Side, physics: HandPhysics, now: float) -> HandState:
+    """What encoders in the joints would say."""
+    hand = physics.hand
+    return HandState(side, hand.name, now, hand.joint_names, physics.positions)

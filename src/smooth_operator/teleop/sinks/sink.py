@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
@@ -39,6 +40,19 @@ class Sink(ABC):
     @property
     def simulation(self) -> LiveSimulation | None:
         """The simulated hands that the commands move; None if the sink simulates nothing."""
+        return None
+
+    @property
+    def figures(self) -> Mapping[str, Any]:
+        """Counts and times for the summary of a run, as plain values; empty for none."""
+        return {}
+
+    def state(self, side: Side) -> HandState | None:
+        """Where the hand that it moves was when that was last measured; safe from any thread.
+
+        None, as by default, if it measures nothing, is not open, or has no such hand.
+        """
+        del side
         return None
 
     def check(self, hands: Mapping[Side, Hand]) -> None:

@@ -1,0 +1,1 @@
+"""Real robot hands: tables of their actuators, drivers, and the sink that keeps them safe."""

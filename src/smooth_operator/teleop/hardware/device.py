@@ -1,0 +1,92 @@
+"""What a driver of a real robot hand implements, and what it answers.
+
+A driver speaks the hand's own protocol in the hand's own unit, and nothing more: limits, slow
+approach, watchdog and retries are those of ``HardwareSink``, which is the same for every hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import SinkError
+
+
+class DeviceLostError(SinkError):
+    """The device is gone: unplugged, switched off, its port closed. It has to be opened again."""
+
+
+class WrongAnswerError(SinkError):
+    """One exchange failed: no answer in time, a wrong checksum, an answer that makes no sense.
+
+    The next exchange may succeed. Many in a row count as a lost device.
+    """
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a hand answers, actuator by actuator, in the order of its table.
+
+    Attributes:
+        positions: (a,) measured positions in the actuators' unit, that of ``HandDevice.write``;
+            NaN where one could not be read.
+        velocities: (a,) measured velocities in that unit per second, or None.
+        currents: (a,) current of the motors [mA], or force or effort in the driver's unit, the same
+            as that of the table's ``limit``; the sign does not matter. None if there is none.
+        temperatures: (a,) [degrees Celsius], or None.
+        errors: what the actuators report, a few words each: ``thumb_cmc: overload``.
+        touch: (k,) touch or force sensors, in the driver's unit, or None.
+    """
+
+    positions: Float[np.ndarray, " a"]
+    velocities: Float[np.ndarray, " a"] | None = None
+    currents: Float[np.ndarray, " a"] | None = None
+    temperatures: Float[np.ndarray, " a"] | None = None
+    errors: tuple[str, ...] = ()
+    touch: Float[np.ndarray, " k"] | None = None
+
+
+class HandDevice(Protocol):
+    """A real hand on its bus. All methods are called from one thread and may wait for the bus.
+
+    Each may raise ``DeviceLostError`` (it has to be opened again) or ``WrongAnswerError`` (this
+    exchange failed). An ``OSError`` counts as a lost device.
+    """
+
+    def open(self) -> None:
+        """Connect, check that every actuator answers, set current limits. Nothing moves.
+
+        Called again after ``close`` when the device was lost.
+
+        Raises:
+            SinkError: it can't be opened; the message says what to do.
+        """
+
+    def read(self) -> Reading:
+        """Ask where the hand is; once in every cycle, after ``write``.
+
+        What is slow to read (temperatures, error flags) may be read in turns and repeated between.
+        """
+
+    def write(self, commands: Float[np.ndarray, " a"]) -> None:
+        """Send position commands, in the actuators' unit and the order of the table.
+
+        They are finite and within the table's ends, or, during a slow approach, between the ends
+        and where the hand is. The first call after ``open``, ``hold`` or ``relax`` switches the
+        motors on; its commands are where the hand is.
+        """
+
+    def hold(self) -> None:
+        """Stand still, powered. Called in every cycle while it lasts, so that a device with a
+        watchdog of its own is kept alive."""
+
+    def relax(self) -> None:
+        """Switch the motors' torque off, or as near to that as the hand can. Called in every cycle
+        while it lasts."""
+
+    def close(self) -> None:
+        """Give the bus back. Must not raise, nor move anything, also when the device is gone; a
+        second call does nothing."""

@@ -1,0 +1,1 @@
+"""Drivers of real robot hands, one file each."""

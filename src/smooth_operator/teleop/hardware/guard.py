@@ -1,0 +1,172 @@
+"""From the joints that the loop asks for to commands that a real hand can be given safely.
+
+No clock, no thread, no bus: a function of what it is given, as the loop's limiter is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.teleop.hardware.actuator_map import BoundMap
+from smooth_operator.teleop.hardware.device import Reading
+
+_CAUGHT_UP: Final = 0.03
+"""How near to what is asked for a slow approach ends [rad]."""
+
+_MARGIN: Final = 0.1
+"""How far beyond the measured position a command may stay that squeezes [rad]."""
+
+
+@dataclass(frozen=True)
+class GuardSettings:
+    """How commands are limited.
+
+    Attributes:
+        approach: speed of an actuator that is on its way to the operator's hand [rad/s].
+        speed: most speed of any actuator [rad/s].
+        contact: share of the limit of current or force from which an actuator counts as
+            squeezing; 0 switches the contact guard off.
+        contact_s: how long the current must stay there [s].
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    approach: float = 0.5
+    speed: float = 15.0
+    contact: float = 0.8
+    contact_s: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.approach <= self.speed <= 50.0:
+            raise ConfigError(
+                "approach must be over 0 and at most speed, and speed at most 50 rad/s, not "
+                f"{self.approach:g} and {self.speed:g}"
+            )
+        if not (0.0 <= self.contact <= 1.0 and 0.0 < self.contact_s <= 10.0):
+            raise ConfigError(
+                "contact must be 0 to 1 and contact_s over 0 to 10 s, not "
+                f"{self.contact:g} and {self.contact_s:g}"
+            )
+
+
+class CommandGuard:
+    """Approaches slowly, keeps ends and speed, and stops joints that squeeze.
+
+    Args:
+        actuators: the map of the hand, of a actuators.
+        settings: the limits.
+
+    Attributes:
+        approaching: (a,) actuators that are on their way to what is asked for.
+        squeezing: (a,) direction in which an actuator may not go on; 0 where it is free.
+        contacts: how often one was stopped.
+    """
+
+    def __init__(self, actuators: BoundMap, settings: GuardSettings) -> None:
+        count = len(actuators.ends)
+        self._map, self._settings = actuators, settings
+        self._levels = settings.contact * actuators.table.limits
+        self._at: Float[np.ndarray, " a"] | None = None
+        self._ends = actuators.ends.copy()
+        self.approaching = np.ones(count, bool)
+        self.squeezing = np.zeros(count)
+        self.contacts = 0
+        self._bound = np.zeros(count)  # of the drive angle [rad], where an actuator squeezes
+        self._touched = np.zeros(count)  # the measured angle then [rad]
+        self._loaded_s = np.zeros(count)  # how long the current has been high
+
+    def start(self, measured: Float[np.ndarray, " a"]) -> None:
+        """Begin where the hand is, with a slow approach.
+
+        Args:
+            measured: (a,) positions in the actuators' unit.
+
+        Raises:
+            SinkError: a position is not known.
+        """
+        missing = [n for n, v in zip(self._map.table.names, measured, strict=True) if v != v]
+        if missing:
+            raise SinkError(
+                f"{', '.join(missing)} gave no position, and nothing is moved before it "
+                "is known where the hand is; check its cables and power"
+            )
+        self._at = self._map.drive_angles(measured)
+        low, high = self._map.ends.T
+        self._ends = np.stack([np.minimum(low, measured), np.maximum(high, measured)], axis=1)
+        self.approaching[:] = True
+        self.squeezing[:] = 0.0
+        self._loaded_s[:] = 0.0
+
+    def step(
+        self, wanted: Float[np.ndarray, " n"], reading: Reading, seconds: float
+    ) -> Float[np.ndarray, " a"]:
+        """The next commands.
+
+        Args:
+            wanted: (n,) joint positions [rad] that the loop asks for.
+            reading: the hand's last answer.
+            seconds: since the last step [s].
+
+        Returns:
+            (a,) commands in the actuators' unit.
+
+        Raises:
+            SinkError: ``start`` was not called.
+        """
+        if self._at is None:
+            raise SinkError("the guard has not been started with where the hand is")
+        target = self._map.clip(self._map.commands(self._map.angles(wanted)))
+        angles = self._map.drive_angles(target)
+        self._feel(reading, seconds)
+        angles = self._release(angles)
+        top = np.where(self.approaching, self._settings.approach, self._settings.speed) * seconds
+        self._at = self._at + np.clip(angles - self._at, -top, top)
+        self.approaching &= np.abs(angles - self._at) > _CAUGHT_UP
+        commands: np.ndarray = np.clip(
+            self._map.commands(self._at), self._ends[:, 0], self._ends[:, 1]
+        )
+        # Where the hand began beyond an end, that way is closed as soon as it has left it.
+        low, high = self._map.ends.T
+        self._ends[:, 0] = np.minimum(low, np.maximum(self._ends[:, 0], commands))
+        self._ends[:, 1] = np.maximum(high, np.minimum(self._ends[:, 1], commands))
+        return commands
+
+    def _feel(self, reading: Reading, seconds: float) -> None:
+        """Take note of currents that stay high."""
+        if reading.currents is None or self._at is None:
+            return
+        measured = self._map.drive_angles(reading.positions)
+        loaded = np.abs(reading.currents) >= self._levels  # False where either is NaN
+        self._loaded_s = np.where(loaded, self._loaded_s + seconds, 0.0)
+        ahead = self._at - measured
+        began = (
+            (self._loaded_s >= self._settings.contact_s)
+            & (self.squeezing == 0)
+            & (self._levels > 0)
+            & np.isfinite(measured)
+            & (ahead != 0)
+        )
+        if began.any():
+            self.contacts += int(began.sum())
+            self.squeezing = np.where(began, np.sign(ahead), self.squeezing)
+            self._touched = np.where(began, measured, self._touched)
+            stop = measured + np.clip(ahead, -_MARGIN, _MARGIN)
+            self._bound = np.where(began, stop, self._bound)
+        # What it pressed on is gone: it may go on, slowly.
+        gone = (self.squeezing != 0) & (self.squeezing * (measured - self._touched) > 1.5 * _MARGIN)
+        self.approaching |= gone
+        self.squeezing = np.where(gone, 0.0, self.squeezing)
+
+    def _release(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
+        """What is asked for, without squeezing on; one who opens is followed immediately."""
+        opened = (self.squeezing != 0) & (self.squeezing * (angles - self._bound) < 0)
+        self.squeezing = np.where(opened, 0.0, self.squeezing)
+        self._loaded_s = np.where(opened, 0.0, self._loaded_s)
+        kept: np.ndarray = np.where(self.squeezing != 0, self._bound, angles)
+        return kept

@@ -1,0 +1,200 @@
+"""The base class of sinks that move a real hand."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.bus_lock import BusLock
+from smooth_operator.teleop.hardware.device import HandDevice
+from smooth_operator.teleop.hardware.guard import GuardSettings
+from smooth_operator.teleop.hardware.table_file import find_table, read_table
+from smooth_operator.teleop.hardware.worker import HandWorker, WorkerSettings
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.types import Side
+
+
+@dataclass(frozen=True)
+class HardwareSink(Sink):
+    """Moves one real hand, through a driver for its protocol; safe whatever happens around it.
+
+    A thread of its own talks to the bus and takes the newest command. At the start, and after
+    silence, an emergency stop or a lost device, it reads where the hand is and approaches slowly.
+    When commands stop the hand rests as its table says.
+
+    A driver is a frozen dataclass that derives from this one, sets ``driver`` and implements
+    ``device``; it may add settings, such as a baud rate.
+
+    Attributes:
+        port: where the hand is: a serial port, a network address, a CAN channel.
+        table: table of its actuators: a file, or the name of one; empty for the driver's own.
+        side: which hand of the run it is; None for the only one.
+        rate: cycles a second on the bus [Hz]; None as the table says.
+        limit: most current [mA], or force, in the driver's unit; None as the table says.
+        approach: speed of a slow approach [rad/s].
+        speed: most speed of any actuator [rad/s].
+        contact: share of ``limit`` from which an actuator counts as squeezing and goes no further;
+            0 for no contact guard.
+        silence_s: time without a command after which the hand rests [s].
+        lost_s: time without a right answer after which the device is opened again [s].
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    driver: ClassVar[str] = ""
+
+    port: str = ""
+    table: str = ""
+    side: Literal["right", "left"] | None = None
+    rate: float | None = None
+    limit: float | None = None
+    approach: float = 0.5
+    speed: float = 15.0
+    contact: float = 0.8
+    silence_s: float = 0.2
+    lost_s: float = 0.5
+    _worker: HandWorker | None = field(default=None, init=False, repr=False, compare=False)
+    _lock: BusLock | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        try:
+            GuardSettings(self.approach, self.speed, self.contact)
+        except ConfigError as error:
+            raise ConfigError(f"{self.driver}: {error}") from None
+        if self.rate is not None and not 1.0 <= self.rate <= 1000.0:
+            raise ConfigError(f"{self.driver}: rate must be 1 to 1000 Hz, not {self.rate}")
+        if self.limit is not None and not self.limit > 0.0:
+            raise ConfigError(f"{self.driver}: limit must be positive, not {self.limit}")
+        if not (0.02 <= self.silence_s <= 5.0 and 0.05 <= self.lost_s <= 60.0):
+            raise ConfigError(
+                f"{self.driver}: silence_s must be 0.02 to 5 s and lost_s 0.05 to 60 s, not "
+                f"{self.silence_s} and {self.lost_s}"
+            )
+
+    @abstractmethod
+    def device(self, actuators: ActuatorMap) -> HandDevice:
+        """The device, not yet open; ``actuators`` has the run's limit of current.
+
+        Raises:
+            MissingExtraError: its library is not installed.
+            ConfigError: a setting or an entry of the table does not fit the driver.
+        """
+
+    @property
+    def bus(self) -> str:
+        """What only one program may use at a time: the port."""
+        return self.port or self.driver
+
+    @property
+    def label(self) -> str:
+        """The driver and the port."""
+        return f"{self.driver} {self.port}".strip()
+
+    @property
+    def note(self) -> str:
+        """What the hand does, if it does not follow; errors, temperatures, counts."""
+        worker = self._worker
+        return "" if worker is None else worker.note
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Counts and times of the bus, for the summary of a run."""
+        worker = self._worker
+        return {} if worker is None else worker.statistics.summary()
+
+    def actuators(self, side: Side) -> ActuatorMap:
+        """The table of its hand, with this sink's settings.
+
+        Raises:
+            ConfigError: there is none, or it can't be used.
+        """
+        table = read_table(find_table(self.table, self.driver, side))
+        if table.driver != self.driver:
+            raise ConfigError(
+                f"{table.file} is a table for the driver {table.driver!r}, not {self.driver!r}"
+            )
+        if table.side != side:
+            raise ConfigError(f"{table.file} is for a {table.side} hand, not for a {side} one")
+        if self.limit is not None:
+            weaker = tuple(
+                replace(a, limit=None if a.limit is None else min(a.limit, self.limit))
+                for a in table.actuators
+            )
+            table = replace(table, limit=self.limit, actuators=weaker)
+        return table if self.rate is None else replace(table, rate=self.rate)
+
+    def check(self, hands: Mapping[Side, Hand]) -> None:
+        """Read table and settings, open the hand, ask where it is, and let go; nothing moves."""
+        self.open(hands, {})
+        self.close()
+
+    def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
+        """Take the bus and find out where the hand is; see ``Sink``."""
+        if self._worker is not None:
+            raise SinkError(f"{self.label}: it is open already")
+        side = self._side(hands)
+        table = self.actuators(side)
+        bound = table.bind(hands[side])
+        device = self.device(table)
+        guard = GuardSettings(self.approach, self.speed, self.contact)
+        settings = WorkerSettings(1.0 / table.rate, self.silence_s, self.lost_s, guard)
+        worker = HandWorker(self.label, device, bound, side, hands[side].name, settings)
+        lock = BusLock(self.bus)
+        try:
+            worker.start()
+        except BaseException:
+            lock.release()
+            raise
+        self._set(_worker=worker, _lock=lock)
+
+    def send(self, tick: Tick) -> None:
+        """Leave the command for the thread; takes microseconds, whatever the bus does.
+
+        Raises:
+            SinkError: the thread gave up.
+        """
+        worker = self._worker
+        if worker is None:
+            raise SinkError(f"{self.label}: it is not open")
+        if tick.side == worker.side:
+            worker.post(tick)
+
+    def state(self, side: Side) -> HandState | None:
+        """Where the hand is, as it was last measured; safe from any thread."""
+        worker = self._worker
+        return worker.state if worker is not None and worker.side == side else None
+
+    def close(self) -> None:
+        """Bring the hand to rest as its table says, and give the bus back."""
+        worker, lock = self._worker, self._lock
+        self._set(_worker=None, _lock=None)
+        try:
+            if worker is not None:
+                worker.end()
+        finally:
+            if lock is not None:
+                lock.release()
+
+    def _side(self, hands: Mapping[Side, Hand]) -> Side:
+        if self.side is not None:
+            if self.side not in hands:
+                raise ConfigError(f"{self.label}: the run has no {self.side} hand; see --side")
+            return self.side
+        if len(hands) != 1:
+            raise ConfigError(
+                f"{self.label}: the run has both hands, and a device is one of them: add "
+                "side=right or side=left, and name a second sink for the other"
+            )
+        return next(iter(hands))
+
+    def _set(self, **values: object) -> None:
+        for name, value in values.items():  # the settings are frozen, an open sink is more
+            object.__setattr__(self, name, value)

@@ -1,0 +1,315 @@
+"""The thread that talks to a real hand: the newest command to the bus, and the answer back."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+import numpy as np
+
+from smooth_operator.errors import SinkError
+from smooth_operator.teleop.hardware.actuator_map import BoundMap, Rest
+from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    HandDevice,
+    Reading,
+    WrongAnswerError,
+)
+from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.types import Side
+
+_T = TypeVar("_T")
+
+_RETRY_S: Final = 1.0
+"""How long after a loss a device is opened again [s]."""
+
+_OPENING_S: Final = 15.0
+"""How long a device may take to open [s]; some boot their motors one by one."""
+
+_CLOSING_S: Final = 2.0
+"""How long closing waits for a bus that may hang [s]."""
+
+_HANGS_S: Final = 0.5
+"""Time inside one call to the bus after which the note says so [s]."""
+
+
+@dataclass(frozen=True)
+class WorkerSettings:
+    """How a worker treats its hand.
+
+    Attributes:
+        period: of a cycle, at least [s].
+        silence_s: how long a command counts [s].
+        lost_s: time without one right answer after which the device counts as lost [s].
+        guard: limits of the commands.
+    """
+
+    period: float
+    silence_s: float
+    lost_s: float
+    guard: GuardSettings
+
+
+class HandWorker:
+    """Runs a device on a thread of its own, from ``start`` to ``end``.
+
+    Args:
+        label: for messages.
+        device: the hand; only the thread touches it.
+        actuators: its map.
+        side: of the hand.
+        hand: name of the robot hand.
+        settings: see there.
+
+    Attributes:
+        state: the newest measured state; None before the first one and while the device is lost.
+        reading: the same in the actuators' unit.
+        statistics: what happened on the bus.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        device: HandDevice,
+        actuators: BoundMap,
+        side: Side,
+        hand: str,
+        settings: WorkerSettings,
+    ) -> None:
+        self.state: HandState | None = None
+        self.reading: Reading | None = None
+        self.statistics = BusStatistics()
+        self._label, self._device, self._map = label, device, actuators
+        self.side = side
+        self._hand, self._settings = hand, settings
+        self._guard = CommandGuard(actuators, settings.guard)
+        self._tick: tuple[Tick, float] | None = None
+        self._error: Exception | None = None  # why the thread gave up
+        self._trouble = ""  # why the device is being opened again
+        self._doing = "opening"
+        self._busy_since: float | None = None
+        self._resting = False
+        self._ending = False
+        self._opened = threading.Event()
+        self._change = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name=f"hand {label}", daemon=True)
+
+    def start(self) -> None:
+        """Open the device, and wait until its first answer is there.
+
+        Raises:
+            SinkError: it can't be opened, or does not answer in time.
+        """
+        self._thread.start()
+        if not self._opened.wait(_OPENING_S):
+            self._ending = True  # as soon as it comes back
+            raise SinkError(
+                f"{self._label}: no answer for {_OPENING_S:g} s while it was opened; check its "
+                "power and cable, then start again"
+            )
+        if self._error is not None:
+            raise self._error
+
+    def post(self, tick: Tick) -> None:
+        """Leave a command; returns immediately, whatever the bus does.
+
+        Raises:
+            SinkError: the thread gave up, with its reason.
+        """
+        if self._error is not None:
+            raise SinkError(f"{self._label}: {self._error}") from self._error
+        self._tick = (tick, time.perf_counter())
+        with self._change:
+            self._change.notify()
+
+    def end(self) -> None:
+        """Bring the hand to rest as its table says, and give the bus back.
+
+        Raises:
+            SinkError: the bus hangs; it was left as it is.
+        """
+        with self._change:
+            self._ending = True
+            self._change.notify()
+        self._thread.join(_CLOSING_S)
+        if self._thread.is_alive():
+            raise SinkError(f"{self._label}: the bus does not answer; the hand was left as it is")
+
+    @property
+    def note(self) -> str:
+        """What a person should know now; empty if all is well."""
+        said, since, reading = [], self._busy_since, self.reading
+        if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
+            said.append(f"no answer from the bus for {waited:.1f} s")
+        if self._trouble:
+            said.append(f"{self._trouble}; it is tried again every second")
+        elif self._doing != "following":
+            said.append(self._doing)
+        if reading is not None and not self._trouble:
+            said += self._warnings(reading)
+        count = self.statistics
+        counted = {"wrong answers": count.wrong, "slow cycles": count.slow, "losses": count.lost}
+        said += [f"{number} {what}" for what, number in counted.items() if number]
+        return "; ".join(said)
+
+    def _warnings(self, reading: Reading) -> list[str]:
+        names = self._map.table.names
+        said = list(reading.errors)
+        held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
+        if held:
+            said.append(f"squeezes no further: {', '.join(held)}")
+        if reading.temperatures is not None:
+            pairs = zip(names, reading.temperatures, strict=True)
+            hot = [f"{name} {t:.0f} °C" for name, t in pairs if t >= self._map.table.hot]
+            said += [f"hot: {', '.join(hot)}"] if hot else []
+        return said
+
+    def _run(self) -> None:
+        try:
+            while not self._ending:
+                try:
+                    self._serve()
+                except (SinkError, OSError) as error:
+                    if not self._opened.is_set():
+                        raise
+                    self._lose(error)
+        except Exception as error:  # reaches the loop with its next command
+            self._error = error if isinstance(error, SinkError) else _described(error)
+        finally:
+            self._opened.set()
+            self.state = self.reading = None
+            self._device.close()
+
+    def _lose(self, error: Exception) -> None:
+        """The device is gone: say so, and wait before it is opened again."""
+        self.statistics.lost += 1
+        self.statistics.latest = self._trouble = str(error)
+        self.state = self.reading = None
+        self._device.close()
+        with self._change:
+            self._change.wait_for(lambda: self._ending, _RETRY_S)
+
+    def _serve(self) -> None:
+        """From opening the device to the end, or until it is lost."""
+        device, now = self._device, time.perf_counter
+        self._call(device.open)
+        reading = self._first_reading()
+        moving, last, cycle = False, now(), now() - self._settings.period
+        self._trouble = ""
+        self._opened.set()
+        self._doing = "waits for the first command"
+        answered = now()
+        while True:
+            self._pace(cycle)
+            if self._ending:
+                self._rest(self._map.table.on_end)
+                return
+            cycle, newest = now(), self._tick
+            try:
+                rest = self._at_rest(newest, cycle)
+                if rest is None and newest is not None:
+                    if not moving:
+                        self._guard.start(reading.positions)
+                        last = cycle - self._settings.period
+                    moving = True
+                    seconds = min(cycle - last, 2 * self._settings.period)
+                    positions = newest[0].command.positions
+                    commands = self._guard.step(positions, reading, seconds)
+                    last = cycle
+                    self._call(device.write, commands)
+                    self._doing = "approaches" if self._guard.approaching.any() else "following"
+                elif rest is not None:
+                    moving = False
+                    self._rest(rest)
+                reading = self._ask()
+                answered = now()
+            except WrongAnswerError as error:
+                self.statistics.wrong += 1
+                self.statistics.latest = str(error)
+                if now() - answered > self._settings.lost_s:
+                    raise DeviceLostError(f"no right answer any more: {error}") from error
+            self.statistics.add(now() - cycle, self._settings.period)
+
+    def _first_reading(self) -> Reading:
+        """Where the hand is, asked for until it answers.
+
+        Raises:
+            SinkError: it does not.
+        """
+        end = time.perf_counter() + self._settings.lost_s
+        while True:
+            try:
+                return self._ask()
+            except WrongAnswerError as error:
+                self.statistics.wrong += 1
+                if time.perf_counter() > end or self._ending:
+                    raise DeviceLostError(f"it does not answer: {error}") from error
+
+    def _pace(self, cycle: float) -> None:
+        """Sleep until the next cycle: for a new command, but not before the bus is due."""
+        period = self._settings.period
+        before = self._tick
+        with self._change:
+            early = cycle + 0.9 * period - time.perf_counter()
+            if early > 0:
+                self._change.wait_for(lambda: self._ending, early)
+            late = cycle + 1.5 * period - time.perf_counter()
+            if late > 0:
+                self._change.wait_for(lambda: self._ending or self._tick is not before, late)
+
+    def _at_rest(self, newest: tuple[Tick, float] | None, now: float) -> Rest | None:
+        """How to rest, if nothing is to be followed; None while a command counts."""
+        if newest is None:
+            return None
+        if newest[0].mode is Mode.STOPPED:
+            self._doing, self._resting = "emergency stop", False
+            return self._map.table.on_stop
+        if now - newest[1] > self._settings.silence_s:
+            self.statistics.silences += not self._resting
+            self._doing, self._resting = "no command comes: it rests", True
+            return self._map.table.on_silence
+        self._resting = False
+        return None
+
+    def _rest(self, rest: Rest) -> None:
+        self._call(self._device.hold if rest == "hold" else self._device.relax)
+
+    def _ask(self) -> Reading:
+        reading = self._call(self._device.read)
+        if len(reading.positions) != len(self._map.ends):
+            raise WrongAnswerError(
+                f"{len(reading.positions)} positions came, not {len(self._map.ends)}"
+            )
+        stamp, rates = time.perf_counter(), reading.velocities
+        self.reading = reading
+        self.state = HandState(
+            self.side,
+            self._hand,
+            stamp,
+            self._map.names,
+            self._map.joints(reading.positions),
+            None if rates is None else self._map.joint_velocities(reading.positions, rates),
+            self._map.table.names,
+            None if reading.currents is None else np.asarray(reading.currents, float),
+            None if reading.temperatures is None else np.asarray(reading.temperatures, float),
+            None if reading.touch is None else np.asarray(reading.touch, float),
+        )
+        return reading
+
+    def _call(self, action: Callable[..., _T], *arguments: object) -> _T:
+        """Something on the bus, with a note of when it began."""
+        self._busy_since = time.perf_counter()
+        try:
+            return action(*arguments)
+        finally:
+            self._busy_since = None
+
+
+def _described(error: Exception) -> SinkError:
+    return SinkError(f"{type(error).__name__}: {error}")

@@ -1,0 +1,167 @@
+"""Tables of real hands: monotonic maps, their inverse, what is refused and in which words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
+from smooth_operator.teleop.hardware.table_file import find_table, read_table, write_table
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:
+    return ActuatorMap("fake", "mimic_p050", "right", "deg", actuators, **more)  # type: ignore[arg-type]
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.lists(st.floats(0.01, 1.0), min_size=1, max_size=5),
+    st.lists(st.floats(1.0, 500.0), min_size=5, max_size=5),
+    st.sampled_from((-1, 1)),
+    st.floats(-3.0, 3.0),
+)
+def test_a_map_and_its_inverse_agree(
+    steps: list[float], rises: list[float], sign: int, angle: float
+) -> None:
+    angles = np.cumsum([-1.0, *steps])
+    commands = sign * np.cumsum([10.0, *rises[: len(steps)]])
+    points = tuple(zip(angles.tolist(), commands.tolist(), strict=True))
+    actuator = Actuator("m", {"j": 1.0}, points, (-1e6, 1e6))
+    assert actuator.angle(actuator.command(angle)) == pytest.approx(angle, abs=1e-6)
+    assert sign * actuator.command(angle + 0.1) > sign * actuator.command(angle)
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        (((0.0, 0.0), (1.0, 10.0), (2.0, 5.0)), "its commands go from 10 to 5"),
+        (((0.0, 9.0), (1.0, 1.0), (2.0, 5.0)), "its commands go from 1 to 5"),
+        (((0.0, 0.0), (0.0, 10.0)), "its drive angles go from 0 to 0"),
+        (((0.0, 7.0), (1.0, 7.0)), "its commands go from 7 to 7"),
+        (((1.0, 0.0),), "two or more points"),
+    ],
+)
+def test_a_map_that_is_not_monotonic_is_refused(
+    points: tuple[tuple[float, float], ...], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        Actuator("thumb", {"j": 1.0}, points, (0.0, 10.0))
+
+
+def test_joints_that_share_an_actuator_and_a_differential(hand: Hand) -> None:
+    a, b, c, d = hand.actuated_names[:4]
+    line = ((-1.0, 0.0), (1.0, 1000.0))
+    table = table_of(
+        Actuator("sum", {a: 1.0, b: 1.0}, line, (0, 1000)),
+        Actuator("difference", {a: 1.0, b: -1.0}, line, (0, 1000)),
+        Actuator("both", {c: 0.5, d: 0.5}, line, (0, 1000)),
+    )
+    bound = table.bind(hand)
+    q = np.zeros(len(hand.joint_names))
+    at = {name: hand.joint_names.index(name) for name in (a, b, c, d)}
+    q[at[a]], q[at[b]], q[at[c]], q[at[d]] = 0.3, 0.1, 0.5, 0.1
+    angles = bound.angles(q)
+    assert angles == pytest.approx([0.4, 0.2, 0.3])
+    back = bound.joints(bound.commands(angles))
+    assert back[[at[a], at[b]]] == pytest.approx([0.3, 0.1])
+    assert back[[at[c], at[d]]] == pytest.approx([0.3, 0.3])  # the two can't be told apart
+    assert np.isnan(back).sum() == (~bound.known).sum() > 0  # joints without an actuator
+
+
+def test_coupled_joints_and_missing_answers_in_read_back(hand: Hand) -> None:
+    line = ((-2.0, 0.0), (2.0, 1000.0))
+    names = hand.actuated_names
+    table = table_of(*(Actuator(name, {name: 1.0}, line, (0, 1000)) for name in names))
+    bound = table.bind(hand)
+    q = hand.full_configuration(hand.neutral + 0.05)
+    commands = bound.commands(bound.angles(q))
+    assert bound.joints(commands) == pytest.approx(q)
+    rates = np.ones(len(names))
+    speed = 4.0 / 1000.0
+    assert bound.joint_velocities(commands, rates) == pytest.approx(
+        hand.coupling_matrix @ np.full(len(names), speed), abs=1e-9
+    )
+    coupling = hand.couplings[0]
+    commands[names.index(coupling.follows)] = np.nan
+    lost = np.isnan(bound.joints(commands))
+    assert {hand.joint_names[k] for k in np.flatnonzero(lost)} == {
+        coupling.follows,
+        *(c.joint for c in hand.couplings if c.follows == coupling.follows),
+    }
+
+
+def test_a_table_for_another_hand_is_refused(hand: Hand) -> None:
+    table = table_of(Actuator("m", {"elbow": 1.0}, ((0, 0), (1, 1)), (0, 1)))
+    with pytest.raises(UnknownNameError, match=r"elbow.*--hand"):
+        table.bind(hand)
+
+
+def test_a_table_is_written_and_read_back(tmp_path: Path) -> None:
+    table = table_of(
+        Actuator("a", {"j": 1.0}, ((0.0, 10.0), (0.5, 20.0), (1.0, 90.0)), (5.0, 95.0), 3, 200.0),
+        Actuator('say "b" ö', {"x": 0.5, "a.b": 0.5}, ((-1.0, 9.0), (1.0, -9.0)), (-9, 9), None),
+        limit=300.0,
+        on_silence="relax",
+        settings={"gains": {"p": 600}, "baud": 57600},
+        source="measured",
+    )
+    write_table(table, tmp_path / "new" / "fake_right.toml", "written by a test")
+    found = read_table(tmp_path / "new" / "fake_right.toml")
+    assert found.actuators == table.actuators
+    assert (found.limit, found.on_silence, found.settings) == (300.0, "relax", table.settings)
+    assert found.limits.tolist() == [200.0, 300.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("format = 1", "unit: is missing"),
+        ("format = 2\n", "expected 1, not 2"),
+        ("[[actuators]]\nname='a'\njoint='j'\nzero=1\nsign=2\nends=[0,1]", "expected 1 or -1"),
+        ("[[actuators]]\nname='a'\njoint='j'\nzero=1\n", "ends: is missing"),
+        ("[[actuators]]\nname='a'\njoint='j'\nends=[0,1]", "give either points, or zero"),
+        ("[[actuators]]\nname='a'\njoint='j'\npoints=[[0,1],[1,0]]\nends=[1,0]", "least command"),
+        ("[[actuators]]\nname='a'\njoint='j'\npoints=[[0,1],[1,2],[2,0]]", "is not monotonic"),
+        ("[[actuators]]\nname='a'\njoint='j'\npoints=[[0,1],[1,'x']]", "a list of pairs"),
+        ("[[actuators]]\nname='a'\npoints=[[0,1],[1,2]]", "give either joint, or joints"),
+        ("[[actuators]]\nname='a'\njiont='j'\npoints=[[0,1],[1,2]]", "Did you mean 'joint'"),
+        ("actuators = []", "has no actuator"),
+        (
+            "[[actuators]]\nname='a'\nid=1\njoint='j'\npoints=[[0,1],[1,2]]\n"
+            "[[actuators]]\nname='b'\nid=1\njoint='k'\npoints=[[0,1],[1,2]]",
+            "two actuators have the id 1",
+        ),
+    ],
+)
+def test_bad_tables_are_refused_in_one_sentence(tmp_path: Path, text: str, said: str) -> None:
+    head = "format = 1\ndriver='fake'\nhand='h'\nside='right'\nunit='deg'\n"
+    path = tmp_path / "x.toml"
+    path.write_text(text if text.startswith("format") else head + text)
+    with pytest.raises(ConfigError, match=said) as caught:
+        read_table(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_users_table_goes_before_the_built_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
+    with pytest.raises(ConfigError, match="there is no table fake_right"):
+        find_table("", "fake", "right")
+    folder = tmp_path / "hardware"
+    folder.mkdir()
+    (folder / "fake_right.toml").write_text("")
+    assert find_table("", "fake", "right") == folder / "fake_right.toml"
+    assert find_table("~/x.toml", "fake", "right") == Path("~/x.toml").expanduser()

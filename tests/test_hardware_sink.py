@@ -1,0 +1,361 @@
+"""The base of real-hand sinks on a hand in memory: start, limits, silence, stop, loss, contact."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_hand import FakeHand, FakeHandSink, write_fake_table
+from ticks import make_tick
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware.guard import GuardSettings
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.types import JointCommand
+
+PERIOD = 0.01
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+def until(done: Callable[[], object], seconds: float = 10.0) -> None:
+    end = time.perf_counter() + seconds
+    while not done():
+        assert time.perf_counter() < end, "it did not happen in time"
+        time.sleep(0.002)
+
+
+def tick_at(hand: Hand, degrees: float, mode: Mode = Mode.TRACKING) -> Tick:
+    """A command of the same angle for all actuated joints."""
+    q = hand.full_configuration(np.full(len(hand.actuated), np.deg2rad(degrees)))
+    return replace(make_tick(hand, mode=mode), command=JointCommand(q, hand.joint_names), mode=mode)
+
+
+class Driven:
+    """A sink that gets a command every few milliseconds, as from a loop."""
+
+    def __init__(self, sink: FakeHandSink, hand: Hand) -> None:
+        self.sink, self.hand = sink, hand
+        self.tick: Tick | None = None
+        self.errors: list[Exception] = []
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Driven:
+        self.sink.open({"right": self.hand}, {})
+        self._thread.start()
+        return self
+
+    def _run(self) -> None:
+        while not self._done.wait(0.004):
+            if self.tick is not None:
+                try:
+                    self.sink.send(self.tick)
+                except SinkError as error:
+                    self.errors.append(error)
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        self.sink.close()
+
+    @property
+    def fake(self) -> FakeHand:
+        return self.sink.made[-1]
+
+
+@pytest.fixture
+def make(tmp_path: Path, hand: Hand) -> Iterator[Callable[..., FakeHandSink]]:
+    table = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names)
+    made: list[FakeHandSink] = []
+
+    def build(**settings: object) -> FakeHandSink:
+        settings = {"table": str(table), "port": str(tmp_path / "port"), "speed": 50.0, **settings}
+        made.append(FakeHandSink(**settings))  # type: ignore[arg-type]
+        return made[-1]
+
+    yield build
+    for sink in made:
+        for fake in sink.made:
+            fake.hang.clear()
+        sink.close()
+
+
+def test_it_starts_where_the_hand_is_and_approaches_slowly(
+    make: Callable[..., FakeHandSink], hand: Hand
+) -> None:
+    start = 200.0
+    sink = make(approach=2.0, prepare=lambda fake: fake.positions.fill(start))
+    with Driven(sink, hand) as driven:
+        until(lambda: sink.state("right"))
+        assert driven.fake.count("write") == 0  # nothing moves before there is a command
+        assert "waits" in sink.note
+        driven.tick = tick_at(hand, 30.0)
+        until(lambda: driven.fake.count("write") and not sink.note)
+        until(lambda: driven.fake.commands()[-1, 1] == pytest.approx(150.0))
+        written = driven.fake.commands()
+    signs = np.where(np.arange(written.shape[1]) % 2, -1.0, 1.0)
+    assert np.abs(written[0] - start).max() <= np.rad2deg(2.0) * 2 * PERIOD + 1e-6
+    steps = np.abs(np.diff(written, axis=0))
+    near = np.abs(written[1:] - (180 + 30 * signs)) < np.rad2deg(0.06)
+    assert steps[~near].max() <= np.rad2deg(2.0) * 2 * PERIOD + 1e-6
+    assert written[-1] == pytest.approx(180 + 30 * signs)
+    # with the last command the run's end: the table's relax
+    assert driven.fake.calls[-2][0] == "relax"
+    assert driven.fake.calls[-1][0] == "close"
+
+
+def test_ends_are_never_passed_and_a_start_beyond_them_comes_in(
+    make: Callable[..., FakeHandSink], hand: Hand
+) -> None:
+    sink = make(approach=10.0, prepare=lambda fake: fake.positions.fill(260.0))
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 80.0)  # beyond the table's 60
+        until(lambda: not sink.note)
+        written = driven.fake.commands()
+        state = sink.state("right")
+    assert (written >= 120.0).all()
+    assert (written <= 260.0).all()
+    assert (np.diff(written[:, 0]) <= 1e-9).all()  # from 260 to the end, 240, and not back
+    assert written[-1, :2] == pytest.approx([240.0, 120.0])
+    assert state is not None
+    at = dict(zip(state.names, state.positions, strict=True))
+    assert at[hand.actuated_names[0]] == pytest.approx(np.deg2rad(60.0))
+
+
+@pytest.mark.parametrize("rest", ["hold", "relax"])
+def test_silence_rests_as_the_table_says_and_the_return_is_slow(
+    tmp_path: Path, make: Callable[..., FakeHandSink], hand: Hand, rest: str
+) -> None:
+    table = tmp_path / "resting.toml"
+    write_fake_table(table, hand.actuated_names, f'on_silence = "{rest}"\n')
+    sink = make(table=str(table), approach=5.0, silence_s=0.05)
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 10.0)
+        until(lambda: not sink.note)
+        driven.tick = None
+        until(lambda: driven.fake.count(rest) > 2)
+        written = driven.fake.count("write")
+        assert sink.state("right") is not None  # still read
+        assert "no command comes" in sink.note
+        driven.fake.positions += 7.0  # the hand was moved by somebody
+        moved, reads = driven.fake.positions.copy(), driven.fake.count("read")
+        until(lambda: driven.fake.count("read") > reads + 1)
+        driven.tick = tick_at(hand, 10.0)
+        until(lambda: driven.fake.count("write") > written)
+        first = driven.fake.commands()[written]
+        until(lambda: not sink.note)
+    assert np.abs(first - moved).max() <= np.rad2deg(5.0) * 2 * PERIOD + 1e-6
+    assert sink.made[0].count("open") == 1
+
+
+def test_an_emergency_stop_holds_until_the_release(
+    make: Callable[..., FakeHandSink], hand: Hand
+) -> None:
+    sink = make(approach=10.0)
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 10.0)
+        until(lambda: not sink.note)
+        driven.tick = tick_at(hand, 50.0, Mode.STOPPED)
+        until(lambda: driven.fake.count("hold") > 2)
+        assert "emergency stop" in sink.note
+        held = driven.fake.positions.copy()
+        written = driven.fake.count("write")
+        until(lambda: driven.fake.count("hold") > 6)
+        assert driven.fake.count("write") == written
+        assert (driven.fake.positions == held).all()
+        driven.tick = tick_at(hand, 10.0)
+        until(lambda: not sink.note)
+
+
+def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(
+    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
+    sink = make(approach=5.0)
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 30.0)
+        until(lambda: driven.fake.count("write") > 3)
+        driven.fake.gone.set()
+        until(lambda: sink.note)
+        until(lambda: "the cable was pulled; it is tried again every second" in sink.note)
+        assert sink.state("right") is None
+        driven.fake.positions[:] = 180.0  # it fell back
+        written = driven.fake.count("write")
+        driven.fake.gone.clear()
+        until(lambda: driven.fake.count("write") > written)
+        first = driven.fake.commands()[written]
+        assert np.abs(first - 180.0).max() <= np.rad2deg(5.0) * 2 * PERIOD + 1e-6
+        until(lambda: "tried again" not in sink.note and "approaches" not in sink.note)
+        assert not driven.errors
+        assert sink.figures["device_lost"] >= 1
+
+
+def test_wrong_answers_are_counted_and_many_are_a_lost_device(
+    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    sink = make(lost_s=0.1, approach=10.0)
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 5.0)
+        until(lambda: not sink.note)
+        driven.fake.wrong = 3
+        until(lambda: sink.figures["wrong_answers"] == 3)
+        assert "3 wrong answers" in sink.note
+        assert sink.figures["device_lost"] == 0
+        driven.fake.wrong = 10**9
+        until(lambda: sink.figures["device_lost"] == 1)
+        assert "a wrong checksum" in sink.note
+        driven.fake.wrong = 0
+        until(lambda: "tried again" not in sink.note)
+
+
+def test_a_slow_bus_is_counted_and_a_hanging_one_delays_nobody(
+    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
+) -> None:
+    hanging, fine = make(), make(port=str(tmp_path / "other"))
+    runner = SinkRunner([hanging, fine])
+    runner.open({"right": hand}, {})
+    tick = tick_at(hand, 5.0)
+    runner.send(tick)
+    hanging.made[-1].slow_s = 0.03
+    until(lambda: runner.send(tick) or hanging.figures["slow_cycles"] > 1)
+    hanging.made[-1].slow_s = 0.0
+    hanging.made[-1].hang.set()
+    assert hanging.made[-1].hung.wait(5)
+    before, took = fine.made[-1].count("write"), []
+    while fine.made[-1].count("write") < before + 20:
+        start = time.perf_counter()
+        runner.send(tick)
+        took.append(time.perf_counter() - start)
+        time.sleep(0.002)
+    assert np.median(took) < 0.5e-3
+    until(lambda: "no answer from the bus for" in hanging.note)
+    assert all(entry.state == "open" for entry in runner.health())
+    assert runner.health()[0].figures["cycles"] > 0
+    hanging.made[-1].hang.clear()
+    runner.close()
+
+
+def test_a_joint_that_squeezes_goes_no_further_and_opens_again(
+    make: Callable[..., FakeHandSink], hand: Hand
+) -> None:
+    sink = make(approach=20.0)
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 0.0)
+        until(lambda: not sink.note)
+        driven.fake.blocked[0] = 195.0  # an object, 15 degrees in
+        driven.tick = tick_at(hand, 55.0)
+        until(lambda: "squeezes no further: m0" in sink.note)
+        until(lambda: driven.fake.commands()[-1, 0] < 195.0 + np.rad2deg(0.11))
+        assert driven.fake.commands()[-1, 2] == pytest.approx(235.0)  # the others go on
+        driven.tick = tick_at(hand, 5.0)  # the operator opens
+        until(lambda: driven.fake.commands()[-1, 0] == pytest.approx(185.0))
+        assert "squeezes" not in sink.note
+        # and an object that is gone: it closes again
+        driven.tick = tick_at(hand, 55.0)
+        until(lambda: "squeezes no further: m0" in sink.note)
+        driven.fake.blocked.clear()
+        driven.fake.positions[0] = 206.0
+        driven.fake.currents[:] = 0.0
+        until(lambda: driven.fake.commands()[-1, 0] > 206.0)
+    off = make(contact=0.0, approach=20.0)
+    with Driven(off, hand) as driven:
+        driven.fake.blocked[0] = 195.0
+        driven.tick = tick_at(hand, 55.0)
+        until(lambda: driven.fake.commands().size and driven.fake.commands()[-1, 0] > 234.0)
+
+
+def test_errors_and_temperatures_are_shown(make: Callable[..., FakeHandSink], hand: Hand) -> None:
+    sink = make()
+    with Driven(sink, hand) as driven:
+        driven.fake.temperatures[2] = 71.0
+        driven.fake.errors = ("m3: overload",)
+        until(lambda: "m3: overload" in sink.note)
+        assert "hot: m2 71 °C" in sink.note
+
+
+def test_a_hand_without_a_position_is_not_moved(
+    make: Callable[..., FakeHandSink], hand: Hand
+) -> None:
+    sink = make(prepare=lambda fake: fake.positions.__setitem__(1, np.nan))
+    with Driven(sink, hand) as driven:
+        driven.tick = tick_at(hand, 5.0)
+        until(lambda: "m1 gave no position" in sink.note)
+        assert driven.fake.count("write") == 0
+
+
+def test_two_programs_on_one_bus(
+    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
+) -> None:
+    first = make()
+    first.open({"right": hand}, {})
+    with pytest.raises(SinkError, match="is in use by another run of smooth-operator"):
+        make().open({"right": hand}, {})
+    first.close()
+    code = f"""
+        from smooth_operator.teleop.hardware.bus_lock import BusLock
+        kept = BusLock({str(tmp_path / "port")!r}); print("locked", flush=True); input()
+    """
+    other = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert other.stdout is not None
+    assert other.stdout.readline().strip() == "locked"
+    with pytest.raises(SinkError, match=f"process {other.pid}"):
+        make().open({"right": hand}, {})
+    other.kill()
+    other.wait()
+    again = make()
+    again.open({"right": hand}, {})  # a process that died has no lock
+    again.close()
+
+
+def test_what_can_not_be_opened_is_said_when_it_is_opened(
+    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._OPENING_S", 0.2)
+    with pytest.raises(SinkError, match="the cable was pulled"):
+        make(prepare=lambda fake: fake.gone.set()).open({"right": hand}, {})
+    dead = make(prepare=lambda fake: fake.hang.set())
+    with pytest.raises(SinkError, match=r"no answer for 0\.2 s while it was opened"):
+        dead.open({"right": hand}, {})
+    left = load_hand("mimic_p050", "left")
+    with pytest.raises(ConfigError, match="add side=right or side=left"):
+        make().open({"right": hand, "left": left}, {})
+    with pytest.raises(ConfigError, match="has no left hand"):
+        make(side="left").open({"right": hand}, {})
+    with pytest.raises(ConfigError, match="is for a right hand"):
+        make().open({"left": left}, {})
+    with pytest.raises(ConfigError, match="no table of a hand at"):
+        make(table=str(tmp_path / "none.toml")).open({"right": hand}, {})
+    good = make()
+    good.open({"right": hand}, {})
+    good.close()  # none of the failures kept the bus
+
+
+@pytest.mark.parametrize(
+    "settings", [{"approach": 0.0}, {"speed": 99.0}, {"contact": 2.0}, {"rate": 0}, {"limit": 0}]
+)
+def test_settings_out_of_range(settings: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="fake:"):
+        FakeHandSink(**settings)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="contact_s"):
+        GuardSettings(contact_s=-1.0)
