@@ -45,6 +45,7 @@ SHARED = {
     "hand_files": 4,
     "poses": 4,
     "result_cache": 4,
+    "headsets": 5,
     "simulation": 5,
     "calibration": 5,
     "synthetic": 5,

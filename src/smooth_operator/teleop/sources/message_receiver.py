@@ -34,9 +34,17 @@ class MessageReceiver:
         where: what it listens to, for the health.
         sides: the hands that are wanted.
         read: reads a message.
+        hint: what to look at while nothing has come, for the health.
     """
 
-    def __init__(self, running: Running, where: str, sides: Collection[Side], read: Reader) -> None:
+    def __init__(
+        self,
+        running: Running,
+        where: str,
+        sides: Collection[Side],
+        read: Reader,
+        hint: str = "",
+    ) -> None:
         self.messages = 0
         self.unreadable = 0
         self._running = running
@@ -48,7 +56,7 @@ class MessageReceiver:
         self._other_side = 0
         self._last: float | None = None
         self._trackers: dict[Side, _Tracker] = {}
-        running.health = SourceHealth("waiting", f"listening on {where}")
+        running.health = SourceHealth("waiting", f"listening on {where}{hint}")
 
     def take(self, message: Message, received: float) -> None:
         """Read a message and post its hands.

@@ -88,6 +88,11 @@ class StreamSource(ThreadedSource):
         """The hands that it takes."""
 
     @property
+    def hint(self) -> str:
+        """What to look at while nothing has come: a clause that begins with a sign, or nothing."""
+        return ""
+
+    @property
     def endpoint(self) -> str | None:
         """What it listens to, an asked-for free port being a real one; None before its start."""
         inbox: Inbox | None = getattr(self, "_inbox", None)
@@ -101,7 +106,7 @@ class StreamSource(ThreadedSource):
         """Take messages until it is to stop."""
         inbox: Inbox = getattr(self, "_inbox")  # noqa: B009  (set in open(), past the frozen fields)
         try:
-            receiver = MessageReceiver(running, inbox.address, self.sides, self.read)
+            receiver = MessageReceiver(running, inbox.address, self.sides, self.read, self.hint)
             while not running.stopping.is_set():
                 messages = inbox.receive(_POLL_S)
                 received = running.mailbox.clock()

@@ -86,17 +86,18 @@ class UdpSource(StreamSource):
 
 
 class UdpInbox:
-    """A bound UDP socket.
+    """A bound UDP socket. A message is its bytes and the address that it came from.
 
     Args:
         host: address to listen on.
         port: to listen on; 0 for any free one.
+        choose: how to name another port, for messages.
 
     Raises:
         SourceError: the port is taken, or the address is not of this machine.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, choose: str = "udp:PORT") -> None:
         try:
             family, kind, protocol, _, where = socket.getaddrinfo(
                 host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
@@ -110,11 +111,15 @@ class UdpInbox:
             self._socket.close()
             raise SourceError(
                 f"UDP port {port} on {host} can't be listened on ({error}); is another program "
-                "using it? Choose another: udp:PORT"
+                f"using it? Choose another: {choose}"
             ) from error
         self._socket.setblocking(False)
         name, bound = self._socket.getsockname()[:2]
         self.address = f"udp://{name}:{bound}"
+
+    def sockets(self) -> list[socket.socket]:
+        """What ``receive`` waits for."""
+        return [self._socket]
 
     def receive(self, timeout: float) -> list[Message]:
         """See ``Inbox``."""
@@ -124,7 +129,8 @@ class UdpInbox:
         for _ in range(_AT_ONCE):
             try:
                 # One byte more than is read, so that what is cut off is seen to be too long.
-                newest.append((self._socket.recv(MAX_BYTES + 1),))
+                data, where = self._socket.recvfrom(MAX_BYTES + 1)
+                newest.append((data, str(where[0]).encode()))
             except (BlockingIOError, InterruptedError):
                 break
             except ConnectionError:  # Windows: an earlier peer is gone, which is nothing to us

@@ -1,0 +1,184 @@
+"""Lines of the Quest app Hand Tracking Streamer (HTS), and the hand frames that they make up.
+
+The app sends two lines of text for each hand, and one for the head::
+
+    Right wrist:, 0.2502, 1.0635, 0.2540, 0.194, -0.116, 0.094, -0.970
+    Right landmarks:, 0.0000, 0.0000, 0.0000, -0.0275, -0.0197, 0.0362, ...
+    Head pose:, 0.0101, 1.5012, -0.0203, 0.010, 0.020, 0.030, 0.999
+
+A wrist or head is x y z [m] and a quaternion x y z w in Unity's world (left-handed, y up, z
+forward); landmarks are 21 x 3 [m] in the wrist's own axes, in the project's order, 0 0 0 where a
+joint is missing. With the app's debug option on, ``| f = 17 | t = 5312345678`` stands before the
+colon: the number of the frame, and when it was sent, by the headset's clock [ns].
+
+Source: ``CONNECTIONS.md`` and ``HandLandmarkStreamer.cs`` of wengmister/hand-tracking-streamer, and
+the parser of wengmister/hand-tracking-sdk 1.1.0.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import RecordingError, brief
+from smooth_operator.formats.checks import check_palm
+from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.poses import WORLD_AXES, WRIST_AXES, to_ours
+from smooth_operator.types import HandFrame, Side, as_side
+
+WORLD: Final = "hts"
+"""Name of the world frame: the headset's floor-level origin."""
+MAX_LINE: Final = 4096
+"""Longest line that is read [bytes]; one of the app has 600."""
+
+Kind: TypeAlias = Literal["wrist", "landmarks", "pose"]
+
+_LINE: Final = re.compile(
+    r"\s*(?P<who>right|left|head)\s+(?P<kind>wrist|landmarks|pose)\s*(?P<meta>\|[^:]{0,200})?"
+    r":\s*,?(?P<values>[^:]*)",
+    re.IGNORECASE | re.ASCII,
+)
+_META: Final = re.compile(r"([a-z_]+)\s*=\s*(\d{1,20})\s*", re.IGNORECASE | re.ASCII)
+_COUNT: Final[dict[Kind, int]] = {"wrist": 7, "landmarks": 3 * NUM_LANDMARKS, "pose": 7}
+_NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?([eE][+-]?\d+)?|NaN|Infinity|∞)", re.ASCII)
+_WXYZ: Final = [0, 1, 2, 6, 3, 4, 5]
+_TOGETHER_S: Final = 0.05  # between the two lines of one hand
+
+
+@dataclass(frozen=True, eq=False)
+class HtsLine:
+    """One line.
+
+    Attributes:
+        kind: what it holds.
+        side: the hand; None for the head.
+        values: (7,) or (63,) as they were sent.
+        number: of the headset's frame, where it says.
+        stamp: when it was sent, by the headset's clock [s], where it says.
+    """
+
+    kind: Kind
+    side: Side | None
+    values: Float[np.ndarray, " n"]
+    number: int | None = None
+    stamp: float | None = None
+
+
+def parse_line(data: bytes | str) -> HtsLine:
+    """Read a line.
+
+    Raises:
+        RecordingError: it is none of the app's, or cut off.
+    """
+    if len(data) > MAX_LINE:
+        raise RecordingError(f"a line of {len(data)} bytes is too long; at most {MAX_LINE}")
+    text = data if isinstance(data, str) else data.decode("utf-8", "replace")
+    found = _LINE.fullmatch(text.strip())
+    if found is None or (found["who"].lower() == "head") != (found["kind"].lower() == "pose"):
+        raise RecordingError(
+            "a line must begin with 'Right wrist:', 'Right landmarks:', the same of 'Left', or "
+            f"'Head pose:', not {brief(text)}"
+        )
+    kind: Any = found["kind"].lower()
+    said = {key.lower(): int(value) for key, value in _META.findall(found["meta"] or "")}
+    number = next((said[key] for key in ("f", "frame", "frame_id") if key in said), None)
+    stamp = next((said[key] for key in ("t", "ts", "timestamp") if key in said), None)
+    return HtsLine(
+        kind,
+        None if kind == "pose" else as_side(found["who"]),
+        _values(found["values"], _COUNT[kind], f"{found['who']} {kind}"),
+        number,
+        None if stamp is None else stamp / 1_000_000_000,
+    )
+
+
+def _values(text: str, count: int, what: str) -> Float[np.ndarray, " n"]:
+    words = [word.strip() for word in text.strip().strip(",").split(",")]
+    if len(words) == 2 * count:  # an app in a language with decimal commas: "0,25, 1,06"
+        words = [word.strip() for word in text.strip().strip(",").split(", ")]
+    if len(words) != count:
+        raise RecordingError(
+            f"'{what}' must have {count} numbers, not {len(words)}: the line is cut off or damaged"
+        )
+    bad = next((word for word in words if _NUMBER.fullmatch(word) is None), None)
+    if bad is not None:
+        raise RecordingError(f"'{what}' must have {count} numbers, but one is {brief(bad)}")
+    return np.array([_number(word) for word in words])
+
+
+def _number(word: str) -> float:
+    return float(word.replace(",", ".").replace("∞", "inf"))
+
+
+class HtsHands:
+    """Puts the lines of a wrist and of its landmarks together.
+
+    A frame is complete with its landmarks, which follow the wrist. The wrist belongs to them if it
+    has their number, or, without numbers, came at most 50 ms before; it counts for one frame.
+    """
+
+    def __init__(self) -> None:
+        self._wrists: dict[Side, tuple[HtsLine, float]] = {}
+
+    def add(self, line: HtsLine, received: float) -> HandFrame | None:
+        """Take a line.
+
+        Args:
+            line: the next one.
+            received: when it came [s].
+
+        Returns:
+            the hand, after its landmarks; its stamp is None where the line has none. Without a
+            wrist that belongs to it, its pose is NaN.
+
+        Raises:
+            RecordingError: landmarks in another unit than metres.
+        """
+        if line.side is None:
+            return None
+        if line.kind == "wrist":
+            self._wrists[line.side] = (line, received)
+            return None
+        wrist = self._wrists.pop(line.side, None)
+        values = wrist[0].values if wrist is not None and _belong(*wrist, line, received) else None
+        return hts_frame(line.values.reshape(-1, 3), values, line.side, line.stamp)
+
+
+def _belong(wrist: HtsLine, at: float, landmarks: HtsLine, received: float) -> bool:
+    if wrist.number is not None and landmarks.number is not None:
+        return wrist.number == landmarks.number
+    return received - at <= _TOGETHER_S
+
+
+def hts_frame(
+    points: Float[np.ndarray, "21 3"],
+    wrist: Float[np.ndarray, "7"] | None,
+    side: Side,
+    stamp: float | None,
+) -> HandFrame:
+    """A hand in the project's conventions.
+
+    Args:
+        points: landmarks as the app sends them, in Unity's wrist axes [m].
+        wrist: x y z [m] and quaternion x y z w in Unity's world; None where it was lost.
+        side: which hand.
+        stamp: [s], or None.
+
+    Returns:
+        the hand, its landmarks in the wrist's axes.
+
+    Raises:
+        RecordingError: landmarks in another unit than metres.
+    """
+    landmarks = points @ WRIST_AXES["unity"].T
+    valid = np.isfinite(landmarks).all(axis=1)
+    valid[1:] &= landmarks[1:].any(axis=1)  # 0 0 0 is a joint that the headset does not have
+    valid[0] &= bool(valid[1:].any())
+    check_palm(landmarks, valid, "the landmarks")
+    given = np.full(7, np.nan) if wrist is None else wrist[_WXYZ]
+    pose = to_ours(given, WORLD_AXES["unity"], WRIST_AXES["unity"])
+    return HandFrame(landmarks, stamp, side, valid=valid, T_world_wrist=pose, world=WORLD)

@@ -1,0 +1,81 @@
+"""Encoders of the native headset apps, written from their formats; no code of the readers is used.
+
+``Pose`` and landmarks are in the project's conventions: z up, x forward, y left, the wrist's x to
+the fingers and z out of the back of the hand. Each encoder turns them into its app's own frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import Side
+
+Pose = Sequence[float]
+"""x y z [m] and unit quaternion w x y z."""
+
+
+def turn(q: Sequence[float]) -> np.ndarray:
+    """The rotation matrix of a unit quaternion wxyz, by the textbook."""
+    w, x, y, z = (float(v) for v in q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def hand(side: Side, seed: int = 2) -> np.ndarray:
+    """(25, 3) joints of a hand in its wrist's axes [m], WebXR's order; a left one is mirrored."""
+    frame = next(SyntheticOperator(seed=seed).frames())
+    points = np.zeros((25, 3))
+    points[[0, *range(1, 5), *(5 * f + k for f in range(1, 5) for k in range(1, 5))]] = (
+        frame.landmarks
+    )
+    points[[5, 10, 15, 20]] = frame.metacarpals
+    points -= points[0]
+    # x to the middle finger's base, z out of the back: from the right hand's wrist, index, pinky
+    x = points[11] / np.linalg.norm(points[11])
+    back = np.cross(points[21], points[6])
+    z = back - (back @ x) * x
+    z /= np.linalg.norm(z)
+    local = points @ np.stack([x, np.cross(z, x), z], axis=1)
+    return local if side == "right" else local * np.array([1.0, -1.0, 1.0])
+
+
+def landmarks(joints: np.ndarray) -> np.ndarray:
+    """(21, 3) of (25, 3)."""
+    return joints[[0, 1, 2, 3, 4, 6, 7, 8, 9, 11, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23, 24]]
+
+
+# Hand Tracking Streamer: Unity's axes (x right, y up, z forward, left-handed), lines of text.
+
+
+def unity_point(p: Any) -> tuple[float, float, float]:
+    return (-p[1], p[2], p[0])
+
+
+def unity_turn(q: Any) -> tuple[float, float, float, float]:
+    """xyzw. An axis of rotation is a pseudo-vector: a mirror image turns it the other way."""
+    w, x, y, z = q
+    return (y, -z, -x, w)
+
+
+def hts_wrist(side: Side, pose: Pose, meta: str = "") -> bytes:
+    numbers = [f"{v:.4f}" for v in unity_point(pose)] + [f"{v:.3f}" for v in unity_turn(pose[3:])]
+    return f"{side.title()} wrist{meta}:, {', '.join(numbers)}".encode()
+
+
+def hts_landmarks(side: Side, points: np.ndarray, meta: str = "") -> bytes:
+    numbers = [f"{v:.4f}" for p in points for v in unity_point(p)]
+    return f"{side.title()} landmarks{meta}:, {', '.join(numbers)}".encode()
+
+
+def hts_packet(side: Side, pose: Pose, points: np.ndarray, meta: str = "") -> bytes:
+    """What the app sends for a hand: a datagram; over TCP a line break follows."""
+    return hts_wrist(side, pose, meta) + b"\n" + hts_landmarks(side, points, meta)
