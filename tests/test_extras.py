@@ -35,6 +35,7 @@ EXTRAS = [
     "lerobot",
     "menagerie",
     "postgres",
+    "ros2",
     "train",
     "webcam",
     "webxr",
@@ -46,6 +47,7 @@ EXTRAS = [
 LIBRARIES = [
     "cryptography",
     "cv2",
+    "cyclonedds",
     "h5py",
     "mcap",
     "mediapipe",
@@ -65,7 +67,11 @@ LIBRARIES = [
     "zstandard",
 ]
 """Modules of the extras."""
-AT_THE_TOP = ("teleop/pages/", "teleop/recording/mcap_library.py")
+AT_THE_TOP = (
+    "teleop/pages/",
+    "teleop/recording/mcap_library.py",
+    "teleop/ros2/cyclone_transport.py",
+)
 """Where they may be imported with the module: its package says first what is missing."""
 
 

@@ -10,7 +10,6 @@ import sys
 import textwrap
 import threading
 import time
-import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -23,7 +22,6 @@ from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, in
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.sinks.registry import SINKS, build_sink
-from smooth_operator.teleop.sinks.ros2 import Ros2Sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink
@@ -358,8 +356,7 @@ def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
     sink.close()
 
 
-@pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0", "ros2:a b", "ros2:/{foot}/x",
-                                  "ros2:node=a-b", "table:0"])  # fmt: skip
+@pytest.mark.parametrize("text", ["zmq:5556", "zmq:valid_for_s=0", "table:0"])
 def test_bad_settings(text: str) -> None:
     with pytest.raises(ConfigError):
         build_sink(text)
@@ -369,117 +366,6 @@ def test_missing_extra(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zmq", None)
     with pytest.raises(MissingExtraError, match=re.escape(install_command("zmq"))):
         ZmqSink().open({"right": hand}, {})
-
-
-# --- ROS 2
-
-
-@pytest.fixture
-def ros(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
-    """Modules with the part of ROS 2's interface that is used; topic -> messages."""
-    published: dict[str, list[Any]] = {}
-    log: list[Any] = published.setdefault("", [])
-
-    class Context:
-        pass
-
-    class Time:
-        def to_msg(self) -> str:
-            return "now"
-
-    class Clock:
-        def now(self) -> Time:
-            return Time()
-
-    class Publisher:
-        def __init__(self, kind: type, topic: str) -> None:
-            self.kind, self.topic = kind, topic
-
-        def publish(self, message: Any) -> None:
-            assert type(message) is self.kind
-            published.setdefault(self.topic, []).append(message)
-
-    class Node:
-        def create_publisher(self, kind: type, topic: str, depth: int) -> Publisher:
-            return Publisher(kind, topic)
-
-        def get_clock(self) -> Clock:
-            return Clock()
-
-        def destroy_node(self) -> None:
-            log.append("destroyed")
-
-    class JointState:
-        def __init__(self) -> None:
-            self.header = types.SimpleNamespace(stamp=None)
-
-        def __setattr__(self, name: str, value: Any) -> None:
-            assert name in ("header", "name", "position", "velocity", "effort")
-            if name != "header":
-                assert isinstance(value, list)
-            object.__setattr__(self, name, value)
-
-    class String:
-        def __init__(self, *, data: str = "") -> None:
-            self.data = data
-
-    def init(*, context: Context) -> None:
-        log.append("init")
-
-    def create_node(name: str, *, context: Context) -> Node:
-        log.append(name)
-        return Node()
-
-    def shutdown(*, context: Context) -> None:
-        log.append("shutdown")
-
-    for name, content in {
-        "rclpy": {"init": init, "create_node": create_node, "shutdown": shutdown},
-        "rclpy.context": {"Context": Context},
-        "sensor_msgs": {},
-        "sensor_msgs.msg": {"JointState": JointState},
-        "std_msgs": {},
-        "std_msgs.msg": {"String": String},
-    }.items():
-        module = types.ModuleType(name)
-        vars(module).update(content)
-        monkeypatch.setitem(sys.modules, name, module)
-    return published
-
-
-def test_ros2_publishes_joint_states_and_modes(
-    hands: dict[Side, Hand], ros: dict[str, list[Any]]
-) -> None:
-    sink = Ros2Sink()
-    sink.open(hands, {})
-    topic = "/mimic_p050/left/joint_commands"
-    ticks = [
-        make_tick(hands["left"], i, mode=Mode.TRACKING if i < 3 else Mode.HOLDING) for i in range(6)
-    ]
-    for i, tick in enumerate(ticks):
-        sink.send(tick)
-        until(lambda i=i: len(ros.get(topic, [])) == i + 1)  # type: ignore[misc]
-    sink.stalled(0.3)
-    sink.stalled(0.4)
-    until(lambda: ros[f"{topic}_mode"][-1].data == "stalled")
-    sink.close()
-    for tick, message in zip(ticks, ros[topic], strict=True):
-        assert message.name == list(tick.command.names)
-        assert message.position == tick.command.positions.tolist()
-        assert message.velocity == tick.velocity.tolist()
-        assert message.header.stamp == "now"
-    modes = [message.data for message in ros[f"{topic}_mode"]]
-    assert modes == ["tracking", "holding", "stalled", "ended"]
-    assert ros[""] == ["init", "smooth_operator", "destroyed", "shutdown"]
-    with pytest.raises(SinkError, match="two hands on one topic"):
-        Ros2Sink("/joints").open(hands, {})
-
-
-def test_ros2_without_rclpy_says_how(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rclpy", None)
-    version = f"{sys.version_info.major}.{sys.version_info.minor}"
-    with pytest.raises(SinkError, match=r"pip can't install.*setup\.bash.*" + version):
-        Ros2Sink().open({"right": hand}, {})
 
 
 # --- table

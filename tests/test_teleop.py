@@ -454,7 +454,7 @@ def test_what_is_missing_or_taken_is_found_before_anything_slow(
         (["--source", "zmq:tcp://127.0.0.1:5999"], "zmq", "zmq"),
         (["--sink", "zmq:tcp://127.0.0.1:*"], "zmq", "zmq"),
         (["--control", "tcp://127.0.0.1:*"], "zmq", "zmq"),
-        (["--sink", "ros2"], "rclpy", "ROS 2"),
+        (["--sink", "ros2"], "cyclonedds", "ros2"),
     ],
 )
 def test_a_missing_extra_is_found_before_anything_slow(

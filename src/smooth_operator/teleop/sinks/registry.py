@@ -19,7 +19,10 @@ SINKS: Final = Registry(
             f"{_HERE}.simulation:Simulation", "physics with position actuators, seen in the page"
         ),
         "zmq": Entry(f"{_HERE}.zmq_sink:ZmqSink", "commands over ZeroMQ (extra zmq)"),
-        "ros2": Entry(f"{_HERE}.ros2:Ros2Sink", "sensor_msgs/JointState, where rclpy is"),
+        "ros2": Entry(
+            "smooth_operator.teleop.ros2.sink:Ros2Sink",
+            "ROS 2 topics, without a ROS 2 installation too (extra ros2)",
+        ),
         "record": Entry(f"{_HERE}.record:RecordSink", "an MCAP log: record:FILE"),
         "table": Entry(f"{_HERE}.table:TableSink", "a table in the terminal"),
     },

@@ -1,0 +1,244 @@
+"""ROS 2 without ROS 2: its messages over DDS, by CycloneDDS's Python binding (extra ``ros2``).
+
+A ROS 2 topic ``/a/b`` is the DDS topic ``rt/a/b``, the type ``std_msgs/msg/String`` is
+``std_msgs::msg::dds_::String_``, and the samples are plain CDR (XCDR 1).
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final, Literal, TypeAlias
+
+from cyclonedds.core import (
+    DDSException,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl.annotations import final
+from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.teleop.ros2.loopback_filter import keep_network_out
+from smooth_operator.teleop.ros2.messages import (
+    M,
+    Message,
+    Time,
+    field_types,
+    from_foreign,
+    to_foreign,
+)
+from smooth_operator.teleop.ros2.transport import DEPTH, Endpoint, Received, describe
+
+Reach: TypeAlias = Literal["localhost", "subnet", "own"]
+"""``own``: what the user's file of settings for CycloneDDS says (``CYCLONEDDS_URI``)."""
+
+_CLASSES: dict[type[Message], Any] = {}
+_MANY: Final = 256  # samples that are taken in one go, so that a flood can't keep it from stopping
+_NUMBERS: Final = {"int32": int32, "uint32": uint32, "float64": float64}
+_CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Discovery>
+<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+# The loopback interface alone. Programs find each other by unicast to the first ports of the
+# domain, as those of ROS 2 do with localhost only.
+_GENERAL: Final[dict[Reach, str]] = {
+    "localhost": '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>',
+    "subnet": "",
+}
+_WHOM: Final[dict[Reach, str]] = {
+    "localhost": "this machine only",
+    "subnet": "the whole network",
+    "own": "as CYCLONEDDS_URI says",
+}
+
+
+class CycloneTransport:
+    """A participant of a DDS domain.
+
+    Args:
+        endpoint: settings.
+
+    Raises:
+        SinkError, SourceError: the domain can't be joined.
+        ConfigError: a variable of the environment can't be read, or another part of this process
+            is in the domain with another network.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        number, reach = endpoint.domain_id(), reach_of(endpoint)
+        self._domain = _Domains.join(endpoint, number, reach)
+        try:
+            self._participant = DomainParticipant(number)
+            self._waitset = WaitSet(self._participant)
+        except DDSException as error:
+            _Domains.leave(number)
+            raise endpoint.error(_refused(number, error)) from error
+        self._number = number
+        self._readers: list[tuple[str, type[Message], DataReader[Any], ReadCondition]] = []
+        self._error = endpoint.error
+        self.label = f"CycloneDDS, domain {number}, {_WHOM[reach]}"
+
+    def publisher(self, kind: type[M], topic: str, depth: int = DEPTH) -> Callable[[M], None]:
+        """See ``Transport``."""
+        # Never waits for a slow subscriber: what is kept beyond ``depth`` is overwritten.
+        qos = _qos(Policy.Reliability.Reliable(duration(milliseconds=100)), depth)
+        writer = DataWriter(self._participant, self._topic(kind, topic), qos=qos)
+
+        def publish(message: M) -> None:
+            writer.write(to_foreign(message, wire_class))
+
+        return publish
+
+    def subscribe(self, kind: type[Message], topic: str, depth: int) -> None:
+        """See ``Transport``."""
+        qos = _qos(Policy.Reliability.BestEffort, depth)
+        reader = DataReader(self._participant, self._topic(kind, topic), qos=qos)
+        condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
+        self._waitset.attach(condition)
+        self._readers.append((topic, kind, reader, condition))
+
+    def receive(self, timeout: float) -> list[Received]:
+        """See ``Transport``."""
+        received: list[Received] = []
+        try:
+            self._waitset.wait(duration(seconds=timeout))
+            for topic, kind, reader, condition in self._readers:
+                for _ in range(_MANY):
+                    found = _take(reader, condition, kind)
+                    if found is None:
+                        break
+                    received += [(topic, message) for message in found]
+        except DDSException as error:
+            raise self._error(f"DDS domain {self._number}: {describe(error)}") from error
+        return received
+
+    def now(self) -> Time:
+        """By this machine's clock."""
+        return Time.of(time.time_ns())
+
+    def close(self) -> None:
+        """See ``Transport``."""
+        self._readers.clear()
+        del self._waitset, self._participant
+        _Domains.leave(self._number)
+
+    def _topic(self, kind: type[Message], topic: str) -> Topic[Any]:
+        return Topic(self._participant, f"rt/{topic.lstrip('/')}", wire_class(kind))
+
+
+def reach_of(endpoint: Endpoint) -> Reach:
+    """Whom a participant reaches: its setting, else what the environment says, else localhost.
+
+    Raises:
+        ConfigError: a variable of ROS 2 has a value that it does not know.
+    """
+    if endpoint.network is not None:
+        return endpoint.network
+    if os.environ.get("CYCLONEDDS_URI"):
+        return "own"
+    wanted = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    known: dict[str, Reach] = {"LOCALHOST": "localhost", "SUBNET": "subnet", "": "localhost"}
+    if wanted not in known:
+        raise ConfigError(
+            f"{endpoint.feature}: ROS_AUTOMATIC_DISCOVERY_RANGE must be LOCALHOST or SUBNET, not "
+            f"{wanted!r}; or say network=localhost or network=subnet"
+        )
+    if not wanted and os.environ.get("ROS_LOCALHOST_ONLY") == "0":
+        return "subnet"  # said, not left out
+    return known[wanted]
+
+
+def _take(
+    reader: DataReader[Any], condition: ReadCondition, kind: type[Message]
+) -> list[Message | RecordingError] | None:
+    """The next message of a reader, none for a publisher's end; None when all are read."""
+    try:
+        samples = reader.take(1, condition)  # of several, one that is broken would lose all
+    except DDSException:
+        raise
+    except Exception as error:  # the bytes of a publisher: anything may be in them
+        return [RecordingError(f"a message of another type than {kind.type_name}: {error}")]
+    if not samples:
+        return None
+    return [
+        from_foreign(sample, kind) for sample in samples if not isinstance(sample, InvalidSample)
+    ]
+
+
+def wire_class(kind: type[Message]) -> Any:
+    """The class of CycloneDDS for a message, by the names that ROS 2 gives to DDS."""
+    if kind in _CLASSES:
+        return _CLASSES[kind]
+    sequence_of: Any = sequence
+    fields: dict[str, Any] = {}
+    for name, (inner, many) in field_types(kind).items():
+        if isinstance(inner, str):
+            made: Any = _NUMBERS[inner]
+        else:
+            made = wire_class(inner) if issubclass(inner, Message) else inner
+        fields[name] = sequence_of[made] if many else made
+    package, _, name = kind.type_name.partition("/msg/")
+    made = final(make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", fields))
+    _CLASSES[kind] = made
+    return made
+
+
+def _qos(reliability: Any, depth: int) -> Qos:
+    return Qos(
+        reliability,
+        Policy.Durability.Volatile,
+        Policy.History.KeepLast(depth),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+
+
+def _refused(number: int, error: Exception) -> str:
+    return (
+        f"DDS domain {number} can't be joined: {describe(error)}; is the network that "
+        "CYCLONEDDS_URI or the setting network names there?"
+    )
+
+
+class _Domains:
+    """Domains that this process is in; the settings of one hold for all of its participants."""
+
+    _lock = threading.Lock()
+    _joined: dict[int, tuple[Reach, Any, int]] = {}  # noqa: RUF012  (guarded by the lock)
+
+    @classmethod
+    def join(cls, endpoint: Endpoint, number: int, reach: Reach) -> None:
+        with cls._lock:
+            present, domain, users = cls._joined.get(number, (reach, None, 0))
+            if present != reach:
+                raise ConfigError(
+                    f"{endpoint.feature}: DDS domain {number} is in use here with network "
+                    f"{present!r}; use the same one, or another domain"
+                )
+            if not users and reach != "own":
+                try:
+                    domain = Domain(number, _CONFIG.format(general=_GENERAL[reach]))
+                except DDSException as error:
+                    raise endpoint.error(_refused(number, error)) from error
+                if reach == "localhost":
+                    keep_network_out(number)
+            cls._joined[number] = reach, domain, users + 1
+
+    @classmethod
+    def leave(cls, number: int) -> None:
+        with cls._lock:
+            reach, domain, users = cls._joined.pop(number)
+            if users > 1:
+                cls._joined[number] = reach, domain, users - 1

@@ -1,0 +1,237 @@
+"""Another program on a ROS 2 network: a process with message definitions of its own, no ROS 2.
+
+Nothing is imported from the package. One JSON object a line on standard input:
+``{"domain": 3, "subscribe": "rt/x", "type": "JointState"}`` or
+``{"domain": 3, "publish": "rt/x", "type": "PoseArray", "values": {...}, "reliable": true}``. What
+comes goes to standard output, one line a message: topic, bytes (hexadecimal), and what is in it.
+"""
+
+import dataclasses
+import json
+import sys
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+from cyclonedds._clayer import ddspy_take
+from cyclonedds.core import InstanceState, SampleState, ViewState
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+# Settings of rmw_cyclonedds_cpp (Humble) where ROS_LOCALHOST_ONLY is 1.
+CONFIG = (
+    '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface address="127.0.0.1"/>'
+    "</Interfaces></General></Domain></CycloneDDS>"
+)
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Duration(IdlStruct, typename="builtin_interfaces.msg.dds_.Duration_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
+    data: str
+
+
+@dataclass
+class Dimension(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayDimension_"):
+    label: str
+    size: uint32
+    stride: uint32
+
+
+@dataclass
+class Layout(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayLayout_"):
+    dim: sequence[Dimension]
+    data_offset: uint32
+
+
+@dataclass
+class Float64MultiArray(IdlStruct, typename="std_msgs.msg.dds_.Float64MultiArray_"):
+    layout: Layout
+    data: sequence[float64]
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
+@dataclass
+class TrajectoryPoint(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectoryPoint_"):
+    positions: sequence[float64]
+    velocities: sequence[float64]
+    accelerations: sequence[float64]
+    effort: sequence[float64]
+    time_from_start: Duration
+
+
+@dataclass
+class JointTrajectory(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectory_"):
+    header: Header
+    joint_names: sequence[str]
+    points: sequence[TrajectoryPoint]
+
+
+@dataclass
+class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
+    position: Point
+    orientation: Quaternion
+
+
+@dataclass
+class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
+    header: Header
+    pose: Pose
+
+
+@dataclass
+class PoseArray(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
+    header: Header
+    poses: sequence[Pose]
+
+
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
+    transforms: sequence[TransformStamped]
+
+
+@dataclass
+class Garbled(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
+    """A type with the name of another, as of a package that was changed."""
+
+    data: str
+
+
+RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
+
+
+def header(frame: str, stamp: float) -> Header:
+    return Header(Time(int(stamp), round(stamp % 1 * 1e9)), frame)
+
+
+def pose(row: list[float]) -> Pose:
+    """From x y z, and a quaternion x y z w where it is there."""
+    return Pose(Point(*row[:3]), Quaternion(*(row[3:] or (0.0, 0.0, 0.0, 1.0))))
+
+
+def message(kind: str, values: dict[str, Any]) -> Any:
+    head = header(values.get("frame", ""), values.get("stamp", 0.0))
+    if kind == "PoseArray":
+        return PoseArray(head, [pose(row) for row in values["poses"]])
+    if kind == "PoseStamped":
+        return PoseStamped(head, pose(values["pose"]))
+    return {"String": String, "Garbled": Garbled}[kind](values["data"])
+
+
+class Peer:
+    """The domains, writers and readers of this process."""
+
+    def __init__(self) -> None:
+        self.domains: dict[int, tuple[Any, Any]] = {}
+        self.writers: dict[tuple[int, str], Any] = {}
+        self.readers: list[tuple[str, Any]] = []
+        self.lock = threading.Lock()
+
+    def participant(self, number: int) -> Any:
+        if number not in self.domains:
+            self.domains[number] = Domain(number, CONFIG), DomainParticipant(number)
+        return self.domains[number][1]
+
+    def obey(self, order: dict[str, Any]) -> None:
+        participant = self.participant(order["domain"])
+        kind = globals()[order["type"]]
+        reliability = RELIABLE if order.get("reliable", True) else Policy.Reliability.BestEffort
+        qos = Qos(reliability, Policy.Durability.Volatile, Policy.History.KeepLast(10))
+        if "subscribe" in order:
+            topic = Topic(participant, order["subscribe"], kind)
+            with self.lock:
+                reader = DataReader(participant, topic, qos=qos)
+                self.readers.append((order["subscribe"], reader))
+            return
+        key = order["domain"], order["publish"]
+        if key not in self.writers:
+            topic = Topic(participant, order["publish"], kind)
+            self.writers[key] = DataWriter(participant, topic, qos=qos)
+        if order["values"] is not None:
+            self.writers[key].write(message(order["type"], order["values"]))
+
+    def print_what_comes(self) -> None:
+        mask = SampleState.Any | ViewState.Any | InstanceState.Any
+        wait = threading.Event()
+        while not wait.wait(0.005):
+            with self.lock:
+                readers = list(self.readers)
+            for topic, reader in readers:
+                for data, info in ddspy_take(reader._ref, mask, 64):
+                    if info.valid_data:
+                        read = reader.topic.data_type.deserialize(data)
+                        line = {"topic": topic, "bytes": bytes(data).hex()}
+                        print(json.dumps({**line, **dataclasses.asdict(read)}), flush=True)
+
+
+if __name__ == "__main__":
+    peer = Peer()
+    threading.Thread(target=peer.print_what_comes, daemon=True).start()
+    for text in sys.stdin:
+        peer.obey(json.loads(text))

@@ -1,0 +1,599 @@
+"""ROS 2 without ROS 2: against another process with definitions of its own, and against rosbags."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ticks import make_tick
+
+from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, UnknownNameError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.ros2 import messages as ros
+from smooth_operator.teleop.ros2 import sink as sink_module
+from smooth_operator.teleop.ros2.backends import open_transport
+from smooth_operator.teleop.ros2.messages import Message
+from smooth_operator.teleop.ros2.sink import Ros2Sink
+from smooth_operator.teleop.ros2.transport import Endpoint
+from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
+
+needs_cyclonedds = pytest.mark.skipif(
+    not __import__("importlib.util").util.find_spec("cyclonedds"),
+    reason="needs CycloneDDS's Python binding: the extra ros2",
+)
+DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())
+"""Of each test its own: a domain is a range of ports."""
+LOCAL = {"backend": "cyclonedds", "network": "localhost"}
+
+
+def until(done: Callable[[], object], seconds: float = 20.0) -> None:
+    end = time.perf_counter() + seconds
+    while not done():
+        assert time.perf_counter() < end, "it never came"
+        time.sleep(0.005)
+
+
+class Peer:
+    """The other process, and what it says has come: topic -> messages."""
+
+    def __init__(self) -> None:
+        script = Path(__file__).with_name("ros2_peer.py")
+        self.process = subprocess.Popen(
+            [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.came: dict[str, list[dict[str, Any]]] = {}
+        threading.Thread(target=self.listen, daemon=True).start()
+
+    def listen(self) -> None:
+        for line in self.process.stdout or ():
+            message = json.loads(line)
+            self.came.setdefault(message.pop("topic"), []).append(message)
+
+    def order(self, **order: Any) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(order) + "\n")
+        self.process.stdin.flush()
+
+    def of(self, topic: str) -> list[dict[str, Any]]:
+        return self.came.get(topic, [])
+
+
+@pytest.fixture(scope="module")
+def peer() -> Iterator[Peer]:
+    other = Peer()
+    yield other
+    other.process.stdin.close()  # type: ignore[union-attr]
+    other.process.wait(20)
+
+
+@pytest.fixture
+def domain() -> int:
+    return next(DOMAINS)
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+def send_until(sink: Ros2Sink, tick: Tick, done: Callable[[], object]) -> None:
+    """Send a command again and again: what is sent before the two found each other is lost."""
+
+    def sent() -> object:
+        sink.send(tick)
+        time.sleep(0.01)
+        return done()
+
+    until(sent)
+
+
+# --- the bytes
+
+
+SAMPLES: list[Message] = [
+    ros.String("tracking, não só"),
+    ros.JointState(
+        ros.Header(ros.Time(1_700_000_000, 999_999_999), "base"),
+        ["a", "bcd", ""],
+        [0.1, -2.5, 3e-300],
+        [1.0],
+        [],
+    ),
+    ros.JointTrajectory(
+        ros.Header(),
+        ["thumb", "index_mcp"],
+        [ros.JointTrajectoryPoint([0.5, -0.5], time_from_start=ros.Duration(0, 50_000_000))],
+    ),
+    ros.Float64MultiArray(
+        ros.MultiArrayLayout([ros.MultiArrayDimension("q", 3, 3)], 0), [1.0, 2.0, 3.0]
+    ),
+    ros.Float64MultiArray(data=[0.25]),
+    ros.PoseStamped(ros.Header(ros.Time(5, 6), "w"), ros.Pose(ros.Point(1.0, 2.0, 3.0))),
+    ros.PoseArray(ros.Header(ros.Time(5, 6), "odd"), [ros.Pose()] * 2),
+    ros.TFMessage(
+        [ros.TransformStamped(ros.Header(ros.Time(), "base"), "wrist", ros.Transform())] * 2
+    ),
+]
+
+
+def of_rosbags(store: Any, message: Message) -> Any:
+    """The message as an object of rosbags."""
+    made = {}
+    for name, (kind, many) in ros.field_types(type(message)).items():
+        value = getattr(message, name)
+        if isinstance(kind, type) and issubclass(kind, Message):
+            value = [of_rosbags(store, v) for v in value] if many else of_rosbags(store, value)
+        elif many and kind is not str:
+            value = np.array(value, kind)
+        made[name] = value
+    return store.types[message.type_name](**made)
+
+
+@needs_cyclonedds
+@pytest.mark.parametrize("release", ["ROS2_HUMBLE", "ROS2_JAZZY"])
+def test_bytes_are_those_of_rosbags(release: str) -> None:
+    rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags to compare with")
+    from smooth_operator.teleop.ros2.cyclone_transport import wire_class
+
+    store = rosbags.get_typestore(rosbags.Stores[release])
+    for message in SAMPLES:
+        wire = wire_class(type(message))
+        ours = ros.to_foreign(message, wire_class).serialize(use_version_2=False)
+        theirs = bytes(store.serialize_cdr(of_rosbags(store, message), message.type_name))
+        assert ours.rstrip(b"\0") == theirs.rstrip(b"\0"), message.type_name
+        assert abs(len(ours) - len(theirs)) < 4  # a sample is filled up to four bytes
+        assert ros.from_foreign(wire.deserialize(theirs), type(message)) == message
+        back = store.deserialize_cdr(ours, message.type_name)
+        assert str(back) == str(of_rosbags(store, message))
+
+
+# --- the sink
+
+
+@needs_cyclonedds
+def test_another_process_gets_joints_mode_wrist_and_transforms(
+    peer: Peer, domain: int, hand: Hand
+) -> None:
+    sink = Ros2Sink(
+        domain=domain, tf=True, human_wrist="/{side}/human", base="panda_link0", **LOCAL
+    )
+    for topic, kind in {
+        "rt/mimic_p050/right/joint_commands": "JointState",
+        "rt/mimic_p050/right/joint_commands_mode": "String",
+        "rt/mimic_p050/right/wrist_pose": "PoseStamped",
+        "rt/right/human": "PoseStamped",
+        "rt/tf": "TFMessage",
+    }.items():
+        peer.order(domain=domain, subscribe=topic, type=kind)
+    sink.check({"right": hand})
+    sink.open({"right": hand}, {})
+    assert "this machine only" in sink.note
+    target = np.array([0.5, -0.25, 1.0, 0.5, 0.5, -0.5, 0.5])
+    human = np.array([0.125, 0.25, 0.375, 0.5, -0.5, 0.5, 0.5])
+    tick = make_tick(hand, 3)
+    assert tick.arrival is not None
+    frame = replace(tick.arrival.frame, T_world_wrist=human, world="headset")
+    tick = replace(
+        tick,
+        wrist=WristCommand(target, True, True),
+        arrival=replace(tick.arrival, frame=frame),
+        velocity=np.linspace(-1.0, 1.0, len(hand.joint_names)),
+    )
+    send_until(sink, tick, lambda: peer.of("rt/right/human") and peer.of("rt/tf"))
+    until(lambda: peer.of("rt/mimic_p050/right/joint_commands"))
+    until(lambda: peer.of("rt/mimic_p050/right/wrist_pose"))
+    sink.stalled(0.3)
+    until(
+        lambda: (
+            [m["data"] for m in peer.of("rt/mimic_p050/right/joint_commands_mode")][-1:]
+            == ["stalled"]
+        )
+    )
+    sink.close()
+    until(
+        lambda: (
+            [m["data"] for m in peer.of("rt/mimic_p050/right/joint_commands_mode")][-1] == "ended"
+        )
+    )
+    state = peer.of("rt/mimic_p050/right/joint_commands")[-1]
+    assert state["name"] == list(hand.joint_names)
+    assert state["position"] == tick.command.positions.tolist()
+    assert state["velocity"] == tick.velocity.tolist()
+    assert state["effort"] == []
+    assert abs(state["header"]["stamp"]["sec"] - time.time()) < 600
+    wrist = peer.of("rt/mimic_p050/right/wrist_pose")[-1]
+    assert wrist["header"]["frame_id"] == "panda_link0"
+    assert list(wrist["pose"]["position"].values()) == [0.5, -0.25, 1.0]
+    assert list(wrist["pose"]["orientation"].values()) == [0.5, -0.5, 0.5, 0.5]  # x y z w
+    tracked = peer.of("rt/right/human")[-1]
+    assert tracked["header"]["frame_id"] == "headset"
+    assert list(tracked["pose"]["orientation"].values()) == [-0.5, 0.5, 0.5, 0.5]
+    for transforms in (m["transforms"] for m in peer.of("rt/tf")):
+        frames = [(t["header"]["frame_id"], t["child_frame_id"]) for t in transforms]
+        assert frames == [
+            ("panda_link0", "mimic_p050_right_wrist"),
+            ("headset", "human_right_wrist"),
+        ]
+        assert list(transforms[1]["transform"]["translation"].values()) == [0.125, 0.25, 0.375]
+        assert transforms[0]["header"]["stamp"] == transforms[1]["header"]["stamp"]
+    stamps = {
+        json.dumps(m["header"]["stamp"]) for m in peer.of("rt/mimic_p050/right/joint_commands")
+    }
+    assert json.dumps(wrist["header"]["stamp"]) in stamps  # wrist and fingers bear one stamp
+
+
+@needs_cyclonedds
+def test_controllers_get_the_actuated_joints_by_their_names_and_unit(
+    peer: Peer, domain: int
+) -> None:
+    hand = load_hand("mimic_p050")
+    assert len(hand.actuated) < len(hand.joint_names)
+    tick = make_tick(hand, 7)
+    actuated = dict(zip(hand.joint_names, tick.command.positions.tolist(), strict=True))
+    names = list(hand.actuated_names)
+    for kind in ("JointTrajectory", "Float64MultiArray", "JointState"):
+        peer.order(domain=domain, subscribe=f"rt/{kind}", type=kind)
+    first, *_, last = names
+    sinks = [
+        Ros2Sink(
+            "/JointTrajectory", "trajectory", prefix="r_", duration=0.125, domain=domain, **LOCAL
+        ),
+        Ros2Sink("/Float64MultiArray", "array", scale=2.0, offset=1.0, domain=domain, **LOCAL),
+        Ros2Sink("/JointState", joints=f"{last} {first[:-1]}*", unit="deg", domain=domain, **LOCAL),
+    ]
+    for sink in sinks:  # three participants in one process, in one domain
+        sink.open({"right": hand}, {})
+    for sink in sinks:
+        send_until(sink, tick, lambda sink=sink: peer.of(f"rt{sink.topic}"))  # type: ignore[misc]
+    trajectory, array, state = (peer.of(f"rt{sink.topic}")[-1] for sink in sinks)
+    assert trajectory["joint_names"] == [f"r_{name}" for name in names]
+    (point,) = trajectory["points"]
+    assert point["positions"] == [actuated[name] for name in names]
+    assert point["velocities"] == []
+    assert point["time_from_start"] == {"sec": 0, "nanosec": 125_000_000}
+    assert trajectory["header"]["stamp"] == {"sec": 0, "nanosec": 0}  # from now on
+    assert array["data"] == [2.0 * actuated[name] + 1.0 for name in names]
+    assert state["name"][:2] == [last, first]
+    assert state["position"] == pytest.approx([np.degrees(actuated[n]) for n in state["name"]])
+    for sink in sinks:
+        sink.close()
+
+
+class Recorded:
+    """A transport that keeps what is published: topic -> messages."""
+
+    label = "kept"
+
+    def __init__(self) -> None:
+        self.sent: dict[str, list[Any]] = {}
+        self.closed = False
+
+    def publisher(self, kind: type[Message], topic: str, depth: int = 10) -> Callable[[Any], None]:
+        return self.sent.setdefault(topic, []).append
+
+    def now(self) -> ros.Time:
+        return ros.Time(7, 8)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def recorded(monkeypatch: pytest.MonkeyPatch) -> Recorded:
+    transport = Recorded()
+    monkeypatch.setattr(sink_module, "open_transport", lambda endpoint: transport)
+    return transport
+
+
+def test_rate_is_the_most_and_a_new_mode_is_never_left_out(hand: Hand, recorded: Recorded) -> None:
+    link = Ros2Sink("/x", rate=30.0).connect({"right": hand}, {})
+    for i in range(100):  # a second at 100 Hz
+        link.deliver(make_tick(hand, i, at=50.0 + 0.01 * i))
+    assert 29 <= len(recorded.sent["/x"]) <= 32
+    before = len(recorded.sent["/x"])
+    link.deliver(make_tick(hand, 100, at=50.9901, mode=Mode.STOPPED))
+    assert len(recorded.sent["/x"]) == before + 1
+    assert recorded.sent["/x_mode"][-1].data == "stopped"
+    link.close()
+    assert recorded.closed
+
+
+def test_no_wrist_no_message(hand: Hand, recorded: Recorded) -> None:
+    link = Ros2Sink("/x", tf=True, human_wrist="/h").connect({"right": hand}, {})
+    tick = make_tick(hand)
+    assert tick.arrival is not None
+    lost = replace(tick.arrival.frame, T_world_wrist=np.full(7, np.nan), world="headset")
+    link.deliver(replace(tick, arrival=replace(tick.arrival, frame=lost)))
+    assert recorded.sent["/tf"] == recorded.sent["/h"] == []
+    assert recorded.sent["/mimic_p050/right/wrist_pose"] == []
+    assert len(recorded.sent["/x"]) == 1
+
+
+def test_a_command_that_is_not_finite_is_not_sent(hand: Hand, recorded: Recorded) -> None:
+    link = Ros2Sink("/x").connect({"right": hand}, {})
+    tick = make_tick(hand)
+    bad = tick.command.positions.copy()
+    bad[3] = np.nan
+    with pytest.raises(SinkError, match="not finite"):
+        link.deliver(replace(tick, command=replace(tick.command, positions=bad)))
+    assert recorded.sent["/x"] == []
+
+
+def test_wrong_names_and_settings_say_what_is_expected(hand: Hand, recorded: Recorded) -> None:
+    with pytest.raises(UnknownNameError, match=r"no_such.*joints= takes all, actuated"):
+        Ros2Sink(joints="no_such").connect({"right": hand}, {})
+    with pytest.raises(SinkError, match="two hands on one topic"):
+        Ros2Sink("/joints").connect({"right": hand, "left": hand}, {})
+    for text, words in {
+        "ros2:a b": "can't be a topic",
+        "ros2:/x__y": "can't be a topic",
+        "ros2:/{foot}/x": "can't be a topic",
+        "ros2:wrist=1/2": "can't be a topic",
+        "ros2:node=a-b": "name of a node",
+        "ros2:domain=233": "0 to 232",
+        "ros2:network=all": "localhost or subnet",
+        "ros2:message=twist": "joint_state or trajectory or array",
+        "ros2:scale=0": "scale not zero",
+        "ros2:rate=-1": "rate must be",
+        "ros2:joints= ": "joints must be",
+    }.items():
+        with pytest.raises(ConfigError, match=words):
+            build_sink(text)
+
+
+# --- domain, network and libraries
+
+
+@needs_cyclonedds
+def test_network_and_domain_come_from_the_setting_else_from_ros_variables(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from smooth_operator.teleop.ros2.cyclone_transport import reach_of
+
+    names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "CYCLONEDDS_URI")
+    for name in (*names, "ROS_DOMAIN_ID"):
+        monkeypatch.delenv(name, raising=False)
+    end = Endpoint("the ros2 sink", SinkError)
+    assert (reach_of(end), end.domain_id()) == ("localhost", 0)
+    for value, reach in {"1": "localhost", "0": "subnet"}.items():
+        monkeypatch.setenv("ROS_LOCALHOST_ONLY", value)
+        assert reach_of(end) == reach
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    assert reach_of(end) == "localhost"
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    with pytest.raises(ConfigError, match="must be LOCALHOST or SUBNET, not 'OFF'"):
+        reach_of(end)
+    assert reach_of(replace(end, network="subnet")) == "subnet"
+    monkeypatch.setenv("CYCLONEDDS_URI", "file:///x.xml")
+    assert reach_of(end) == "own"
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert end.domain_id() == 42
+    assert replace(end, domain=3).domain_id() == 3
+    for bad in ("-1", "233", "x"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", bad)
+        with pytest.raises(ConfigError, match="ROS_DOMAIN_ID must be 0 to 232"):
+            end.domain_id()
+
+
+@needs_cyclonedds
+def test_one_domain_has_one_network_in_a_process(domain: int) -> None:
+    end = Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL)  # type: ignore[arg-type]
+    first = open_transport(end)
+    with pytest.raises(ConfigError, match="in use here with network 'localhost'"):
+        open_transport(replace(end, network="subnet"))
+    first.close()
+
+
+@needs_cyclonedds
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's filter is Linux's")
+def test_localhost_lets_nothing_in_from_the_network(domain: int) -> None:
+    """What comes to another address of this machine is dropped; what comes to 127.0.0.1 is not."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing, but picks the address
+        except OSError:
+            pytest.skip("this machine has no network")
+        address = probe.getsockname()[0]
+
+    def ports() -> dict[int, int]:
+        """UDP ports of the domain -> packets that were dropped."""
+        low = 7400 + 250 * domain
+        rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+        found = {int(row[1].split(":")[1], 16): int(row[12]) for row in rows}
+        return {port: drops for port, drops in found.items() if low <= port < low + 250}
+
+    transport = open_transport(Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL))  # type: ignore[arg-type]
+    try:
+        opened = ports()
+        assert opened
+        assert set(opened.values()) == {0}
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for port in opened:
+                sender.sendto(b"RTPS", ("127.0.0.1", port))
+                sender.sendto(b"RTPS", (address, port))
+        until(lambda: set(ports().values()) == {1})
+    finally:
+        transport.close()
+
+
+def test_without_both_libraries_one_line_says_how(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("rclpy", "cyclonedds"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingExtraError, match=r"without rclpy.*\[ros2\]") as caught:
+        Ros2Sink().open({"right": hand}, {})
+    assert "\n" not in str(caught.value)
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    with pytest.raises(SinkError, match=r"pip can't install.*setup\.bash.*" + version):
+        Ros2Sink(backend="rclpy").open({"right": hand}, {})
+
+
+# --- rclpy
+
+
+class FakeRos:
+    """The part of ROS 2's Python interface that is used.
+
+    Attributes:
+        published: topic -> messages.
+        profiles: topic -> quality of service.
+        log: what was called.
+        arriving: topic -> messages that the next spin hands over.
+    """
+
+    def __init__(self) -> None:
+        self.published: dict[str, list[Any]] = {}
+        self.profiles: dict[str, Any] = {}
+        self.log: list[Any] = []
+        self.arriving: dict[str, list[Any]] = {}
+        self.callbacks: dict[str, tuple[type, Callable[[Any], None]]] = {}
+
+    def modules(self) -> dict[str, dict[str, Any]]:
+        fake = self
+
+        class Context:
+            pass
+
+        class Publisher:
+            def __init__(self, kind: type, topic: str) -> None:
+                self.kind, self.topic = kind, topic
+
+            def publish(self, message: Any) -> None:
+                assert type(message) is self.kind
+                fake.published.setdefault(self.topic, []).append(message)
+
+        class Node:
+            def create_publisher(self, kind: type, topic: str, qos: Any) -> Publisher:
+                fake.profiles[topic] = qos
+                return Publisher(kind, topic)
+
+            def create_subscription(
+                self, kind: type, topic: str, callback: Callable[[Any], None], qos: Any
+            ) -> None:
+                fake.profiles[topic] = qos
+                fake.callbacks[topic] = kind, callback
+
+            def get_clock(self) -> Any:
+                now = kinds["builtin_interfaces"]["Time"](sec=11, nanosec=12)
+                return types.SimpleNamespace(now=lambda: types.SimpleNamespace(to_msg=lambda: now))
+
+            def destroy_node(self) -> None:
+                fake.log.append("destroyed")
+
+        class Executor:
+            def __init__(self, *, context: Context) -> None:
+                assert isinstance(context, Context)
+
+            def add_node(self, node: Node) -> None:
+                assert isinstance(node, Node)
+
+            def spin_once(self, *, timeout_sec: float) -> None:
+                for topic, waiting in fake.arriving.items():
+                    if waiting:
+                        fake.callbacks[topic][1](waiting.pop(0))
+                        return
+
+            def shutdown(self) -> None:
+                fake.log.append("executor shutdown")
+
+        def init(*, context: Context, domain_id: int | None) -> None:
+            fake.log.append(("init", domain_id))
+
+        def create_node(name: str, *, context: Context) -> Node:
+            fake.log.append(name)
+            return Node()
+
+        def shutdown(*, context: Context) -> None:
+            fake.log.append("shutdown")
+
+        kinds: dict[str, dict[str, Any]] = {}
+        for kind in every_message(Message):
+            package, _, name = kind.type_name.partition("/msg/")
+            made = dataclasses.make_dataclass(name, [f.name for f in dataclasses.fields(kind)])
+            kinds.setdefault(package, {})[name] = made
+        self.kinds = kinds
+        policies = {
+            f"{name}Policy": enum.Enum(name, words)
+            for name, words in {
+                "History": "KEEP_LAST KEEP_ALL",
+                "Reliability": "RELIABLE BEST_EFFORT",
+                "Durability": "VOLATILE TRANSIENT_LOCAL",
+            }.items()
+        }
+        return {
+            "rclpy": {"init": init, "create_node": create_node, "shutdown": shutdown},
+            "rclpy.context": {"Context": Context},
+            "rclpy.executors": {"SingleThreadedExecutor": Executor},
+            "rclpy.qos": {"QoSProfile": types.SimpleNamespace, **policies},
+            **{package: {} for package in kinds},
+            **{f"{package}.msg": content for package, content in kinds.items()},
+        }
+
+
+def every_message(base: type[Message]) -> list[type[Message]]:
+    return [kind for kind in base.__subclasses__() if "type_name" in vars(kind)]
+
+
+@pytest.fixture
+def rclpy(monkeypatch: pytest.MonkeyPatch) -> FakeRos:
+    fake = FakeRos()
+    for name, content in fake.modules().items():
+        module = types.ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    return fake
+
+
+def test_rclpy_is_used_where_it_is(hand: Hand, rclpy: FakeRos) -> None:
+    hands = {"right": hand, "left": load_hand("mimic_p050", "left")}
+    sink = Ros2Sink(tf=True)
+    sink.open(hands, {})  # type: ignore[arg-type]
+    assert sink.note == "rclpy"
+    topic = "/mimic_p050/left/joint_commands"
+    ticks = [
+        make_tick(hands["left"], i, mode=Mode.TRACKING if i < 3 else Mode.HOLDING) for i in range(6)
+    ]
+    for i, tick in enumerate(ticks):
+        sink.send(tick)
+        until(lambda i=i: len(rclpy.published.get(topic, [])) == i + 1)  # type: ignore[misc]
+    sink.stalled(0.3)
+    sink.stalled(0.4)
+    until(lambda: rclpy.published[f"{topic}_mode"][-1].data == "stalled")
+    sink.close()
+    for tick, message in zip(ticks, rclpy.published[topic], strict=True):
+        assert type(message) is rclpy.kinds["sensor_msgs"]["JointState"]
+        assert message.name == list(tick.command.names)
+        assert message.position == tick.command.positions.tolist()
+        assert message.velocity == tick.velocity.tolist()
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (11, 12)
+    modes = [message.data for message in rclpy.published[f"{topic}_mode"]]
+    assert modes == ["tracking", "holding", "stalled", "ended"]
+    assert rclpy.log == [
+        ("init", None), "smooth_operator", "executor shutdown", "destroyed", "shutdown"
+    ]  # fmt: skip
+    for name, depth in {topic: 10, "/tf": 100}.items():
+        profile = rclpy.profiles[name]
+        assert (profile.reliability.name, profile.durability.name) == ("RELIABLE", "VOLATILE")
+        assert (profile.history.name, profile.depth) == ("KEEP_LAST", depth)
+    with pytest.raises(ConfigError, match="ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        Ros2Sink(network="subnet").open(hands, {})  # type: ignore[arg-type]
+    Ros2Sink(domain=5).check(hands)  # type: ignore[arg-type]
+    assert ("init", 5) in rclpy.log
