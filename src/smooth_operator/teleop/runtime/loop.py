@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -60,6 +61,8 @@ class TeleopLoop:
         self.controls = Controls(self.mailbox)
         self.statistics = LoopStatistics(config.period)
         self.watch = watch
+        for side, pipeline in self.pipelines.items():
+            pipeline.clutch.measured = functools.partial(sinks.measured_wrist, side)
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of

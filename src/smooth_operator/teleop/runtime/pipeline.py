@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.teleop.runtime.clutch import Clutch
 from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.plausible import SessionCheck, implausible
@@ -37,6 +38,7 @@ class HandPipeline:
     Attributes:
         supervisor: mode and policies.
         limiter: what was last commanded.
+        clutch: moves the wrist, where the tracker has one.
         seen: the last frame that was not refused, in a pause or an emergency stop, too.
     """
 
@@ -52,6 +54,7 @@ class HandPipeline:
         self.config = config
         self.supervisor = Supervisor(config.safety)
         self.limiter = Limiter(retargeter.hand, config.limits)
+        self.clutch = Clutch(config)
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
         self._state = retargeter.init()
@@ -93,6 +96,7 @@ class HandPipeline:
         limiter = Limiter(self.retargeter.hand, config.limits)
         limiter.succeed(self.limiter)
         self.config, self.limiter, self.supervisor.config = config, limiter, config.safety
+        self.clutch.configure(config)
 
     @property
     def latched(self) -> tuple[str, ...] | None:
@@ -137,8 +141,11 @@ class HandPipeline:
                     events.append(f"frame not used: {result.status.reason}")
         mode = self.supervisor.update(now)
         guarded = self._clock()
-        q = self._follow(mode, now, guarded)
+        dt = self.config.period if self._last is None else guarded - self._last
+        q = self._follow(mode, now, dt)
         velocity = self.limiter.velocity
+        wrist = self.clutch.step(mode, guarded, dt, arrival)
+        events += self.clutch.events()
         if mode is not before:
             events.append(f"{before.value} -> {mode.value}")
         hand = self.retargeter.hand
@@ -165,6 +172,7 @@ class HandPipeline:
             float("nan") if result is None else result.scale,
             tuple(events),
             self.driver,
+            wrist,
         )
         # Times of commands, not of the frames that they answer: solving occasionally takes longer.
         self._last, self._number = guarded, self._number + 1
@@ -189,9 +197,8 @@ class HandPipeline:
             "solve": (solved - start) * 1e3,
         }
 
-    def _follow(self, mode: Mode, now: float, at: float) -> np.ndarray:
-        """What the limits let the robot do in this mode by the time of the command."""
-        dt = self.config.period if self._last is None else at - self._last
+    def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
+        """What the limits let the robot do in this mode in the time since the last command."""
         if mode is Mode.TRACKING:
             return self.limiter.step(self._wanted, dt)
         if mode is Mode.BLENDING:

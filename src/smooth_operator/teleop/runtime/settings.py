@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -68,6 +69,49 @@ class LimitsConfig:
 
 
 @dataclass(frozen=True)
+class WristConfig:
+    """The clutch: how the operator's wrist moves the wrist of the robot hand, and its limits.
+
+    Poses are in the frame of the robot's base: x forward, y left, z up.
+
+    Attributes:
+        scale: Metres of the robot for a metre of the operator's wrist; turns are never scaled.
+        yaw: Where the operator's forward points in the robot's base, counterclockwise from its
+            x [rad].
+        velocity: Largest speed of the wrist [m/s].
+        acceleration: Largest acceleration of the wrist [m/s^2].
+        turn_velocity: Largest angular velocity of the wrist [rad/s].
+        turn_acceleration: Largest angular acceleration of the wrist [rad/s^2].
+        low: Lowest x, y and z of the workspace [m].
+        high: Highest x, y and z of the workspace [m].
+        home: Where the wrist starts without an arm that measures it: x y z [m], quaternion w x y z.
+    """
+
+    scale: float = 1.0
+    yaw: float = 0.0
+    velocity: float = 1.0
+    acceleration: float = 10.0
+    turn_velocity: float = 2.5
+    turn_acceleration: float = 25.0
+    low: tuple[float, float, float] = (-1.0, -1.0, 0.0)
+    high: tuple[float, float, float] = (1.0, 1.0, 1.5)
+    home: tuple[float, float, float, float, float, float, float] = (0.4, 0, 0.4, 1, 0, 0, 0)
+
+    def __post_init__(self) -> None:
+        for name in ("scale", "velocity", "acceleration", "turn_velocity", "turn_acceleration"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"wrist: {name} must be positive, not {getattr(self, name)}")
+        if not math.isfinite(self.yaw):
+            raise ConfigError(f"wrist: yaw must be an angle in radians, not {self.yaw}")
+        if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
+            raise ConfigError(f"wrist: low must be below high, not {self.low} and {self.high}")
+        if not abs(math.hypot(*self.home[3:]) - 1) < 1e-3 or not all(map(math.isfinite, self.home)):
+            raise ConfigError(
+                f"wrist: home must be x y z [m] and a unit quaternion w x y z, not {self.home}"
+            )
+
+
+@dataclass(frozen=True)
 class LoopConfig:
     """Pace of the loop.
 
@@ -76,11 +120,13 @@ class LoopConfig:
             or not at all [Hz].
         safety: what happens when the tracker fails.
         limits: of what leaves the loop.
+        wrist: how the wrist follows the operator's.
     """
 
     rate: float = 100.0
     safety: SafetyConfig = SafetyConfig()
     limits: LimitsConfig = LimitsConfig()
+    wrist: WristConfig = WristConfig()
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate <= 1000.0:

@@ -13,6 +13,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias
 
+import numpy as np
+from jaxtyping import Float
+
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.sinks.sink import Sink
@@ -139,6 +142,15 @@ class SinkRunner:
         """
         for entry in self._entries:
             entry.call(lambda sink: sink.stalled(seconds))
+
+    def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
+        """Where an arm has the wrist of a hand: that of the first open sink that knows it."""
+        found: list[Float[np.ndarray, "7"] | None] = [None]
+        for entry in self._entries:
+            entry.call(lambda sink: found.append(sink.measured_wrist(side)))
+            if found[-1] is not None:
+                break
+        return found[-1]
 
     def add(self, sink: Sink) -> None:
         """Take in another sink; it is opened here and now if the others are open.

@@ -6,6 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
@@ -51,6 +54,15 @@ class Sink(ABC):
         """Where the hand that it moves was when that was last measured; safe from any thread.
 
         None, as by default, if it measures nothing, is not open, or has no such hand.
+        """
+        del side
+        return None
+
+    def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
+        """Where the arm that it moves has the wrist of a hand, when that was last measured.
+
+        In the frame of the robot's base: x y z [m], unit quaternion w x y z. Called on the loop's
+        thread, so it must be quick. None, as by default, if it moves no arm or is not open.
         """
         del side
         return None

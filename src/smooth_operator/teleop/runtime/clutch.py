@@ -1,0 +1,195 @@
+"""Clutch of the wrist: the operator's wrist moves that of the robot, from where both were when it
+was engaged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.teleop.runtime.pose_limiter import PoseLimiter
+from smooth_operator.teleop.runtime.settings import LoopConfig
+from smooth_operator.teleop.sinks.tick import Mode, WristCommand
+from smooth_operator.teleop.sources.live import Arrival
+
+JUMP_M: Final = 0.08
+JUMP_RAD: Final = 0.8
+"""A wrist that goes farther than this from one frame to the next, and faster than ``FASTEST``, has
+not moved: its tracker jumped."""
+FASTEST_MPS: Final = 4.0
+FASTEST_RPS: Final = 25.0
+
+NEAR_M: Final = 0.02
+NEAR_RAD: Final = 0.1
+"""How far the measured arm may be from its last command for the clutch to engage there."""
+_APPROACH: Final = 0.2
+"""Share of the velocity limits with which the command goes to an arm that is farther away."""
+_AHEAD_S: Final = 0.05
+"""Longest time for which the wrist is taken to move on between two frames [s]."""
+_SHORTEST_GAP_S: Final = 1e-3
+"""Stamps that are nearer to each other give no velocity [s]."""
+_SMOOTH: Final = 0.5
+"""Share of the newest difference in the velocity of the wrist."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A valid wrist: its pose turned to the robot's axes, its times and its velocity."""
+
+    pose: Float[np.ndarray, "7"]
+    stamp: float
+    received: float
+    gap: float
+    moving: Float[np.ndarray, "6"]
+    session: int
+    world: str | None
+
+
+class Clutch:
+    """Wrist of one robot hand, from the wrists of frames and the loop's modes; without a clock.
+
+    While it is engaged the target is ``home`` moved as the operator's wrist has moved since then,
+    both in axes that are fixed to the room (x forward, y left, z up): the translation times
+    ``scale``, the rotation as it is. It engages when the operator moves the robot, the wrist is
+    valid and the robot's wrist stands; both poses are latched then, so the first command after it
+    is the last one before. It lets go and holds on a pause, a stop, a loss of tracker or wrist, a
+    jump of the wrist, another start of the tracker, and when it is released.
+
+    Args:
+        config: limits, scale, and how long a wrist counts.
+
+    Attributes:
+        limiter: what was last commanded.
+        measured: where the arm has the wrist of the hand now, in its base; None where none is
+            known. Asked on the loop's thread, so it must be quick. The first command is there, and
+            before it engages the command goes to it slowly if it is not near.
+        released: whether the operator has released the wrist while the fingers go on.
+    """
+
+    def __init__(self, config: LoopConfig) -> None:
+        self.config = config
+        self.limiter = PoseLimiter(config.wrist)
+        self.measured: Callable[[], Float[np.ndarray, "7"] | None] = lambda: None
+        self.released = False
+        self._engaged = self._begun = False
+        self._seen: _Seen | None = None
+        self._anchor = self._home = poses.IDENTITY
+        self._told: list[str] = []
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the operator's wrist moves that of the robot; safe from any thread."""
+        return self._engaged
+
+    def configure(self, config: LoopConfig) -> None:
+        """Go on with other limits, from the last command; with another scale from a new latch."""
+        old, new = self.config.wrist, config.wrist
+        if (old.scale, old.yaw) != (new.scale, new.yaw):
+            self._let_go("other settings")
+            self._seen = None  # it is in the old axes
+        self.config, self.limiter.config = config, new
+
+    def events(self) -> list[str]:
+        """What has happened since the last call, a sentence each."""
+        told, self._told = self._told, []
+        return told
+
+    def step(
+        self, mode: Mode, at: float, dt: float, arrival: Arrival | None
+    ) -> WristCommand | None:
+        """The next command.
+
+        Args:
+            mode: what the loop is doing with the hand.
+            at: time of the command [s].
+            dt: time since the last one [s].
+            arrival: the frame that it answers, if there is one.
+
+        Returns:
+            the command; None until there is a wrist, or an arm that is measured.
+        """
+        if arrival is not None and poses.is_valid(arrival.frame.T_world_wrist):
+            self._see(arrival)
+        seen, limiter = self._seen, self.limiter
+        if not self._begun:
+            place = self._measured()
+            if seen is None and place is None:
+                return None
+            limiter.put(np.array(self.config.wrist.home) if place is None else place)
+            self._begun = True
+        valid = seen is not None and at - seen.received <= self.config.safety.stale_s
+        if seen is None or not valid or not mode.moves or self.released:
+            self._let_go("" if valid else "no valid wrist")
+            limiter.rest(dt)
+        elif self._engaged:
+            target, moving = self._target(seen, at)
+            limiter.step(target, dt, moving)
+        elif (place := self._measured()) is not None and not _near(place, limiter.pose):
+            limiter.step(place, dt, share=_APPROACH)
+        else:
+            stood = limiter.at_rest
+            limiter.rest(dt)
+            if stood:
+                self._engaged, self._anchor, self._home = True, seen.pose, limiter.pose
+                self._told.append("wrist engaged")
+        return WristCommand(limiter.pose, self._engaged, valid)
+
+    def _see(self, arrival: Arrival) -> None:
+        """Take note of a valid wrist; lets go where it does not continue the one before."""
+        frame, yaw, last = arrival.frame, self.config.wrist.yaw, self._seen
+        assert frame.T_world_wrist is not None
+        turn = np.array([0, 0, 0, math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)])
+        pose, moving, gap = poses.compose(turn, frame.T_world_wrist), np.zeros(6), 0.0
+        if last is not None and (last.session, last.world) != (arrival.session, frame.world):
+            self._let_go("the tracker was started again")
+        elif last is not None:
+            gap = max((arrival.stamp - last.stamp) / arrival.speed, 0.0)
+            moved = np.concatenate([pose[:3] - last.pose[:3], _arc(last.pose, pose)])
+            way, angle = math.hypot(*moved[:3]), math.hypot(*moved[3:])
+            if way > max(JUMP_M, FASTEST_MPS * gap) or angle > max(JUMP_RAD, FASTEST_RPS * gap):
+                self._let_go("the wrist jumped")
+            elif _SHORTEST_GAP_S < gap <= self.config.safety.stale_s:
+                moving = last.moving + _SMOOTH * (moved / gap - last.moving)
+        self._seen = _Seen(
+            pose, arrival.stamp, arrival.received, gap, moving, arrival.session, frame.world
+        )
+
+    def _target(
+        self, seen: _Seen, at: float
+    ) -> tuple[Float[np.ndarray, "7"], Float[np.ndarray, "6"] | None]:
+        """Where the wrist of the robot is to be at a time, and how that moves."""
+        scale, since = self.config.wrist.scale, max(at - seen.received, 0.0)
+        lead = min(seen.gap, _AHEAD_S)
+        ahead = seen.moving * min(since, lead)
+        moved = seen.pose[:3] + ahead[:3] - self._anchor[:3]
+        turned = poses.multiply(seen.pose[3:], poses.conjugate(self._anchor[3:]))
+        turned = poses.multiply(poses.from_rotation_vectors(ahead[3:]), turned)
+        target = np.concatenate(
+            [self._home[:3] + scale * moved, poses.multiply(turned, self._home[3:])]
+        )
+        if since > 1.5 * lead:  # the next frame is late: do not go on without it
+            return target, None
+        return target, seen.moving * np.array([scale, scale, scale, 1, 1, 1])
+
+    def _measured(self) -> Float[np.ndarray, "7"] | None:
+        place = self.measured()
+        return place if poses.is_valid(place) else None
+
+    def _let_go(self, why: str) -> None:
+        if self._engaged:
+            self._engaged = False
+            self._told.append(f"wrist released: {why}" if why else "wrist released")
+
+
+def _arc(a: Float[np.ndarray, "7"], b: Float[np.ndarray, "7"]) -> Float[np.ndarray, "3"]:
+    """Rotation vector from one orientation to another, in the frame of both [rad]."""
+    return poses.rotation_vectors(poses.multiply(b[3:], poses.conjugate(a[3:])))
+
+
+def _near(a: Float[np.ndarray, "7"], b: Float[np.ndarray, "7"]) -> bool:
+    return math.dist(a[:3], b[:3]) <= NEAR_M and math.hypot(*_arc(a, b)) <= NEAR_RAD

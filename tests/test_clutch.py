@@ -1,0 +1,388 @@
+"""The clutch of the wrist: limits at every pair of stamps, no jump, holds, the measured arm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smooth_operator import Retargeter, load_hand, poses
+from smooth_operator.errors import ConfigError
+from smooth_operator.human.palm_axes import FLAT_HAND
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.runtime.clutch import Clutch
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
+from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig, WristConfig
+from smooth_operator.teleop.sinks.tick import Mode, WristCommand
+from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.types import HandFrame
+
+HZ = 100.0
+HOME = np.array(WristConfig().home)
+
+
+def wrist(x: float = 0.0, y: float = 0.0, z: float = 0.0, turn: object = (0, 0, 0)) -> np.ndarray:
+    return np.concatenate([[x, y, z], poses.from_rotation_vectors(np.array(turn, float))])
+
+
+class Stage:
+    """A clutch, its time, and all that it commanded."""
+
+    def __init__(self, config: WristConfig | None = None, rate: float = HZ) -> None:
+        self.clutch = Clutch(LoopConfig(rate=rate, wrist=config or WristConfig()))
+        self.time, self.period = 0.0, 1 / rate
+        self.times: list[float] = []
+        self.commands: list[WristCommand] = []
+        self.events: list[str] = []
+
+    def tick(
+        self,
+        pose: np.ndarray | None = None,
+        mode: Mode = Mode.TRACKING,
+        dt: float | None = None,
+        *,
+        session: int = 0,
+        world: str = "room",
+        stamp: float | None = None,
+    ) -> WristCommand | None:
+        before = self.time
+        self.time += self.period if dt is None else dt
+        arrival = None
+        if pose is not None:
+            stamp = self.time if stamp is None else stamp
+            frame = HandFrame(FLAT_HAND, stamp, T_world_wrist=pose, world=world)
+            arrival = Arrival(frame, self.time, session)
+        command = self.clutch.step(mode, self.time, self.time - before, arrival)
+        if command is not None:
+            self.times.append(self.time)
+            self.commands.append(command)
+        self.events += self.clutch.events()
+        return command
+
+    @property
+    def poses(self) -> np.ndarray:
+        return np.array([command.pose for command in self.commands])
+
+    def excess(self) -> dict[str, float]:
+        """How far the worst pair of commands goes beyond each limit, over the limit."""
+        config, p, dt = self.clutch.config.wrist, self.poses, np.diff(self.times)[:, None]
+        v = np.diff(p[:, :3], axis=0) / dt
+        turned = poses.multiply(p[1:, 3:], poses.conjugate(p[:-1, 3:]))
+        w = poses.rotation_vectors(turned) / dt
+        apart = np.minimum(dt[1:], (dt[1:] + dt[:-1]) / 2)
+
+        def over(vectors: np.ndarray, limit: float) -> float:
+            return float(np.linalg.norm(vectors, axis=-1).max(initial=0.0) / limit - 1)
+
+        return {
+            "box": float(np.maximum(config.low - p[:, :3], p[:, :3] - config.high).max()),
+            "speed": over(v, config.velocity),
+            "acceleration": over(np.diff(v, axis=0) / apart, config.acceleration),
+            "turning": over(w, config.turn_velocity),
+            "turn acceleration": over(np.diff(w, axis=0) / apart, config.turn_acceleration),
+            "unit": float(np.abs(np.linalg.norm(p[:, 3:], axis=-1) - 1).max()),
+        }
+
+    def first_steps(self) -> np.ndarray:
+        """(engagements, 2) how far the first command after each is from the one before it."""
+        on = [command.engaged for command in self.commands]
+        first = [k for k in range(1, len(on)) if on[k] and not on[k - 1]]
+        p = self.poses
+        return np.array([poses.separation(p[k - 1], p[k]) for k in first]).reshape(-1, 2)
+
+
+def engaged(config: WristConfig | None = None) -> Stage:
+    stage = Stage(config)
+    stage.tick(wrist())
+    assert stage.commands[-1].engaged
+    assert np.array_equal(stage.commands[-1].pose, stage.clutch.config.wrist.home)
+    return stage
+
+
+KINDS = [
+    "go",
+    "go",
+    "go",
+    "go",
+    "still",
+    "flip",
+    "lost",
+    "none",
+    "teleport",
+    "pause",
+    "stop",
+    "released",
+    "restart",
+    "world",
+    "far",
+    "settings",
+    "reversed",
+]
+MOVES = st.lists(
+    st.tuples(
+        st.one_of(
+            st.floats(1e-4, 0.03),
+            st.sampled_from([0.01, 0.01, 1 / 72, 0.0014, 0.2, 2.0]),
+        ),
+        st.sampled_from(KINDS),
+        st.tuples(*[st.floats(-3.0, 3.0)] * 3),  # velocity [m/s]
+        st.tuples(*[st.floats(-9.0, 9.0)] * 3),  # angular velocity [rad/s]
+        st.integers(1, 8),
+    ),
+    min_size=2,
+    max_size=20,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    config=st.builds(
+        WristConfig,
+        scale=st.floats(0.2, 3.0),
+        yaw=st.floats(-4.0, 4.0),
+        velocity=st.floats(0.1, 3.0),
+        acceleration=st.floats(1.0, 50.0),
+        turn_velocity=st.floats(0.3, 10.0),
+        turn_acceleration=st.floats(2.0, 200.0),
+        low=st.sampled_from([(-1.0, -1.0, 0.0), (0.39, -0.02, 0.35)]),
+        high=st.sampled_from([(1.0, 1.0, 1.5), (0.42, 0.01, 0.5)]),
+    ),
+    moves=MOVES,
+)
+def test_limits_hold_at_every_pair_of_stamps(
+    config: WristConfig, moves: list[tuple[float, str, tuple, tuple, int]]
+) -> None:
+    stage, place, session, arm = Stage(config), wrist(), 0, HOME
+    stage.clutch.measured = lambda: arm
+    stage.tick(place)
+    for dt, kind, velocity, turning, count in moves:
+        stage.clutch.released = kind == "released"
+        if kind in ("teleport", "far"):
+            place = poses.compose(wrist(*velocity, turn=turning), place)
+        if kind == "far" and stage.commands:  # the arm was pushed to another place
+            shift = np.array(velocity) * 0.02
+            arm = np.concatenate([np.clip(HOME[:3] + shift, config.low, config.high), place[3:]])
+        else:
+            arm = stage.commands[-1].pose if stage.commands else HOME
+        session += kind == "restart"
+        mode = {"pause": Mode.PAUSED, "stop": Mode.STOPPED}.get(kind, Mode.TRACKING)
+        if kind == "settings":
+            other = replace(config, scale=config.scale * 2)
+            stage.clutch.configure(LoopConfig(wrist=other))
+        for _ in range(count):
+            if kind in ("go", "reversed", "restart"):
+                step = wrist(*(np.array(velocity) * dt), turn=np.array(turning) * dt)
+                place = np.concatenate([place[:3] + step[:3], poses.multiply(step[3:], place[3:])])
+            if kind == "flip":
+                place = place * [1, 1, 1, -1, -1, -1, -1]
+            given_pose = {"lost": np.full(7, np.nan), "none": None}.get(kind, place)
+            stamp = stage.time - 0.001 if kind == "reversed" else None
+            world = "elsewhere" if kind == "world" else "room"
+            stage.tick(given_pose, mode, dt, session=session, stamp=stamp, world=world)
+    over = stage.excess()
+    assert max(over.values()) < 1e-6, over
+    steps = stage.first_steps()
+    assert (steps <= (0.002, 0.02)).all(), steps
+    if (session, stage.clutch.config.wrist.scale) == (0, config.scale):
+        assert np.isfinite(stage.poses).all()
+
+
+def test_the_wrist_is_followed_without_lag() -> None:
+    for rate, frames in ((100.0, 1), (100.0, 2)):  # a tracker at the rate of the loop, and at half
+        stage, config = Stage(rate=rate), WristConfig()
+        apart = []
+        for k in range(400):
+            t = k / rate
+            place = wrist(
+                0.1 * math.sin(2 * math.pi * 0.8 * t),
+                0.05 * math.sin(4 * t),
+                0.0,
+                turn=(0, 0, 0.4 * math.sin(5 * t)),
+            )
+            command = stage.tick(place if k % frames == 0 else None)
+            assert command is not None
+            if k == 0:
+                start = place
+            target = np.concatenate(
+                [HOME[:3] + place[:3] - start[:3], poses.multiply(place[3:], start[3:])]
+            )
+            if k > 50:
+                apart.append(poses.separation(command.pose, target))
+        assert max(stage.excess().values()) < 1e-6
+        assert np.max(apart, axis=0)[0] < (1e-6 if frames == 1 else 2e-3)
+        assert np.max(apart, axis=0)[1] < (1e-6 if frames == 1 else 1e-2)
+        assert config.velocity == 1.0  # 0.5 m/s and 2 rad/s are within the limits
+
+
+def test_pumping_moves_the_robot_farther_than_the_arm_reaches() -> None:
+    stage = engaged()
+    for _ in range(3):
+        for k in range(31):
+            stage.tick(wrist(0.1 * k / 30))
+        for k in range(31):  # back, with the clutch released
+            stage.clutch.released = True
+            stage.tick(wrist(0.1 * (30 - k) / 30))
+        stage.clutch.released = False
+        stage.tick(wrist())
+    assert stage.commands[-1].pose[0] == pytest.approx(HOME[0] + 0.3, abs=0.02)
+    assert stage.events.count("wrist engaged") == 4
+    assert (stage.first_steps() == 0).all()
+
+
+def test_translation_is_scaled_and_turned_to_the_robot() -> None:
+    stage = engaged(WristConfig(scale=2.0, yaw=math.pi / 2))
+    for k in range(60):
+        stage.tick(wrist(0.001 * k, turn=(0.005 * k, 0, 0)))
+    for _ in range(40):
+        stage.tick(wrist(0.059, turn=(0.295, 0, 0)))
+    pose = stage.commands[-1].pose
+    assert np.allclose(pose[:3] - HOME[:3], [0, 0.118, 0], atol=1e-4)  # forward is the robot's y
+    assert np.allclose(poses.rotation_vectors(pose[3:]), [0, 0.295, 0], atol=1e-4)
+
+
+@pytest.mark.parametrize("mode", [Mode.PAUSED, Mode.STOPPED, Mode.HOLDING, Mode.EASING])
+def test_what_is_no_tracking_holds(mode: Mode) -> None:
+    stage = engaged()
+    for k in range(40):
+        stage.tick(wrist(0.005 * k))
+    assert stage.clutch.limiter.velocity[0] == pytest.approx(0.5, abs=0.01)
+    for _ in range(20):
+        stage.tick(wrist(0.2), mode)
+    braked = stage.commands[-1].pose
+    assert stage.poses[-15, 0] == braked[0]  # it stands, after braking at 10 m/s^2
+    assert not stage.commands[-1].engaged
+    for k in range(100):  # the operator goes elsewhere
+        stage.tick(wrist(0.2 - 0.003 * k), mode)
+    stage.tick(wrist(-0.1))
+    assert stage.commands[-1].engaged
+    assert np.array_equal(stage.commands[-1].pose, braked)
+
+
+def test_it_engages_only_when_the_robot_stands() -> None:
+    stage = engaged()
+    for k in range(40):
+        stage.tick(wrist(0.008 * k))
+    stage.tick(wrist(0.3), Mode.PAUSED)
+    moving = stage.tick(wrist(0.3))
+    assert moving is not None
+    assert not moving.engaged
+    while not stage.commands[-1].engaged:
+        stage.tick(wrist(0.3))
+    assert stage.first_steps().max() == 0.0
+
+
+def test_a_lost_wrist_is_held_and_latched_again() -> None:
+    stage = engaged()
+    for k in range(40):
+        stage.tick(wrist(0.002 * k))
+    for _ in range(5):  # 50 ms are no loss
+        stage.tick(np.full(7, np.nan))
+    assert stage.commands[-1].engaged
+    assert stage.commands[-1].valid
+    for _ in range(20):
+        stage.tick(np.full(7, np.nan))
+    assert not stage.commands[-1].valid
+    assert stage.events[-1] == "wrist released: no valid wrist"
+    held = stage.commands[-1].pose
+    stage.tick(wrist(0.7, 0.2))
+    assert stage.commands[-1].engaged
+    assert np.array_equal(stage.commands[-1].pose, held)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"session": 1}, "the tracker was started again"),
+        ({"world": "elsewhere"}, "the tracker was started again"),
+        ({"pose": wrist(0.4)}, "the wrist jumped"),
+        ({"pose": wrist(turn=(0, 0, 2))}, "the wrist jumped"),
+    ],
+)
+def test_a_jump_of_the_tracker_does_not_move_the_robot(change: dict, why: str) -> None:
+    stage = engaged()
+    change = {"pose": wrist(), **change}
+    for _ in range(30):
+        stage.tick(**change)
+    assert f"wrist released: {why}" in stage.events
+    assert stage.commands[-1].engaged
+    assert np.array_equal(stage.poses, np.tile(HOME, (31, 1)))
+
+
+def test_a_flipped_quaternion_is_the_same_wrist() -> None:
+    stage = engaged()
+    for k in range(20):
+        stage.tick(wrist(turn=(0.01, 0, 0)) * ([1, 1, 1, -1, -1, -1, -1] if k % 2 else 1))
+    assert stage.commands[-1].engaged
+    assert stage.events == ["wrist engaged"]
+    assert poses.separation(stage.commands[-1].pose, HOME)[1] < 0.02
+
+
+def test_home_is_where_the_arm_is() -> None:
+    stage, arm = Stage(), wrist(0.2, 0.3, 0.6, turn=(0, 1, 0))
+    stage.clutch.measured = lambda: arm
+    assert stage.tick() is not None  # an arm is commanded before there is a wrist
+    stage.tick(wrist())
+    assert stage.commands[-1].engaged
+    assert np.array_equal(stage.poses, [arm, arm])
+
+
+def test_an_arm_that_was_pushed_is_met_slowly_before_it_engages() -> None:
+    stage, arm = engaged(), wrist(0.5, 0.1, 0.4, turn=(0, 0, 0.5))
+    stage.clutch.released = True
+    stage.tick(wrist())
+    stage.clutch.released = False
+    stage.clutch.measured = lambda: arm
+    while not stage.commands[-1].engaged:
+        stage.tick(wrist())
+    assert stage.time > 0.12 / 0.2  # at a fifth of 1 m/s
+    apart = poses.separation(stage.commands[-1].pose, arm)
+    assert (apart <= (0.02, 0.1)).all()
+    assert max(stage.excess().values()) < 1e-6
+
+
+def test_without_a_wrist_there_is_no_command() -> None:
+    stage = Stage()
+    assert stage.tick() is None
+    assert stage.tick(np.full(7, np.nan)) is None
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"scale": 0.0}, "scale must be positive"),
+        ({"velocity": -1.0}, "velocity must be positive"),
+        ({"yaw": math.nan}, "yaw must be an angle"),
+        ({"low": (0.0, 0.0, 2.0)}, "low must be below high"),
+        ({"home": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "unit quaternion"),
+    ],
+)
+def test_settings_are_checked(setting: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        WristConfig(**setting)
+
+
+def test_a_loop_gives_fingers_and_wrist_one_stamp() -> None:
+    hand, now = load_hand("mimic_p050"), 0.0
+    config = LoopConfig(safety=SafetyConfig(blend_s=0.0))
+    pipeline = HandPipeline(Retargeter(hand), config, clock=lambda: now)
+    recording = SyntheticOperator(seed=1).record(1.0)
+    for k in range(20):
+        now += 0.02
+        frame = replace(recording[k], T_world_wrist=wrist(0.002 * k), world="room")
+        if k == 10:
+            pipeline.supervisor.pause()
+        if k == 15:
+            pipeline.supervisor.resume()
+        tick = pipeline.step(now, Arrival(frame, now))
+        assert tick.wrist is not None
+        assert tick.wrist.engaged == tick.mode.moves
+        if tick.mode.moves:
+            assert tick.command.stamp == frame.stamp
+        if k == 15:
+            assert "wrist engaged" in tick.events
+    assert tick.wrist.pose[0] == pytest.approx(HOME[0] + 0.018 + 0.008, abs=0.003)
+    assert pipeline.step(now, Arrival(recording[21], now)).wrist is not None
