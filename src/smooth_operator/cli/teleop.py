@@ -38,6 +38,7 @@ def teleop(options: Teleop) -> None:
         duration=options.duration,
         safety=options.safety,
         limits=options.limits,
+        wrist=options.wrist,
         priority=options.priority,
         control=options.control,
         page=None if options.no_view else page,

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from smooth_operator.cli.common_options import METHOD_HELP, Common, Meshes, Page
 from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig
+from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, WristConfig
 from smooth_operator.teleop.sinks.registry import SINKS
 from smooth_operator.teleop.sources.registry import SOURCES
 
@@ -100,6 +100,10 @@ Examples:
 
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     """Limits of the commands that leave the loop."""
+
+    wrist: WristConfig = field(default_factory=WristConfig)
+    """The clutch: how the robot's wrist follows the operator's, with trackers that have one. Its
+    pose goes to the sinks with the fingers."""
 
     priority: Literal["high", "normal"] = "high"
     """Whether the loop takes real-time priority, if the system allows it; what it got is in

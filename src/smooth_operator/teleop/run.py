@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.building import build_retargeter
@@ -27,14 +25,19 @@ from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
 from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
+from smooth_operator.teleop.control.signals import ended_by_signals
 from smooth_operator.teleop.control.summary import summarise
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
-from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import going_first, low_jitter
-from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.runtime.settings import (
+    LimitsConfig,
+    LoopConfig,
+    SafetyConfig,
+    WristConfig,
+)
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
@@ -88,6 +91,7 @@ def teleoperate(
     duration: float | None = None,
     safety: SafetyConfig | None = None,
     limits: LimitsConfig | None = None,
+    wrist: WristConfig | None = None,
     priority: Literal["high", "normal"] = "normal",
     control: str | None = None,
     page: PageSettings | None = None,
@@ -129,6 +133,7 @@ def teleoperate(
         duration: end after so long [s]; None for when the source ends.
         safety: what happens when the tracker fails; None for the defaults.
         limits: of the commands; None for the defaults.
+        wrist: how the robot's wrist follows the operator's; None for the defaults.
         priority: ``high`` asks the system for real-time scheduling of this process.
         control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
         page: serve the live page; None for none.
@@ -149,7 +154,8 @@ def teleoperate(
         SmoothOperatorError: a setting is wrong or something can't be opened; nothing has moved.
     """
     said = LoggingReporter() if reporter is None else reporter
-    config = LoopConfig(rate, safety or SafetyConfig(), limits or LimitsConfig())
+    parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
+    config = LoopConfig(rate, *parts)
     if isinstance(source, str):
         source = build_source(source, side)
     wanted = with_task(sinks, task)
@@ -212,7 +218,7 @@ def teleoperate(
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            _signals(loop.controls) as interrupted,
+            ended_by_signals(loop.controls) as interrupted,
             keyboard(loop, said, tried.keys, tried.key_help)
             if attended
             else contextlib.nullcontext(),
@@ -364,25 +370,6 @@ def _announced(source: LiveSource, said: Reporter) -> Iterator[None]:
     finally:  # a thread that outlives the command can abort the interpreter as it ends
         over.set()
         thread.join()
-
-
-@contextlib.contextmanager
-def _signals(controls: Controls) -> Iterator[threading.Event]:
-    """Ctrl-C and SIGTERM end the loop in order."""
-    came = threading.Event()
-
-    def end(number: int, frame: FrameType | None) -> None:
-        came.set()
-        controls.quit()
-
-    # Only the main thread may; elsewhere the caller has its own way to end.
-    main = threading.current_thread() is threading.main_thread()
-    before = {n: signal.signal(n, end) for n in (signal.SIGINT, signal.SIGTERM)} if main else {}
-    try:
-        yield came
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

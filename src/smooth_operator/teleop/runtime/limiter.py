@@ -15,10 +15,10 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig
 MAX_STEP_S: Final = 0.1
 """Longest time that counts between two commands [s]: after a pause the robot does not catch up."""
 
-SHORTEST_S: Final = 1e-9
+_SHORTEST_S: Final = 1e-9
 """Steps are not divided by less than this [s]; the clock does not resolve shorter ones."""
 
-USUAL_S: Final = 0.005
+_USUAL_S: Final = 0.005
 """Step that a joint may count on to stop at its target [s]; few are shorter. It is no guarantee:
 the end of a range is kept without it."""
 
@@ -90,11 +90,11 @@ class Limiter:
         Returns:
             (m,) command [rad].
         """
-        dt = max(dt, SHORTEST_S)
+        dt = max(dt, _SHORTEST_S)
         target = np.where(np.isfinite(target), target, self.q)
         error = np.clip(target, self._low, self._high) - self.q
         a = self._acceleration
-        speed = stoppable_speed(np.abs(error), dt, a, stopped_by_one=a * USUAL_S)
+        speed = _speed(np.abs(error), dt, a, stopped_by_one=a * _USUAL_S)
         if max_velocity is not None:
             speed = np.minimum(speed, max_velocity)
         return self._go(np.sign(error) * speed, dt)
@@ -108,7 +108,7 @@ class Limiter:
         Returns:
             (m,) command [rad].
         """
-        return self._go(np.zeros_like(self.q), max(dt, SHORTEST_S))
+        return self._go(np.zeros_like(self.q), max(dt, _SHORTEST_S))
 
     def succeed(self, other: Limiter) -> None:
         """Go on from where another one of the same hand has brought it."""
@@ -123,8 +123,8 @@ class Limiter:
         exceeded = needed > self._acceleration * 1.001  # not by rounding
         a = np.where(exceeded, needed, self._acceleration)
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
-        down = np.minimum(stoppable_speed(self.q - self._low, dt, a), top)
-        up = np.minimum(stoppable_speed(self._high - self.q, dt, a), top)
+        down = np.minimum(_speed(self.q - self._low, dt, a), top)
+        up = np.minimum(_speed(self._high - self.q, dt, a), top)
         change = a * min(dt, (self._last_dt + dt) / 2)
         # Acceleration comes last: a joint that is too fast for new limits slows down to them.
         velocity = np.clip(wanted, -down, up)
@@ -135,10 +135,10 @@ class Limiter:
         return q
 
 
-def stoppable_speed(
+def _speed(
     distance: Float[np.ndarray, " m"],
     dt: float,
-    acceleration: Float[np.ndarray, " m"] | float,
+    acceleration: Float[np.ndarray, " m"],
     stopped_by_one: Float[np.ndarray, " m"] | float = 0.0,
 ) -> Float[np.ndarray, " m"]:
     """The highest speed for a step after which the joint can still stop within a distance.

@@ -10,16 +10,16 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.teleop.runtime.limiter import (
+    _SHORTEST_S,
+    _USUAL_S,
     MAX_STEP_S,
-    SHORTEST_S,
-    USUAL_S,
-    stoppable_speed,
+    _speed,
 )
 from smooth_operator.teleop.runtime.settings import WristConfig
 
 _STILL: Final = np.zeros(3)
 _AXIS_SHARE: Final = 1 / math.sqrt(3.0)
-"""Share of the acceleration that each axis may count on when all three brake at once."""
+"""Share of the acceleration that each axis may count on when all three brake together."""
 
 
 class PoseLimiter:
@@ -75,7 +75,7 @@ class PoseLimiter:
         Returns:
             (7,) command.
         """
-        dt, config = max(dt, SHORTEST_S), self.config
+        dt, config = max(dt, _SHORTEST_S), self.config
         going, turning = (_STILL, _STILL) if moving is None else (moving[:3], moving[3:])
         way = target[:3] - self.pose[:3]
         arc = poses.rotation_vectors(poses.multiply(target[3:], poses.conjugate(self.pose[3:])))
@@ -96,9 +96,9 @@ class PoseLimiter:
             (7,) command.
         """
         if self.at_rest:
-            self._last_dt = max(dt, SHORTEST_S)
+            self._last_dt = max(dt, _SHORTEST_S)
             return self.pose
-        return self._go(_STILL, _STILL, max(dt, SHORTEST_S), 1.0)
+        return self._go(_STILL, _STILL, max(dt, _SHORTEST_S), 1.0)
 
     def _go(
         self,
@@ -124,8 +124,8 @@ class PoseLimiter:
             wanted,
             config.velocity * share * brief,
             max(config.acceleration, math.sqrt(each @ each)) * shorter,
-            stoppable_speed(place - low, dt, each),
-            stoppable_speed(high - place, dt, each),
+            _speed(place - low, dt, each),
+            _speed(high - place, dt, each),
         )
         self.turn = _nearest(
             self.turn,
@@ -156,7 +156,7 @@ def _towards(
     left = float(np.sqrt(behind @ behind))
     if left < 1e-12:
         return going
-    speed = stoppable_speed(np.array(left), dt, acceleration, acceleration * USUAL_S)
+    speed = _speed(np.array(left), dt, np.array(acceleration), acceleration * _USUAL_S)
     return going + behind * (float(speed) / left)
 
 
@@ -170,30 +170,41 @@ def _nearest(
 ) -> Float[np.ndarray, "3"]:
     """The velocity next to the one wanted that the limits allow.
 
-    ``safe``, the last velocity as far as it may go on, is within all limits, and so is the wanted
-    one once it is cut to the speed and the workspace. Both sets are convex, so all between the two
-    is, and of that it is the farthest which the acceleration can reach.
+    What the workspace and the speed allow are convex sets, so the way between two velocities in
+    them is within them. It leads from the last velocity, braked as far as the workspace asks for,
+    to the same within the speed limit, and on to the one wanted; as far as the acceleration goes.
 
     Args:
         before: the last velocity.
         wanted: the one that is asked for.
-        top: largest speed.
+        top: largest speed; it may have become lower.
         change: largest length of the change.
         down: largest speed against each axis.
         up: largest speed along each axis.
     """
-    wanted = _cut(np.clip(wanted, -down, up), top)
-    safe = _cut(np.clip(before, -down, up), top)
-    must, rest = safe - before, wanted - safe
-    least, way = float(must @ must), float(rest @ rest)
-    if least >= change * change:
-        # Acceleration comes last: a wrist that is too fast for new limits slows down to them.
+    braked = np.clip(before, -down, up)
+    slow = _cut(braked, top)
+    if math.dist(slow, before) >= change:
+        return _reach(before, braked, slow, change)
+    return _reach(before, slow, _cut(np.clip(wanted, -down, up), top), change)
+
+
+def _reach(
+    before: Float[np.ndarray, "3"],
+    start: Float[np.ndarray, "3"],
+    end: Float[np.ndarray, "3"],
+    change: float,
+) -> Float[np.ndarray, "3"]:
+    """The farthest point on the way from ``start`` to ``end`` that is a change away at most."""
+    must, way = start - before, end - start
+    left, length = change * change - float(must @ must), float(way @ way)
+    if left <= 0:
         return np.asarray(before + _cut(must, change))
-    if way < 1e-24:
-        return safe
-    along = float(must @ rest)
-    share = (math.sqrt(along * along - way * (least - change * change)) - along) / way
-    return np.asarray(safe + min(share, 1.0) * rest)
+    if length < 1e-24:
+        return end
+    along = float(must @ way)
+    share = (math.sqrt(along * along + length * left) - along) / length
+    return end if share >= 1 else np.asarray(start + share * way)
 
 
 def _cut(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
