@@ -6,6 +6,8 @@ the fingers and z out of the back of the hand. Each encoder turns them into its 
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Sequence
 from typing import Any
 
@@ -79,3 +81,40 @@ def hts_landmarks(side: Side, points: np.ndarray, meta: str = "") -> bytes:
 def hts_packet(side: Side, pose: Pose, points: np.ndarray, meta: str = "") -> bytes:
     """What the app sends for a hand: a datagram; over TCP a line break follows."""
     return hts_wrist(side, pose, meta) + b"\n" + hts_landmarks(side, points, meta)
+
+
+# XRoboToolkit: OpenXR's axes (x right, y up, z to the wearer), packets with JSON in JSON.
+
+
+def openxr_point(p: Any) -> tuple[float, float, float]:
+    return (-p[1], p[2], -p[0])
+
+
+def openxr_turn(q: Any) -> tuple[float, float, float, float]:
+    """xyzw."""
+    w, x, y, z = q
+    return (-y, z, -x, w)
+
+
+def pico_hand(pose: Pose, joints: np.ndarray, active: int = 1, flags: int = 15) -> dict[str, Any]:
+    """26 joints: the palm, then those of WebXR, all turned as the wrist."""
+    palm = (joints[10] + joints[11]) / 2
+    world = np.vstack([palm, joints]) @ turn(pose[3:]).T + np.asarray(pose[:3])
+    words = [
+        ",".join(str(np.float32(v)) for v in (*openxr_point(p), *openxr_turn(pose[3:])))
+        for p in world
+    ]
+    locations = [{"p": word, "s": flags, "r": 0.01} for word in words]
+    return {"isActive": active, "count": 26, "scale": 1.0, "HandJointLocations": locations}
+
+
+def pico_packet(command: int, body: bytes, unix_ms: int = 1_732_613_438_765) -> bytes:
+    return struct.pack("<BBI", 0x3F, command, len(body)) + body + struct.pack("<qB", unix_ms, 0xA5)
+
+
+def pico_tracking(hands: dict[str, Any], stamp_ns: int | None, nested: bool = True) -> bytes:
+    value: Any = {"predictTime": 12.5, "appState": {"focus": True}, "Hand": hands, "Input": 2}
+    if stamp_ns is not None:
+        value["timeStampNs"] = stamp_ns
+    value = json.dumps(value) if nested else value
+    return pico_packet(0x6D, json.dumps({"functionName": "Tracking", "value": value}).encode())

@@ -33,6 +33,7 @@ SOURCES: Final = Registry(
             f"{_HERE}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
         ),
         "hts": Entry(f"{_HERE}.hts:HtsSource", "the Quest app Hand Tracking Streamer: hts:0.0.0.0"),
+        "pico": Entry(f"{_HERE}.pico:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
             f"{_HERE}.manus.manus_stream:ManusStream",
             "the ZeroMQ stream of glove bridges (extra zmq)",

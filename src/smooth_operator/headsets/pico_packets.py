@@ -1,0 +1,207 @@
+"""Packets of the PICO app XRoboToolkit, and the hand frames in them.
+
+The app connects to the PC service's TCP port 63901 and sends packets, little-endian:
+
+======  ===============  =====================================================================
+byte    type             holds
+======  ===============  =====================================================================
+0       1 byte           0x3F
+1       1 byte           command: 0x19 connection, 0x6C version, 0x23 heartbeat, 0x6D function
+2       uint32           length n of the body
+6       n bytes          body, text in UTF-8
+6 + n   int64            Unix time [ms]
+14 + n  1 byte           0xA5
+======  ===============  =====================================================================
+
+The body of the function ``Tracking`` is JSON whose ``value`` is JSON again, as text (other clients
+of the protocol send the object)::
+
+    {"functionName": "Tracking", "value": "{\\"Hand\\": {\\"rightHand\\": {\\"isActive\\": 1,
+        \\"HandJointLocations\\": [{\\"p\\": \\"x,y,z,qx,qy,qz,qw\\", \\"s\\": 15}, ...]}},
+        \\"timeStampNs\\": 1732613438765715200, ...}"}
+
+The 26 joints are OpenXR's in its order, in its axes: right-handed, x right, y up, z to the wearer.
+``s`` has the bits of XrSpaceLocationFlags: 1 orientation valid, 2 position valid, 4 and 8 tracked.
+
+Source: ``TrackingData.cs``, ``TcpHandler.cs`` and ``NetCMD.cs`` of
+XR-Robotics/XRoboToolkit-Unity-Client, ``PackageHandle.cs`` of its Quest edition. The PC service's
+own description calls the frame left-handed and adds that z is the reverse of Unity's, which makes
+it right-handed; ``unity`` reads one that is not.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.errors import DocumentError, RecordingError, brief
+from smooth_operator.formats.checks import check_palm
+from smooth_operator.io import documents
+from smooth_operator.landmarks import FROM_OPENXR_26, METACARPALS_OPENXR_26
+from smooth_operator.poses import WORLD_AXES, WRIST_AXES, points_to_ours, to_ours
+from smooth_operator.types import HandFrame, Side
+
+PORT: Final = 63_901
+WORLD: Final = "pico"
+"""Name of the world frame: where the headset was when the app started."""
+MOST_BYTES: Final = 60_000
+"""Longest body that is read; all that the app can track at once is half of it."""
+
+Axes: TypeAlias = Literal["openxr", "unity"]
+"""Axes of the joints."""
+
+HEAD: Final = 0x3F
+END: Final = 0xA5
+FUNCTION: Final = 0x6D
+
+_HEADER: Final = struct.Struct("<BBI")
+_TAIL: Final = struct.Struct("<qB")
+_JOINTS: Final = 26
+_POSITION_VALID: Final = 2
+_ORIENTATION_VALID: Final = 1
+_LANDMARKS: Final = np.array(FROM_OPENXR_26)
+_METACARPALS: Final = np.array(METACARPALS_OPENXR_26)
+_SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand", "right"))
+_WXYZ: Final = [0, 1, 2, 6, 3, 4, 5]
+
+
+def split_packets(buffer: bytearray) -> list[bytes]:
+    """Takes whole packets from the front of a buffer, which keeps the rest.
+
+    What begins no packet is given as it is, all of it, so that it is counted where packets are
+    read: TCP loses nothing, so it is another protocol.
+    """
+    found = []
+    while buffer:
+        size = _size(buffer)
+        if size is None:
+            size = len(buffer)
+        elif size == 0 or size > len(buffer):
+            break
+        found.append(bytes(buffer[:size]))
+        del buffer[:size]
+    return found
+
+
+def _size(buffer: bytearray) -> int | None:
+    """Bytes of the first packet; 0 if that is not known yet; None if there is none."""
+    if buffer[0] != HEAD:
+        return None
+    if len(buffer) < _HEADER.size:
+        return 0
+    length: int = _HEADER.unpack_from(buffer)[2]
+    size = _HEADER.size + length + _TAIL.size
+    if length > MOST_BYTES or (len(buffer) >= size and buffer[size - 1] != END):
+        return None
+    return size
+
+
+@dataclass(frozen=True, eq=False)
+class PicoHands:
+    """The hands of a packet, none for one that is no tracking.
+
+    Attributes:
+        frames: those that the headset sees, left first; their stamps are ``stamp``.
+        stamp: by the headset's clock, Unix time [s]; None without one.
+    """
+
+    frames: tuple[HandFrame, ...] = ()
+    stamp: float | None = None
+
+
+def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
+    """Read a packet.
+
+    Raises:
+        RecordingError: it is none, or its hands can't be read.
+    """
+    size = _size(bytearray(data)) if data else None
+    if size is None or size != len(data):
+        raise RecordingError(
+            "a packet must begin with 0x3F and end with 0xA5 after its length, not "
+            f"{data[:8]!r} ({len(data)} bytes); is another program sending to this port?"
+        )
+    if data[1] != FUNCTION:
+        return PicoHands()
+    message = _json(data[_HEADER.size : -_TAIL.size])
+    if not isinstance(message, dict) or message.get("functionName") != "Tracking":
+        return PicoHands()
+    value = message.get("value")
+    tracking = _json(value.encode()) if isinstance(value, str) else value
+    if not isinstance(tracking, dict):
+        raise RecordingError(f"'value' must be an object, not {brief(value)}")
+    stamp = _stamp(tracking.get("timeStampNs"))
+    hands = tracking.get("Hand", {})
+    if not isinstance(hands, dict):
+        raise RecordingError(f"'Hand' must be an object, not {brief(hands)}")
+    frames = (_hand(hands[key], key, side, stamp, axes) for key, side in _SIDES if key in hands)
+    return PicoHands(tuple(frame for frame in frames if frame is not None), stamp)
+
+
+def _json(data: bytes) -> Any:
+    try:
+        return documents.parse_json(data)
+    except DocumentError as error:
+        raise RecordingError(f"the packet is not JSON: {error}") from error
+
+
+def _stamp(value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < 1e20:
+        raise RecordingError(f"'timeStampNs' must be nanoseconds, not {brief(value)}")
+    return float(value) / 1e9 if isinstance(value, float) else value / 1_000_000_000
+
+
+def _hand(hand: Any, key: str, side: Side, stamp: float | None, axes: Axes) -> HandFrame | None:
+    """A hand; None if the headset does not see it."""
+    joints = hand.get("HandJointLocations") if isinstance(hand, dict) else None
+    if not isinstance(joints, list) or len(joints) != _JOINTS:
+        raise RecordingError(
+            f"'{key}' must have {_JOINTS} 'HandJointLocations', not "
+            f"{len(joints) if isinstance(joints, list) else brief(joints)}"
+        )
+    if not hand.get("isActive", True):
+        return None
+    poses, flags = _joints(joints, key)
+    poses[(flags & _POSITION_VALID) == 0, :3] = np.nan
+    turned = poses[:, _WXYZ]
+    turned[(flags & _ORIENTATION_VALID) == 0, 3:] = np.nan
+    points = points_to_ours(poses[:, :3], WORLD_AXES[axes])
+    landmarks = points[_LANDMARKS]
+    valid: Bool[np.ndarray, "21"] = np.isfinite(landmarks).all(axis=1)
+    check_palm(landmarks, valid, f"'{key}'")
+    ours = to_ours(turned, WORLD_AXES[axes], WRIST_AXES[axes])
+    return HandFrame(
+        landmarks,
+        stamp,
+        side,
+        valid=valid,
+        metacarpals=points[_METACARPALS],
+        orientations=ours[_LANDMARKS, 3:],
+        T_world_wrist=ours[1],
+        world=WORLD,
+    )
+
+
+def _joints(
+    joints: list[Any], key: str
+) -> tuple[Float[np.ndarray, "26 7"], np.ndarray[Any, np.dtype[np.int64]]]:
+    poses, flags = [], []
+    for joint in joints:
+        try:
+            numbers = [float(word) for word in joint["p"].split(",")]
+            flag = int(joint.get("s", 0))
+        except (TypeError, KeyError, ValueError, AttributeError, OverflowError):
+            numbers, flag = [], 0
+        if len(numbers) != 7 or not 0 <= flag < 2**31:
+            raise RecordingError(
+                f"a joint of '{key}' must have 'p' with 7 numbers and 's', not {brief(joint)}"
+            )
+        poses.append(numbers)
+        flags.append(flag)
+    return np.array(poses), np.array(flags, np.int64)
