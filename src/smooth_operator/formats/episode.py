@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
+from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 STAMP_TOLERANCE_S: Final = 1e-6
@@ -37,6 +38,7 @@ class Episode:
         task: what was being done, in words, or None.
         name: of the episode, for files and reports.
         notes: what a person should know about how it was read.
+        states: the measured joints of the robot hand, or None.
 
     Raises:
         RecordingError: there is neither hand nor command, arrays do not fit each other, or a stamp
@@ -50,6 +52,7 @@ class Episode:
     task: str | None = None
     name: str = "episode"
     notes: tuple[str, ...] = ()
+    states: StateTrajectory | None = None
 
     def __post_init__(self) -> None:
         if self.recording is None and self.commands is None:

@@ -16,6 +16,13 @@
         latency_ms       (C,) float64, units ms
         status           (C,) int8; attribute status_names: the name of code i at index i
         stages_ms/NAME   (C,) float64, units ms; if the loop's stages were timed
+    /state               the robot hand as it was measured; if it was
+        joint_positions  (S, n) float64, units rad; NaN where unknown
+        joint_names      (n,) text
+        stamps           (S,) float64, units s: of the measurements
+        actuator_names   (a,) text; if it has actuators of their own
+        currents         (S, a) float64, mA or the driver's unit of force; if measured
+        touch            (S, k) float64, the driver's unit; if measured
     /configuration       text, JSON; if there is one
 
 ``/hand`` or ``/commands`` may be absent. A file of another program is read as well if it has the
@@ -40,6 +47,7 @@ from smooth_operator.formats.checks import (
 )
 from smooth_operator.formats.commands import translate_status
 from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
@@ -71,6 +79,8 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
             _write_hand(file.create_group("hand"), episode.recording, episode.meta)
         if episode.commands is not None:
             _write_commands(file.create_group("commands"), episode.commands, episode.stages_ms)
+        if episode.states is not None:
+            _write_states(file.create_group("state"), episode.states)
         if episode.config is not None:  # not an attribute, since these end at 64 KiB
             file.create_dataset("configuration", data=to_json(episode.config))
 
@@ -118,7 +128,9 @@ def read_hdf5_episode(
         texts = top.arrays["configuration"].texts
         config = _object(texts[0] if texts else None, f"{path}: 'configuration'")
     task = _text(top.attributes.get("task"))
-    return Episode(recording, trajectory, config, stages, task, name, notes)
+    group = tree.get("state")
+    states = None if group is None else _read_states(group, path)
+    return Episode(recording, trajectory, config, stages, task, name, notes, states)
 
 
 def read_hdf5_recording(
@@ -177,6 +189,37 @@ def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> 
         data = timed.create_dataset(key, data=np.asarray(times, np.float64))
         data.attrs["units"] = "ms"
         data.attrs["stage"] = stage
+
+
+def _write_states(group: _Group, states: StateTrajectory) -> None:
+    _write(group, "joint_positions", np.asarray(states.positions, np.float64), "rad")
+    _write(group, "stamps", np.asarray(states.stamps, np.float64), "s")
+    texts = h5py_of().string_dtype()
+    group.create_dataset("joint_names", data=list(states.names), dtype=texts)
+    if states.actuators:
+        group.create_dataset("actuator_names", data=list(states.actuators), dtype=texts)
+    for name in ("currents", "touch"):
+        values = getattr(states, name)
+        if values is not None:
+            _write(group, name, np.asarray(values, np.float64), None)
+
+
+def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
+    positions = _numbers(group, "joint_positions", (None, None), path)
+    count = len(positions)
+    optional: dict[str, Any] = {
+        name: _numbers(group, name, (count, None), path) if name in group.arrays else None
+        for name in ("currents", "touch")
+    }
+    names, actuators = (
+        tuple(map(str, group.arrays[key].texts or ())) if key in group.arrays else ()
+        for key in ("joint_names", "actuator_names")
+    )
+    stamps = _numbers(group, "stamps", (count,), path)
+    try:
+        return StateTrajectory(stamps, positions, names, actuators, **optional)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {group.name}: {error}") from error
 
 
 def _write(group: _Group, name: str, value: np.ndarray, units: str | None) -> None:

@@ -20,11 +20,12 @@ import sys
 import threading
 from typing import Any
 
-GROUPS = ("hand", "commands", "commands/stages_ms")
+GROUPS = ("hand", "commands", "commands/stages_ms", "state")
 ARRAYS = {
     "/": ("configuration",),
     "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations"),
     "commands": ("joint_positions", "joint_names", "stamps", "latency_ms", "status"),
+    "state": ("joint_positions", "joint_names", "stamps", "actuator_names", "currents", "touch"),
 }
 """Of the groups; all arrays of ``stages_ms`` are read."""
 

@@ -22,6 +22,7 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
+from smooth_operator.teleop.recording import messages as as_json
 from smooth_operator.teleop.recording.loop_state import LoopState
 from smooth_operator.teleop.recording.mcap_library import (
     CompressionType,
@@ -29,7 +30,6 @@ from smooth_operator.teleop.recording.mcap_library import (
     SchemaEncoding,
     Writer,
 )
-from smooth_operator.teleop.recording.messages import hand_message, number
 from smooth_operator.teleop.recording.schemas import (
     COMMAND,
     CONFIG,
@@ -38,10 +38,12 @@ from smooth_operator.teleop.recording.schemas import (
     METHOD,
     ORIGIN,
     SCHEMAS,
+    STATE,
     STATUS,
     TIMING,
     VERSION,
 )
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 _COMPRESSION = {
@@ -50,7 +52,6 @@ _COMPRESSION = {
     "none": CompressionType.NONE,
 }
 _ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
-_MAX_LOG_TIME = 2**64 - 1
 _UNLIMITED = 2**62  # chunks are ended here, not by the MCAP writer, so that each reaches the disk
 
 
@@ -130,7 +131,7 @@ class LogWriter:
             )
             self._writer.start(library="smooth-operator")
             for topic in SCHEMAS:
-                if topic != LOOP:  # which only the logs of a live loop have
+                if topic not in (LOOP, STATE):  # which only the logs of a live loop have
                     self._register(topic)
             self._end_chunk()  # a log that is killed now is an empty log, not an empty file
 
@@ -152,8 +153,8 @@ class LogWriter:
                 f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
                 f"{frame.side} one; write each hand to its own log"
             )
-        shown = self._foxglove.hand(frame, _nanoseconds(frame.time))
-        self._append((HAND, hand_message(frame)), *shown)
+        shown = self._foxglove.hand(frame, as_json.nanoseconds(frame.time))
+        self._append((HAND, as_json.hand_message(frame)), *shown)
         self._hand_stamp = frame.time
         self._side = frame.side
 
@@ -196,23 +197,31 @@ class LogWriter:
             raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
         timing = {
             "stamp": stamp,
-            "latency_ms": number(latency_ms),
-            "stages": [{"name": k, "ms": number(v)} for k, v in (stages or {}).items()],
+            "latency_ms": as_json.number(latency_ms),
+            "stages": [{"name": k, "ms": as_json.number(v)} for k, v in (stages or {}).items()],
         }
         status = Status(status)
         why = {"stamp": stamp, "status": int(status), "reason": status.reason}
         message = {
             "stamp": stamp,
             "names": names,
-            "positions": [number(x) for x in positions.tolist()],
+            "positions": [as_json.number(x) for x in positions.tolist()],
         }
         # The command last, so that in a log that is cut off it never lacks its timing and status.
         beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
         if loop is not None:
             beside.append((LOOP, loop.message(stamp)))
-        beside += self._foxglove.command(names, positions, _nanoseconds(stamp))
+        beside += self._foxglove.command(names, positions, as_json.nanoseconds(stamp))
         self._append(*beside, (COMMAND, message))
         self._names = names
+
+    def write_state(self, state: HandState) -> None:
+        """Append where the robot hand was measured to be.
+
+        Raises:
+            OutputError: as for the class.
+        """
+        self._append((STATE, as_json.state_message(state)))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Append the resolved configuration, once.
@@ -319,7 +328,7 @@ class LogWriter:
             if not self._pending_bytes:
                 self._pending_since = now
             if messages:
-                self._log_time = _nanoseconds(messages[0][1]["stamp"])
+                self._log_time = as_json.nanoseconds(messages[0][1]["stamp"])
             if self._config is not None:
                 self._message(CONFIG, {"configuration": self._config})
                 self._config, self._config_written = None, True
@@ -387,8 +396,3 @@ class LogWriter:
                 os.ftruncate(file, self._whole_bytes)
             finally:
                 os.close(file)
-
-
-def _nanoseconds(stamp: float) -> int:
-    """A stamp as MCAP has it: whole, and none before zero; the message keeps it exactly."""
-    return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)

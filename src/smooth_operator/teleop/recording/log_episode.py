@@ -10,6 +10,7 @@ import numpy as np
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.checks import check_rate, check_side
 from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
@@ -18,7 +19,8 @@ from smooth_operator.teleop.recording.log_reader import Log, read_log
 from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
 from smooth_operator.teleop.recording.staging import staged_file
-from smooth_operator.types import JointCommand, Side, Status
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.types import HandRecording, JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
 
@@ -43,7 +45,9 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
     if log.loop is not None:
         notes += (f"{path}: mode and events of the live loop stay behind, in the log",)
     task = log.origin.get("task")
-    return Episode(recording, log.commands, log.config, log.stages_ms, task, name, notes)
+    return Episode(
+        recording, log.commands, log.config, log.stages_ms, task, name, notes, log.states
+    )
 
 
 def write_log_episode(path: Path, episode: Episode) -> None:
@@ -64,7 +68,8 @@ def write_log_episode(path: Path, episode: Episode) -> None:
         log.write_origin(origin)
         if episode.config is not None:
             log.write_config(episode.config)
-        written = 0
+        written = shown = 0
+        states = () if episode.states is None else _states(episode.states, recording)
         for i in range(0 if commands is None else len(commands)):
             assert commands is not None
             stamp = float(commands.stamps[i])
@@ -73,6 +78,9 @@ def write_log_episode(path: Path, episode: Episode) -> None:
                     break
                 log.write_hand(recording[written])
                 written += 1
+            while shown < len(states) and states[shown].stamp <= stamp:
+                log.write_state(states[shown])
+                shown += 1
             log.write_command(
                 JointCommand(commands.joint_positions[i], commands.joint_names, stamp),
                 Status(int(commands.status[i])),
@@ -82,6 +90,27 @@ def write_log_episode(path: Path, episode: Episode) -> None:
         if recording is not None:
             for frame in recording[written:]:
                 log.write_hand(frame)
+        for state in states[shown:]:
+            log.write_state(state)
+
+
+def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[HandState, ...]:
+    """The measurements one by one."""
+    side: Side = "right" if recording is None else recording.side
+    currents, touch = states.currents, states.touch
+    return tuple(
+        HandState(
+            side,
+            "",
+            float(stamp),
+            states.names,
+            states.positions[k],
+            actuators=states.actuators,
+            currents=None if currents is None else currents[k],
+            touch=None if touch is None else touch[k],
+        )
+        for k, stamp in enumerate(states.stamps)
+    )
 
 
 def log_losses(episode: Episode) -> list[str]:

@@ -15,9 +15,11 @@ from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.registry import readable
 from smooth_operator.formats.sniff import file_kind
+from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.log_records import DamagedError, read_records, read_summary
+from smooth_operator.teleop.recording.log_states import decode_state, read_states
 from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track
 from smooth_operator.teleop.recording.mcap_library import Channel, Metadata
 from smooth_operator.teleop.recording.schemas import (
@@ -29,6 +31,7 @@ from smooth_operator.teleop.recording.schemas import (
     ORIGIN,
     READABLE_VERSIONS,
     SCHEMAS,
+    STATE,
     STATUS,
     TIMING,
     VERSION,
@@ -78,6 +81,7 @@ class Log:
             where a command did not have the stage.
         origin: what the log says of where it came from: ``name``, ``task``, ``meta`` (JSON).
         loop: mode, events and more of each command, where a live loop wrote the log.
+        states: the measured joints of the robot hand, where a live loop had them.
         methods: what drove the hand, in order, where a live loop wrote the log; each until the
             next one's stamp.
     """
@@ -90,6 +94,7 @@ class Log:
     origin: dict[str, str] = field(default_factory=dict)
     loop: LoopTrack | None = None
     methods: tuple[MethodUse, ...] = ()
+    states: StateTrajectory | None = None
 
     def __repr__(self) -> str:
         end = "truncated" if self.truncated else "whole"
@@ -126,13 +131,14 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         loop = read_loop_track([n for n, _ in messages[COMMAND]], dict(messages[LOOP]))
         config = _object(messages[CONFIG][0][1]["configuration"]) if messages[CONFIG] else None
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
+        states = read_states([message for _, message in messages[STATE]])
         methods = tuple(_method(texts) for name, texts in notes if name == METHOD)
     except RecordingError:
         raise  # it is a ValueError too, but has its own message
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise _not_ours(path, error) from error
     origin = next((texts for name, texts in reversed(notes) if name == ORIGIN), {})
-    return Log(recording, trajectory, config, truncated, stages, origin, loop, methods)
+    return Log(recording, trajectory, config, truncated, stages, origin, loop, methods, states)
 
 
 def read_log_recording(
@@ -255,6 +261,8 @@ def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
             message["positions"] = np.array(message["positions"], np.float64)
             if "status" in found:  # of version 1
                 message["status"] = found["status"]
+        elif topic == STATE:
+            decode_state(message)
         elif topic == TIMING:
             stages = [(_text(at["name"]), _float(at["ms"])) for at in message["stages"]]
             message["stages"] = stages[: _MOST_STAGES + 1]

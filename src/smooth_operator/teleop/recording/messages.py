@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.types import HandFrame
+
+_MAX_LOG_TIME = 2**64 - 1
 
 
 def hand_message(frame: HandFrame) -> dict[str, Any]:
@@ -27,6 +30,22 @@ def hand_message(frame: HandFrame) -> dict[str, Any]:
     return message
 
 
+def state_message(state: HandState) -> dict[str, Any]:
+    """A measured state as a message of ``/state``."""
+    message: dict[str, Any] = {
+        "stamp": state.stamp,
+        "names": state.names,
+        "positions": numbers(state.positions),
+    }
+    for name in ("velocities", "currents", "temperatures", "touch"):
+        values = getattr(state, name)
+        if values is not None:
+            message[name] = numbers(values)
+    if state.actuators:
+        message["actuators"] = state.actuators
+    return message
+
+
 def points(array: Float[np.ndarray, "N 3"]) -> list[dict[str, float | None]]:
     """Rows x, y, z as objects."""
     return [{"x": x, "y": y, "z": z} for x, y, z in _rows(array)]
@@ -40,6 +59,17 @@ def quaternions(array: Float[np.ndarray, "N 4"]) -> list[dict[str, float | None]
 def number(value: float | None) -> float | None:
     """A number, None where it is not finite."""
     return None if value is None or not math.isfinite(value) else float(value)
+
+
+def numbers(array: Float[np.ndarray, " k"]) -> list[float | None]:
+    """A row of numbers."""
+    (row,) = _rows(array[None])
+    return row
+
+
+def nanoseconds(stamp: float) -> int:
+    """A stamp as MCAP has it: whole, and none before zero; the message keeps it exactly."""
+    return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)
 
 
 def _rows(array: Float[np.ndarray, "N K"]) -> list[list[float | None]]:

@@ -24,6 +24,8 @@ STATUS: Final = "/status"
 TIMING: Final = "/timing"
 LOOP: Final = "/loop"
 """Only in logs of a live loop; readers that do not know it pass over it."""
+STATE: Final = "/state"
+"""Only in logs of a live loop whose hand is measured."""
 CONFIG: Final = "/config"
 
 ORIGIN: Final = "smooth_operator.origin"
@@ -116,6 +118,21 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
             tracking_loss={"type": "number", "description": "of the frame; or null"},
             scale={"type": "number", "description": "robot over human size; or null"},
             events=_array({"type": "string"}, "what happened, a sentence each"),
+        ),
+    ),
+    STATE: (
+        "smooth_operator.State",
+        _object(
+            "The measured state of the robot hand.",
+            ("stamp", "names", "positions"),
+            stamp={"type": "number", "description": "of the measurement [s], loop's clock"},
+            names=_array({"type": "string"}, "joint names, in the model's order"),
+            positions=_array(_NUMBER, "measured joint positions [rad]; null where unknown"),
+            velocities=_array(_NUMBER, "measured joint velocities [rad/s]; absent if unknown"),
+            actuators=_array({"type": "string"}, "names of the actuators; absent if none"),
+            currents=_array(_NUMBER, "of the actuators, mA or the driver's unit of force"),
+            temperatures=_array(_NUMBER, "of the actuators [degrees Celsius]"),
+            touch=_array(_NUMBER, "touch or force sensors, in the driver's unit"),
         ),
     ),
     CONFIG: (

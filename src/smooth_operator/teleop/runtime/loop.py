@@ -198,6 +198,9 @@ class TeleopLoop:
         self._stopped.discard(side)
         pace.take(now)
         tick = self.pipelines[side].step(now, arrival)
+        state = self.sinks.state(side)
+        if state is not None:
+            tick = replace(tick, state=state)
         before = self.mailbox.clock()
         self.sinks.send(tick)
         sent = self._beat = self.mailbox.clock()

@@ -16,6 +16,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.teleop.recording.foxglove import landmark_keypoints
 from smooth_operator.teleop.recording.loop_state import LoopState
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.stamps import StampMap
 from smooth_operator.teleop.sinks.tick import Driver, Tick
 from smooth_operator.types import JointCommand, Side, Status
@@ -192,6 +193,7 @@ class _HandLog:
         self._log.write_config(config)
         self._stamps = StampMap()
         self._driver: Driver | None = None
+        self._state: HandState | None = None
         self._pending = False
 
     def write(self, tick: Tick, events: tuple[str, ...]) -> None:
@@ -204,6 +206,9 @@ class _HandLog:
             self._log.write_method(
                 stamp, tick.driver.method, tick.driver.preset, tick.driver.config
             )
+        if tick.state is not None and tick.state is not self._state:
+            self._state = tick.state
+            self._log.write_state(tick.state)
         arrival = tick.arrival
         self._log.write_command(
             JointCommand(tick.command.positions, tick.command.names, stamp),

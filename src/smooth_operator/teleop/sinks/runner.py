@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import Clock
@@ -134,6 +135,16 @@ class SinkRunner:
                 entry.sent += 1
             else:
                 entry.missed += 1
+
+    def state(self, side: Side) -> HandState | None:
+        """Where a hand is, as it was last measured: by a real one, else by a simulated one."""
+        found: HandState | None = None
+        for entry in self._entries:
+            if entry.state == "open" and (measured := entry.sink.state(side)) is not None:
+                if entry.sink.simulation is None:
+                    return measured
+                found = found or measured
+        return found
 
     def stalled(self, seconds: float) -> None:
         """Notify every open sink that no command has come for so long.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import JointCommand, Side, Status
 
@@ -93,6 +94,8 @@ class Tick:
         events: what happened at this tick, a sentence each: a mode that changed, frames refused.
         driver: what the hand is driven by, if the loop knows; the same object until it
             changes.
+        state: where the hand was when that was last measured, if a sink measures it; the same
+            object until there is a newer one.
         wrist: the target of the hand's wrist, with the same stamp; None where the loop moves
             fingers only.
     """
@@ -112,3 +115,4 @@ class Tick:
     events: tuple[str, ...] = ()
     driver: Driver | None = None
     wrist: WristCommand | None = None
+    state: HandState | None = None

@@ -11,6 +11,8 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.recording.messages import numbers
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
@@ -96,6 +98,29 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
     }
 
 
+def state_message(state: HandState) -> dict[str, Any]:
+    """A measured state as the far side gets it; ``topic`` is first, so that it can be filtered for
+    and is not taken for a command."""
+    message: dict[str, Any] = {
+        "topic": "/state",
+        "side": state.side,
+        "type": "state",
+        "format": FORMAT,
+        "hand": state.hand,
+        "time": state.stamp,
+        "unix_time": time.time() - (time.perf_counter() - state.stamp),
+        "names": list(state.names),
+        "positions": numbers(state.positions),
+    }
+    for name in ("velocities", "currents", "temperatures", "touch"):
+        values = getattr(state, name)
+        if values is not None:
+            message[name] = numbers(values)
+    if state.actuators:
+        message["actuators"] = list(state.actuators)
+    return message
+
+
 def encode(message: Mapping[str, Any]) -> bytes:
     """JSON without blanks; it has no word for NaN and gets none."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
@@ -115,10 +140,15 @@ class _Publisher:
     ) -> None:
         self._context, self._socket = context, socket
         self._hands, self._valid_for_s = hands, valid_for_s
+        self._states: dict[Side, HandState] = {}  # the last that was published
 
     def deliver(self, tick: Tick) -> None:
-        """Publish a command."""
+        """Publish a command, and the hand's measured state if it is new."""
         self._socket.send(encode(command_message(tick, self._valid_for_s)))
+        state = tick.state
+        if state is not None and state is not self._states.get(tick.side):
+            self._states[tick.side] = state
+            self._socket.send(encode(state_message(state)))
 
     def stalled(self, seconds: float) -> None:
         """Publish, for each hand, that no command comes."""

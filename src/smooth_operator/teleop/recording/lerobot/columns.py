@@ -5,6 +5,8 @@ LeRobot's own:
 ======================  =====================  ===================================================
 ``observation.state``   float32 (63,)          landmarks [m], wrist.x, wrist.y, … pinky_tip.z; NaN
                                                where the tracker has no value
+                                               ; where the robot hand was measured, its joint
+                                               positions [rad] by joint name instead
 ``action``              float32 (n,)           joint positions [rad] by joint name; NaN in a frame
                                                that no command answers
 ``timestamp``           float32                ``frame_index / fps`` [s]
@@ -28,6 +30,8 @@ What these can't hold, without loss:
 ``status``              int64                  code of the command's status; -1 where there is none
 ``latency_ms``          float64                from landmarks to command [ms]
 ``stages_ms``           float64 (k,)           parts of it [ms], by stage
+``measured_positions``  float64 (n,)           measured joint positions [rad], newest at ``stamp``
+``measured_stamp``      float64                when they were measured [s]
 ======================  =====================  ===================================================
 
 A dataset has the columns that any of its episodes needs; an episode's row in ``meta/episodes``
@@ -58,7 +62,7 @@ _ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axi
 INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 UNITS: Final = {
-    "observation.state": "m, landmarks",
+    "observation.state": "m, landmarks; rad, measured joint positions, where those are its names",
     "action": "rad, joint positions",
     "timestamp": "s, frame_index / fps",
     "stamp": "s, true time of the frame",
@@ -72,6 +76,8 @@ UNITS: Final = {
     "status": "why the command is what it is; -1 in a frame without a command",
     "latency_ms": "ms, from landmarks to command",
     "stages_ms": "ms, parts of the latency",
+    "measured_positions": "rad, measured, the newest at stamp",
+    "measured_stamp": "s, when they were measured",
 }
 """Unit or meaning of each column that is not an index."""
 
@@ -86,6 +92,7 @@ class Layout:
         orientations: with orientations.
         joints: names of the joints; None without commands.
         stages: names of the timed stages of the loop.
+        measured: names of the joints that the robot hand measured; None without.
     """
 
     hand: bool
@@ -93,6 +100,7 @@ class Layout:
     orientations: bool
     joints: tuple[str, ...] | None
     stages: tuple[str, ...]
+    measured: tuple[str, ...] | None = None
 
     @classmethod
     def of(cls, episode: Episode) -> Layout:
@@ -104,6 +112,7 @@ class Layout:
             recording is not None and recording.orientations is not None,
             None if commands is None else tuple(commands.joint_names),
             tuple(episode.stages_ms),
+            None if episode.states is None else tuple(episode.states.names),
         )
 
     def widened(self, other: Layout, names: tuple[str, str]) -> Layout:
@@ -120,6 +129,7 @@ class Layout:
         for what, mine, theirs in (
             ("hand frames", self.hand, other.hand),
             ("commands", self.joints is not None, other.joints is not None),
+            ("measured joints", self.measured is not None, other.measured is not None),
         ):
             if mine != theirs:
                 has, lacks = names if mine else names[::-1]
@@ -133,6 +143,11 @@ class Layout:
                 f"({', '.join(self.joints or ())} and {', '.join(other.joints or ())}); write the "
                 "commands of each robot hand to its own LeRobot dataset"
             )
+        if self.measured != other.measured:
+            raise RecordingError(
+                f"{names[0]} and {names[1]} measured different joints; write each robot hand to "
+                "its own LeRobot dataset"
+            )
         more = tuple(stage for stage in other.stages if stage not in self.stages)
         return Layout(
             self.hand,
@@ -140,6 +155,7 @@ class Layout:
             self.orientations or other.orientations,
             self.joints,
             self.stages + more,
+            self.measured,
         )
 
     def features(self) -> dict[str, dict[str, Any]]:
@@ -154,7 +170,9 @@ class Layout:
                 "names": None if names is None else list(names),
             }
 
-        if self.hand:
+        if self.measured is not None:
+            add("observation.state", "float32", self.measured)
+        elif self.hand:
             add("observation.state", "float32", LANDMARK_NAMES)
         if self.joints is not None:
             add("action", "float32", self.joints)
@@ -174,6 +192,9 @@ class Layout:
             add("latency_ms", "float64")
         if self.stages:
             add("stages_ms", "float64", self.stages)
+        if self.measured is not None:
+            add("measured_positions", "float64", self.measured)
+            add("measured_stamp", "float64")
         for name in INDICES:
             add(name, "float32" if name == "timestamp" else "int64")
         return features
@@ -234,6 +255,10 @@ def episode_columns(
             if stage in episode.stages_ms:
                 times[rows, i] = episode.stages_ms[stage]
         columns["stages_ms"] = times
+    if episode.states is not None:
+        measured, when = episode.states.at(episode.stamps)
+        columns |= {"observation.state": measured, "measured_positions": measured}
+        columns["measured_stamp"] = when
     frames = np.arange(count)
     columns["timestamp"] = frames / fps
     columns["frame_index"] = frames

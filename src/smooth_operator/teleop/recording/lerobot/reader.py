@@ -28,6 +28,7 @@ from smooth_operator.formats.checks import (
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import check_anatomy
 from smooth_operator.formats.sniff import is_dataset
+from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.teleop.recording.lerobot.arrow import numbers, read_table
@@ -201,7 +202,10 @@ def read_dataset_episode(
     tasks = row.get("tasks")
     task = own["task"] if "task" in own else tasks[0] if isinstance(tasks, list) and tasks else None
     task = None if task is None else str(task)
-    return Episode(recording, commands, config, stages, task, name, notes)
+    states = None
+    if "measured_positions" in dataset.info["features"]:
+        states = _states(table, dataset.info["features"], file)
+    return Episode(recording, commands, config, stages, task, name, notes, states)
 
 
 def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
@@ -317,6 +321,18 @@ def _recording(
         meta=meta,
         **optional,
     )
+
+
+def _states(table: Any, features: dict[str, Any], file: Path) -> StateTrajectory:
+    """The measurements, each once: a frame has the newest."""
+    names = tuple(_names(features["measured_positions"]))
+    stamps = numbers(table, "measured_stamp", 1, file)[:, 0].astype(np.float64)
+    positions = numbers(table, "measured_positions", len(names), file).astype(np.float64)
+    new = np.isfinite(stamps) & np.diff(stamps, prepend=-np.inf).astype(bool)
+    try:
+        return StateTrajectory(stamps[new], positions[new], names)
+    except RecordingError as error:
+        raise RecordingError(f"{file}: {error}") from error
 
 
 def _commands(

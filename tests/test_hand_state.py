@@ -1,0 +1,182 @@
+"""Measured joints next to the command: in ticks, log, ZeroMQ, HDF5 and LeRobot datasets."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ticks import make_tick
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.recording import read_episode, write_episode
+from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.teleop.recording.messages import state_message
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.record import RecordSink
+from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.zmq_sink import command_message
+from smooth_operator.teleop.sinks.zmq_sink import state_message as zmq_message
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+def measured(hand: Hand, number: int, stamp: float) -> HandState:
+    count = len(hand.joint_names)
+    positions = np.linspace(0.0, 1.0, count) + 0.01 * number
+    positions[3] = np.nan
+    return HandState(
+        "right",
+        hand.name,
+        stamp,
+        hand.joint_names,
+        positions,
+        np.full(count, 0.5),
+        ("a", "b"),
+        np.array([100.0 + number, np.nan]),
+        np.array([31.0, 32.0]),
+        np.array([0.1, 0.2, 0.3]),
+    )
+
+
+def ticks(hand: Hand, count: int) -> list[Tick]:
+    """Every state is in two ticks, as of a hand at half the loop's rate."""
+    start, found = time.perf_counter(), []
+    state = measured(hand, 0, start - 0.004)
+    for number in range(count):
+        at = start + 0.01 * number
+        if number % 2 == 0:
+            state = measured(hand, number, at - 0.004)
+        found.append(replace(make_tick(hand, number, at=at), state=state))
+    return found
+
+
+@pytest.fixture
+def log(tmp_path: Path, hand: Hand) -> Path:
+    sink = RecordSink(tmp_path / "take.mcap")
+    sink.open({"right": hand}, {"hand": hand.name})
+    for tick in ticks(hand, 10):
+        sink.send(tick)
+    sink.close()
+    return tmp_path / "take.mcap"
+
+
+def test_a_log_has_each_measurement_once(log: Path, hand: Hand) -> None:
+    states = read_log(log).states
+    assert states is not None
+    assert states.positions.shape == (5, len(hand.joint_names))
+    assert states.names == hand.joint_names
+    assert np.isnan(states.positions[:, 3]).all()
+    assert states.positions[:, 0] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08])
+    assert states.currents is not None
+    assert states.currents[:, 0].tolist() == [100.0, 102.0, 104.0, 106.0, 108.0]
+    assert states.touch is not None
+    assert states.touch.shape == (5, 3)
+    commands = read_log(log).commands
+    assert commands is not None
+    assert len(commands) == 10
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".mcap"])
+def test_measured_joints_survive_a_conversion(log: Path, tmp_path: Path, suffix: str) -> None:
+    if suffix == ".h5":
+        pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
+    episode = read_episode(log)
+    path = tmp_path / f"copy{suffix}"
+    write_episode(path, episode)
+    again = read_episode(path).states
+    assert episode.states is not None
+    assert again is not None
+    for name in ("stamps", "positions", "currents", "touch"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(episode.states, name), name)
+    assert (again.names, again.actuators) == (episode.states.names, ("a", "b"))
+
+
+def test_a_dataset_observes_the_measured_joints(log: Path, tmp_path: Path, hand: Hand) -> None:
+    pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+    from smooth_operator.teleop.recording.lerobot.writer import write_dataset
+
+    episode = read_episode(log)
+    path = tmp_path / "dataset"
+    write_dataset(path, [lambda: episode], fps=100)
+    features = json.loads((path / "meta" / "info.json").read_text())["features"]
+    assert features["observation.state"]["names"] == list(hand.joint_names)
+    assert features["action"]["names"] == list(hand.joint_names)
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(next(path.glob("data/*/*.parquet")))
+    state = np.array(table["observation.state"].to_pylist())
+    assert state[:, 0] == pytest.approx([0.0, 0.0, 0.02, 0.02, 0.04, 0.04, 0.06, 0.06, 0.08, 0.08])
+    again = read_episode(path)
+    assert again.states is not None
+    assert episode.states is not None
+    np.testing.assert_array_equal(again.states.stamps, episode.states.stamps)
+    np.testing.assert_array_equal(again.states.positions, episode.states.positions)
+    bare = replace(episode, states=None, name="bare")
+    with pytest.raises(RecordingError, match="holds measured joints and bare holds none"):
+        write_dataset(tmp_path / "mixed", [lambda: episode, lambda: bare], fps=100)
+
+
+def test_states_of_an_episode_must_fit() -> None:
+    with pytest.raises(RecordingError, match="positions must have shape"):
+        StateTrajectory(np.zeros(2), np.zeros((2, 3)), ("a",))
+    with pytest.raises(RecordingError, match="never go back"):
+        StateTrajectory(np.array([1.0, 0.0]), np.zeros((2, 1)), ("a",))
+    few = StateTrajectory(np.array([1.0, 2.0]), np.array([[5.0], [6.0]]), ("a",))
+    positions, stamps = few.at(np.array([0.5, 1.5, 2.0, 9.0]))
+    assert positions[:, 0].tolist() == [5.0, 5.0, 6.0, 6.0]
+    assert stamps.tolist() == [1.0, 1.0, 2.0, 2.0]
+    assert Episode.__dataclass_fields__["states"].default is None
+
+
+def test_a_message_of_a_state_is_no_command(hand: Hand) -> None:
+    state = measured(hand, 1, time.perf_counter())
+    message = zmq_message(state)
+    text = json.dumps(message, separators=(",", ":"), allow_nan=False)
+    assert text.startswith('{"topic":"/state","side":"right",')
+    command = command_message(make_tick(hand), 0.2)
+    assert not text.startswith('{"side":"right"')  # what drivers subscribe to
+    assert next(iter(command)) == "side"
+    assert message["positions"][3] is None
+    assert message["currents"] == [101.0, None]
+    assert abs(message["unix_time"] - time.time()) < 5.0
+    assert state_message(state)["touch"] == [0.1, 0.2, 0.3]
+
+
+def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand: Hand) -> None:
+    sink = build_sink("mujoco")
+    runner = SinkRunner([sink])
+    runner.open({"right": hand}, {})
+    state = runner.state("right")
+    assert state is not None
+    assert state.names == hand.joint_names
+    assert state.positions.shape == (len(hand.joint_names),)
+    assert runner.state("left") is None
+
+    class Real:
+        label, observes, simulation, note, figures = "real", False, None, "", {}
+
+        def state(self, side: str) -> HandState:
+            return measured(hand, 0, 1.0)
+
+        def open(self, *_: object) -> None: ...
+        def close(self) -> None: ...
+
+    runner.add(Real())  # type: ignore[arg-type]
+    found = runner.state("right")
+    assert found is not None
+    assert found.stamp == 1.0
+    runner.close()
+    assert runner.state("right") is None
