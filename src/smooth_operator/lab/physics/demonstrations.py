@@ -38,8 +38,9 @@ WORLDS: Final = 100
 """Perturbed worlds of each task."""
 
 QUICK_WORLDS: Final = 5
-STAYS_S: Final = 0.5
-"""The operator stays in the last pose for so long [s]: a goal must be met for half a second."""
+STAYS_S: Final = 2.0
+"""The operator stays in the last pose for so long [s]: a goal must be met for half a second, and
+what hangs between two fingertips swings for a while before."""
 
 
 @dataclass(frozen=True, eq=False)
