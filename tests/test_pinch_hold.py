@@ -17,7 +17,7 @@ from smooth_operator.lab.physics.registry import find_measure
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.methods.presets import method_config
 from smooth_operator.simulation.scenes.grasp_objects import GRASP_OBJECTS, GraspObject
-from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics
+from smooth_operator.simulation.scenes.grasp_physics import PinchPhysics
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 
@@ -103,9 +103,10 @@ def pinched(
     rest = 0.9 if early else 1.7 + late
     closed = share * np.interp(stamps, [0.0, 0.4, rest, rest + 0.15], [0.0, 1.0, 1.0, 0.0])
     commands = wide + closed[:, None] * (tight - wide)
-    physics = GraspPhysics(hand, thing(name))
+    physics = PinchPhysics(hand, thing(name))
     physics._built.model.geom_friction[:, 0] *= push
-    return try_pinch(physics, RobotPinch(1, stamps, commands, 0.4, 1.7, 1.75))
+    pinch = RobotPinch(finger=1, stamps=stamps, commands=commands, tight=0.4, shut=1.7, opened=1.75)
+    return try_pinch(physics, pinch)
 
 
 @pytest.mark.parametrize("name", ["card 2", "pen 8", "sphere 20", "cube 30"])
@@ -143,7 +144,7 @@ def test_what_opens_early_drops_and_late_holds_on() -> None:
 def test_the_object_appears_without_a_jolt() -> None:
     """Held loosely while the pads close on it; where it is let go it does not jump."""
     hand = load_hand("mimic_p050")
-    physics = GraspPhysics(hand, thing("sphere 20"))
+    physics = PinchPhysics(hand, thing("sphere 20"))
     physics.begin(1, hand.full_configuration(WIDE))
     physics.command(hand.full_configuration(TIGHT))
     while physics.gap().distance > 0.02:

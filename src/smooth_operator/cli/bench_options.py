@@ -35,6 +35,7 @@ independent units. The measures (docs/explanation/physics-measures.md):
   reachable       the hand's own motions play the human: what is exact must come out exact
   demonstrations  the study's tasks in perturbed worlds, by their demonstrations
   pinch           objects that appear in the pinches of recordings: held, let go in time?
+  grasp           a handle or a ball in the palm wherever a recording closes the hand
   operators       simulated persons who look and correct
 A version that lacks one of them says so.
 

@@ -1,15 +1,16 @@
-"""A pinch of a robot hand tried on an object in physics: held, pushed, let go."""
+"""A grasp of a robot hand tried on an object in physics: held, pushed, let go."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics
+from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics, PinchPhysics
+from smooth_operator.simulation.scenes.power_grasp_physics import PowerGraspPhysics
 
 HOLD_S: Final = 1.0
 """How long the object must be held [s]."""
@@ -31,20 +32,18 @@ _ALONE_S: Final = 0.25  # of the hold, without a push [s]
 _LIMIT: Final = 0.99  # of a motor's torque
 
 
-@dataclass(frozen=True, eq=False)
-class RobotPinch:
-    """What the robot is commanded in a pinch, and when the human does what.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotGrasp:
+    """What the robot is commanded in a grasp, and when the human does what.
 
     Attributes:
-        finger: which finger pinches, as an index of ``Hand.fingers``.
         stamps: (T,) of the commands [s].
         commands: (T, n) positions of all joints [rad].
-        tight: when the human's fingers are nearest, and rest [s].
+        tight: when the human's hand is closed most, and rests [s].
         shut: until when the human holds the object [s]; None: until the end of the recording.
-        opened: when the human has opened, by ``HYSTERESIS`` more [s]; None: never.
+        opened: when the human has opened, by ``HYSTERESIS`` more in a pinch [s]; None: never.
     """
 
-    finger: int
     stamps: Float[np.ndarray, " T"]
     commands: Float[np.ndarray, "T n"]
     tight: float
@@ -52,21 +51,33 @@ class RobotPinch:
     opened: float | None
 
 
-@dataclass(frozen=True)
-class GraspResult:
-    """How a pinch fared with an object.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotPinch(RobotGrasp):
+    """The same of a pinch.
 
     Attributes:
-        touched: the pads came as near as the object is wide.
-        held: thumb and finger pressed on it for a second under gravity and pushes, gaps of up to
-            30 ms aside.
-        dropped: thumb and finger had it, and lost it while the human still held.
+        finger: which finger pinches, as an index of ``Hand.fingers``.
+    """
+
+    finger: int
+
+
+@dataclass(frozen=True)
+class GraspResult:
+    """How a grasp fared with an object; its two sides are thumb and finger in a pinch, and fingers
+    against palm and thumb in a grasp with the whole hand.
+
+    Attributes:
+        touched: the pads came as near as the object is wide; always in a grasp with the whole hand.
+        held: both sides pressed on it for a second under gravity and pushes, gaps of up to 30 ms
+            aside.
+        dropped: both sides had it, and lost it while the human still held.
         let_go: it was free in time after the human opened; None where it was not held until then,
             or the recording ends before.
         delay: from the human's opening until it was free [s]; None likewise, or if it never was.
         gap: how much wider than the object the pads stayed [m]; 0 where they touched.
-        force: with which thumb and finger pressed while it was held, mean of the weaker of both
-            [N]; None where there was no hold.
+        force: with which both sides pressed while it was held, mean of the weaker one [N]; None
+            where there was no hold.
         at_limit: share of the hold in which a motor was at its torque limit; None likewise.
     """
 
@@ -80,7 +91,7 @@ class GraspResult:
     at_limit: float | None = None
 
 
-def try_pinch(physics: GraspPhysics, pinch: RobotPinch) -> GraspResult:
+def try_pinch(physics: PinchPhysics, pinch: RobotPinch) -> GraspResult:
     """Do a pinch with an object.
 
     The object appears between the pads when they are as far apart as it is wide, on the way to
@@ -88,95 +99,111 @@ def try_pinch(physics: GraspPhysics, pinch: RobotPinch) -> GraspResult:
     human's tightest moment. Then it must stay for ``HOLD_S``, in which it is pushed in six
     directions one after the other, and be free ``OPEN_S`` after the human has opened.
     """
+    physics.begin(pinch.finger, pinch.commands[0])
     run = _Run(physics, pinch)
-    gap = run.close()
-    if gap > 0.0:
-        return GraspResult(False, gap=gap)
-    if not run.hand_over():
-        return GraspResult(True, dropped=run.gripped)
-    held = run.hold()
-    force, limit = run.force, run.at_limit
-    if not held:
-        return GraspResult(True, dropped=run.gripped, force=force, at_limit=limit)
-    end = float(pinch.stamps[-1])
-    opened = pinch.opened if pinch.opened is not None and pinch.opened + OPEN_S <= end else None
-    free = run.release(end if opened is None else opened + OPEN_S)
-    if free is not None and free < (end if pinch.shut is None else pinch.shut):
-        return GraspResult(True, True, True, force=force, at_limit=limit)
-    if opened is None:
-        return GraspResult(True, True, force=force, at_limit=limit)
-    delay = None if free is None else free - opened
-    return GraspResult(True, True, False, free is not None, delay, 0.0, force, limit)
+    gap = _close(run)
+    return GraspResult(False, gap=gap) if gap > 0.0 else run.result()
 
 
-class _Run:
-    """One trial, stage after stage."""
+def try_power_grasp(physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResult:
+    """Grasp an object with the whole hand.
 
-    def __init__(self, physics: GraspPhysics, pinch: RobotPinch) -> None:
-        self._physics, self._pinch = physics, pinch
-        self._start = float(pinch.stamps[0])
+    It lies in the open palm from the beginning. Somebody holds it loosely until ``GRACE_S`` after
+    the human's tightest moment; all else is as in ``try_pinch``.
+    """
+    physics.begin(grasp.commands[0])
+    physics.appear()
+    return _Run(physics, grasp, waits=True).result()
+
+
+def _close(run: _Run[PinchPhysics]) -> float:
+    """Until the pads are as near as the object is wide; how much wider they stay [m]."""
+    width = run.physics.thing.width
+    before, least = -1.0, np.inf
+    for _ in run.until(run.grasp.tight + GRACE_S):
+        gap = run.physics.gap().distance
+        least = min(least, gap - width)
+        if before > width >= gap:
+            run.physics.appear()
+            return 0.0
+        before = gap
+    # Pads that never were as far apart as the object could not take it.
+    return max(float(least), 1e-6)
+
+
+_Physics = TypeVar("_Physics", bound=GraspPhysics)
+
+
+class _Run(Generic[_Physics]):
+    """One trial, stage after stage.
+
+    Args:
+        physics: the hand and the object.
+        grasp: what is commanded.
+        waits: the object is handed over when the time is up, not when both sides press on it.
+    """
+
+    def __init__(self, physics: _Physics, grasp: RobotGrasp, waits: bool = False) -> None:
+        self.physics, self.grasp, self._waits = physics, grasp, waits
+        self._start = float(grasp.stamps[0])
         self._frame = 0
         self._grips: list[float] = []
         self._efforts: list[float] = []
-        self.gripped = False
-        physics.begin(pinch.finger, pinch.commands[0])
+        self._gripped = False
+        self._lost = 0.0
         self._zero = physics.time
 
     @property
     def time(self) -> float:
-        """By the pinch's clock [s]."""
-        return self._start + self._physics.time - self._zero
+        """By the grasp's clock [s]."""
+        return self._start + self.physics.time - self._zero
 
-    @property
-    def force(self) -> float | None:
-        """Mean force while it was held [N]."""
-        return float(np.mean(self._grips)) if self._grips else None
-
-    @property
-    def at_limit(self) -> float | None:
-        """Share of the hold in which a motor was at its limit."""
-        return float(np.mean(np.array(self._efforts) > _LIMIT)) if self._efforts else None
-
-    def close(self) -> float:
-        """Until the pads are as near as the object is wide; how much wider they stay [m]."""
-        width = self._physics.thing.width
-        before, least = -1.0, np.inf
-        for _ in self._until(self._pinch.tight + GRACE_S):
-            gap = self._physics.gap().distance
-            least = min(least, gap - width)
-            if before > width >= gap:
-                self._physics.appear()
-                return 0.0
-            before = gap
-        # Pads that never were as far apart as the object could not take it.
-        return max(float(least), 1e-6)
+    def result(self) -> GraspResult:
+        """All that follows once the object is there."""
+        if not self.hand_over():
+            return GraspResult(True, dropped=self._gripped)
+        held = self.hold()
+        force = float(np.mean(self._grips)) if self._grips else None
+        limit = float(np.mean(np.array(self._efforts) > _LIMIT)) if self._efforts else None
+        if not held:
+            return GraspResult(True, dropped=self._gripped, force=force, at_limit=limit)
+        grasp, end = self.grasp, float(self.grasp.stamps[-1])
+        opened = grasp.opened if grasp.opened is not None and grasp.opened + OPEN_S <= end else None
+        free = self.release(end if opened is None else opened + OPEN_S)
+        if free is not None and free < (end if grasp.shut is None else grasp.shut):
+            return GraspResult(True, True, True, force=force, at_limit=limit)
+        if opened is None:
+            return GraspResult(True, True, force=force, at_limit=limit)
+        delay = None if free is None else free - opened
+        return GraspResult(True, True, False, free is not None, delay, 0.0, force, limit)
 
     def hand_over(self) -> bool:
-        """Until both pads press on the object; False if it is lost before the hold begins."""
+        """Until both sides press on the object; False if it is lost before the hold begins."""
         pressed = 0.0
-        for step in self._until(self._pinch.tight + GRACE_S):
-            pressed = pressed + step if min(self._physics.pinch) > _GRIP_N else 0.0
+        for step in self.until(self.grasp.tight + GRACE_S):
+            pressed = pressed + step if self.physics.grip > _GRIP_N else 0.0
             if pressed >= _GRIP_S:
-                self.gripped = True
-                break
-        self._physics.let_go()
-        return all(self._has(step) for step in self._until(self._pinch.tight))
+                self._gripped = True
+                if not self._waits:
+                    break
+        self.physics.let_go()
+        return all(self._has(step) for step in self.until(self.grasp.tight))
 
     def hold(self) -> bool:
         """Gravity, then pushes; whether the object stays."""
-        physics = self._physics
+        physics = self.physics
         axes, begin = physics.axes, self.time
         pushes = [sign * PUSH_N * axes[:, k] for k in range(3) for sign in (1.0, -1.0)]
         each = (HOLD_S - _ALONE_S) / len(pushes)
         stays, lost = True, 0.0
-        for step in self._until(begin + HOLD_S):
+        for step in self.until(begin + HOLD_S):
             number = int((self.time - begin - _ALONE_S) / each)
             if self.time - begin > _ALONE_S:
                 physics.push(pushes[min(number, len(pushes) - 1)])
-            pinch = physics.pinch
-            self._grips.append(min(pinch))
+            grip = physics.grip
+            self._grips.append(grip)
             self._efforts.append(physics.effort)
-            lost = 0.0 if min(pinch) > 0.0 else lost + step
+            lost = 0.0 if grip > 0.0 else lost + step
             stays = lost < _LOST_S
             if not stays:
                 break
@@ -186,25 +213,23 @@ class _Run:
     def release(self, deadline: float) -> float | None:
         """Until the object is free; when that was [s]; None if not by the deadline."""
         lost = 0.0
-        for step in self._until(deadline + _LOST_S):
-            lost = 0.0 if min(self._physics.pinch) > 0.0 else lost + step
+        for step in self.until(deadline + _LOST_S):
+            lost = 0.0 if self.physics.grip > 0.0 else lost + step
             if lost >= _LOST_S:
                 return self.time - lost
         return None
 
     def _has(self, step: float) -> bool:
-        """Whether both fingers press, brief gaps aside."""
-        self._lost = 0.0 if min(self._physics.pinch) > 0.0 else self._lost + step
+        """Whether both sides press, brief gaps aside."""
+        self._lost = 0.0 if self.physics.grip > 0.0 else self._lost + step
         return self._lost < _LOST_S
 
-    _lost = 0.0
-
-    def _until(self, end: float) -> Iterator[float]:
+    def until(self, end: float) -> Iterator[float]:
         """Let time pass in steps of the physics, with the commands that are due."""
-        physics, pinch = self._physics, self._pinch
+        physics, grasp = self.physics, self.grasp
         while self.time < end - 1e-9:
-            while self._frame < len(pinch.stamps) and pinch.stamps[self._frame] <= self.time + 1e-9:
-                physics.command(pinch.commands[self._frame])
+            while self._frame < len(grasp.stamps) and grasp.stamps[self._frame] <= self.time + 1e-9:
+                physics.command(grasp.commands[self._frame])
                 self._frame += 1
             physics.advance(physics.timestep)
             yield physics.timestep

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,6 +26,14 @@ BEFORE_S: Final = 1.5
 """... and for so long before it closes at most [s]."""
 AFTER_S: Final = 1.5
 """Until so long after it has opened [s]."""
+
+
+class HumanGrasp(Protocol):
+    """What all grasps have: a frame in which the hand is closed most."""
+
+    @property
+    def tight(self) -> int:
+        """An index of the recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +100,13 @@ def find_pinches(recording: HandRecording) -> list[HumanPinch]:
 
 
 def with_holds(
-    recording: HandRecording, pinches: Sequence[HumanPinch], seconds: float
+    recording: HandRecording, grasps: Sequence[HumanGrasp], seconds: float
 ) -> tuple[HandRecording, Float[np.ndarray, " T"]]:
-    """A recording in which the hand rests at each pinch's tightest moment.
+    """A recording in which the hand rests at each grasp's tightest moment.
 
     Args:
         recording: the frames.
-        pinches: of this recording.
+        grasps: of this recording.
         seconds: how long it rests; the frame is repeated at the recording's rate.
 
     Returns:
@@ -107,7 +115,7 @@ def with_holds(
     """
     period = float(np.median(np.diff(recording.stamps)))
     repeats = np.zeros(len(recording), int)
-    repeats[[pinch.tight for pinch in pinches]] = round(seconds / period)
+    repeats[[grasp.tight for grasp in grasps]] = round(seconds / period)
     index: Int[np.ndarray, " n"] = np.repeat(np.arange(len(recording)), repeats + 1)
     shift = np.concatenate([[0.0], np.cumsum(repeats)[:-1]]) * period
     moments = recording.stamps + shift

@@ -13,7 +13,13 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
-from smooth_operator.lab.benchmark.recordings import SYNTHETIC, load_sources, parse_request
+from smooth_operator.lab.physics.grasp_rows import (
+    grasp_row,
+    named_recordings,
+    object_figures,
+    of_side,
+    recording_units,
+)
 from smooth_operator.lab.physics.grasp_trial import (
     GRACE_S,
     HYSTERESIS,
@@ -25,13 +31,12 @@ from smooth_operator.lab.physics.grasp_trial import (
 from smooth_operator.lab.physics.human_pinches import HumanPinch, find_pinches, with_holds
 from smooth_operator.lab.physics.measure import Case, Clip, Drawing, Measured, Unit
 from smooth_operator.lab.physics.plots import interval_drawings
-from smooth_operator.lab.physics.results import Figure, MeasureResults, Row
+from smooth_operator.lab.physics.results import Figure, MeasureResults
 from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.simulation.scenes.grasp_objects import GRASP_OBJECTS, GraspObject
-from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics
-from smooth_operator.types import HandRecording, Side
+from smooth_operator.simulation.scenes.grasp_physics import PinchPhysics
+from smooth_operator.types import Side
 
-_UNITS, _QUICK_UNITS = 5, 1
 _QUICK_OBJECTS: Final = ("card 2", "sphere 20")
 
 
@@ -60,15 +65,11 @@ class PinchHold:
         Figure("force_n", "N", "", "Force of the pinch while the object is held.", short="force"),
         Figure("at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
                short="at the limit"),
-        *(
-            Figure(f"held_{thing.name.replace(' ', '_')}", "", "up",
-                   f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
-                   short=thing.name, main=False)
-            for thing in GRASP_OBJECTS
-        ),
+        *object_figures(GRASP_OBJECTS),
     )  # fmt: skip
     code: Final = (
-        "lab/physics/grasp_trial.py", "lab/physics/human_pinches.py", "lab/physics/pinch_hold.py",
+        "lab/physics/grasp_rows.py", "lab/physics/grasp_trial.py",
+        "lab/physics/human_pinches.py", "lab/physics/pinch_hold.py",
         "simulation/physics.py", "simulation/physics_model.py", "simulation/scenes",
     )  # fmt: skip
 
@@ -82,30 +83,17 @@ class PinchHold:
         Raises:
             RecordingError: no recording can be read, or none of them has a pinch.
         """
-        if settings.recordings:
-            names = list(settings.recordings)
-        else:
-            count = settings.count(_UNITS, _QUICK_UNITS)
-            names = [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
-        requests = [
-            parse_request(name, frames=settings.frames, rate=settings.rate, layout=settings.layout)
-            for name in names
-        ]
-        units = []
-        for source in load_sources(requests):
-            if source.recording is not None and (found := find_pinches(source.recording)):
-                effort = source.recording.duration + 10.0 * len(found)
-                units.append(Unit(source.name, source.digest, source.recording, effort))
+        units = recording_units(settings, find_pinches)
         if not units:
             raise RecordingError(
-                f"no pinch in {', '.join(names)}: expected thumb and finger tips nearer than 15 mm "
-                "for 0.1 s"
+                f"no pinch in {', '.join(named_recordings(settings))}: expected thumb and finger "
+                "tips nearer than 15 mm for 0.1 s"
             )
         return units
 
     def run(self, case: Case) -> Measured:
         """Tries all pinches of a recording on all objects."""
-        recording = _of_side(case.unit.data, case.side)
+        recording = of_side(case.unit.data, case.side)
         pinches = [p for p in find_pinches(recording) if p.finger in case.hand.fingers]
         if not pinches:
             raise RecordingError(
@@ -128,7 +116,7 @@ class PinchHold:
                 before = physics.resets
                 tried.setdefault(thing.name, []).append(try_pinch(physics, asked))
                 diverged += physics.resets > before
-        row = _figures(tried)
+        row = grasp_row(tried)
         row["overlap_mm"] = float(np.mean(overlaps))
         row["pinches"] = len(pinches)
         row["diverged"] = diverged  # trials in which the physics came apart; they measure nothing
@@ -168,49 +156,13 @@ def robot_pinch(
         return None if frame is None else float(moments[frame])
 
     return RobotPinch(
-        hand.fingers.index(pinch.finger), stamps[part], commands[part],
-        float(moments[pinch.tight]), opening(thing.width), opening(thing.width + HYSTERESIS),
+        finger=hand.fingers.index(pinch.finger), stamps=stamps[part], commands=commands[part],
+        tight=float(moments[pinch.tight]), shut=opening(thing.width),
+        opened=opening(thing.width + HYSTERESIS),
     )  # fmt: skip
 
 
 @lru_cache(maxsize=len(GRASP_OBJECTS))
-def _physics(hand_name: str, side: Side, thing: GraspObject) -> GraspPhysics:
+def _physics(hand_name: str, side: Side, thing: GraspObject) -> PinchPhysics:
     """The same for all recordings and methods."""
-    return GraspPhysics(load_hand(hand_name, side), thing)
-
-
-def _of_side(recording: HandRecording, side: Side) -> HandRecording:
-    """The recording, or its mirror image as the other hand."""
-    if recording.side == side:
-        return recording
-    landmarks = recording.landmarks * np.array([-1.0, 1.0, 1.0])
-    return HandRecording(landmarks, recording.stamps, side, recording.valid, name=recording.name)
-
-
-def _figures(tried: Mapping[str, Sequence[GraspResult]]) -> Row:
-    every = [result for results in tried.values() for result in results]
-    judged = [result.let_go for result in every if result.let_go is not None]
-    held = [result for result in every if result.held]
-    apart = [1e3 * result.gap for result in every if not result.touched]
-    delays = [1e3 * result.delay for result in every if result.delay is not None]
-    return {
-        "held": _mean([result.held for result in every]),
-        "let_go": _mean(judged),
-        "dropped": _mean([result.dropped for result in every]),
-        "force_n": _mean([result.force for result in held]),
-        "at_limit": _mean([result.at_limit for result in held]),
-        **{
-            f"held_{name.replace(' ', '_')}": _mean([result.held for result in results])
-            for name, results in tried.items()
-        },
-        "tried": len(every),
-        "touched": sum(result.touched for result in every),
-        "judged": len(judged),
-        "apart_mm": _mean(apart),
-        "delay_ms": _mean(delays),
-    }
-
-
-def _mean(values: Sequence[float | bool | None]) -> float | None:
-    known = [float(value) for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    return PinchPhysics(load_hand(hand_name, side), thing)

@@ -13,6 +13,7 @@ MEASURES: Final[dict[str, tuple[str, str]]] = {
     "reachable": ("reachable_motion", "ReachableMotion"),
     "demonstrations": ("demonstrations", "Demonstrations"),
     "pinch": ("pinch_hold", "PinchHold"),
+    "grasp": ("power_grasp", "PowerGrasp"),
     "operators": ("virtual_operators", "VirtualOperators"),
 }
 """Name -> module of this package and class in it, in the order of the report. A new measure is a

@@ -14,7 +14,7 @@ import numpy as np
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.physics.grasp_trial import GraspResult, RobotPinch, try_pinch
 from smooth_operator.simulation.scenes.grasp_objects import GRASP_OBJECTS, GraspObject
-from smooth_operator.simulation.scenes.grasp_physics import GraspPhysics
+from smooth_operator.simulation.scenes.grasp_physics import PinchPhysics
 from smooth_operator.simulation.scenes.pads import soften_pads
 from smooth_operator.simulation.scenes.scene import OBJECT, empty_world
 
@@ -182,8 +182,9 @@ def mimic_pinch(thing: GraspObject, step: float) -> GraspResult:
     stamps = np.arange(0.0, 3.0, 0.01)
     closed = np.interp(stamps, [0.0, 0.4, 1.7, 1.85], [0.0, 1.0, 1.0, 0.0])
     commands = wide + closed[:, None] * (tight - wide)
-    physics = GraspPhysics(hand, thing, timestep=step)
-    return try_pinch(physics, RobotPinch(1, stamps, commands, 0.4, 1.7, 1.75))
+    physics = PinchPhysics(hand, thing, timestep=step)
+    pinch = RobotPinch(finger=1, stamps=stamps, commands=commands, tight=0.4, shut=1.7, opened=1.75)
+    return try_pinch(physics, pinch)
 
 
 def _table() -> None:

@@ -1,4 +1,4 @@
-"""Objects that a person hands over to the fingers of a robot hand: sphere, cube, card, pen."""
+"""Objects that a person hands over to a robot hand: into a pinch or into the palm."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ _COLOR: Final = (0.9, 0.45, 0.1, 1.0)
 _CARD: Final = (0.054, 0.0856)  # [m]
 _CARD_GRIP: Final = 0.010  # from the middle of its short edge [m]
 _PEN_LENGTH: Final = 0.14  # [m]
+_HANDLE_LENGTH: Final = 0.10  # [m]
+_HOLLOW: Final = 0.3  # of a handle's and a ball's volume is material
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class GraspObject:
     The object's frame: x along its width, z along its length, the origin where it is gripped.
 
     Attributes:
-        kind: ``sphere``, ``cube``, ``card`` or ``pen``.
+        kind: ``sphere``, ``cube``, ``card``, ``pen``, ``handle`` (a cylinder) or ``ball``.
         width: between the fingers [m].
     """
 
@@ -43,7 +45,7 @@ class GraspObject:
 
     @property
     def mass(self) -> float:
-        """[kg]; polystyrene's density, and 2 g at least."""
+        """[kg]; polystyrene's density (handle and ball are hollow), and 2 g at least."""
         return max(_DENSITY * self._volume, _LIGHTEST)
 
     @property
@@ -54,6 +56,8 @@ class GraspObject:
             "cube": w**3,
             "card": _CARD[0] * _CARD[1] * w,
             "pen": np.pi / 4 * w**2 * _PEN_LENGTH,
+            "handle": _HOLLOW * np.pi / 4 * w**2 * _HANDLE_LENGTH,
+            "ball": _HOLLOW * np.pi / 6 * w**3,
         }[self.kind]
 
     @property
@@ -73,12 +77,20 @@ class GraspObject:
                 (half, _CARD[0] / 2, _CARD[1] / 2),
             ),
             "pen": (0.0, geom.mjGEOM_CYLINDER, (half, _PEN_LENGTH / 2)),
+            "handle": (0.0, geom.mjGEOM_CYLINDER, (half, _HANDLE_LENGTH / 2)),
+            "ball": (0.0, geom.mjGEOM_SPHERE, (half,)),
         }[self.kind]
         add_shape(
             body, self.kind, kind, size, mass=self.mass, friction=_GRIPS, color=_COLOR,
             at=(0.0, 0.0, at),
         )  # fmt: skip
 
+
+POWER_GRASP_OBJECTS: Final = (
+    GraspObject("handle", 0.03), GraspObject("handle", 0.05),
+    GraspObject("ball", 0.045), GraspObject("ball", 0.065),
+)  # fmt: skip
+"""For the whole hand: as wide as the handles of tools, and balls up to a tennis ball's size."""
 
 GRASP_OBJECTS: Final = tuple(
     GraspObject(kind, 1e-3 * width)
