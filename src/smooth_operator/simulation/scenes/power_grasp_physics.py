@@ -20,7 +20,7 @@ _STEP: Final = 0.002  # of that way [m]
 _ALONG: Final = (0.0, -0.01, 0.01, -0.02, 0.02, -0.03, 0.03)
 """Places along the fingers' direction, from the row of the finger bases [m]."""
 _ASIDE: Final = (0.0, -0.01, -0.02, -0.03, -0.04)
-"""Places towards the thumb [m]; a long object may have to lie beside it."""
+"""Places towards the thumb [m]; a long object may have to lie next to it."""
 _YAWS: Final = (0.0, np.radians(20.0), np.radians(-20.0))
 """How a long object is turned in front of the palm [rad]."""
 _WORTH: Final = 0.2
