@@ -1,0 +1,45 @@
+"""Settings of the robot, as LeRobot's command line shows them."""
+
+from dataclasses import dataclass, field
+
+from lerobot.cameras import CameraConfig
+from lerobot.robots.config import RobotConfig
+
+
+# LeRobot makes an option of each field and finds the class by the name without "Config".
+@RobotConfig.register_subclass("smooth_hand")
+@dataclass(kw_only=True)
+class SmoothHandConfig(RobotConfig):
+    """Settings of the robot; they are checked when it is made.
+
+    Attributes:
+        hand: name of the robot hand, or the path of its spec file.
+        side: ``right``, ``left`` or ``both``; with ``both`` each key begins with ``right_`` or
+            ``left_``.
+        sinks: what moves the hand, as after ``smooth-operator teleop --sink``: ``mujoco``, or a
+            driver such as ``leap:/dev/ttyUSB0``. Two drivers for two hands.
+        joints: model's joint -> name in the keys; empty for all actuated joints, by the model's
+            names. Joints that are left out stay in the neutral pose.
+        left_joints: the same for the left hand with ``both``; empty for ``joints``.
+        unit: of the keys: ``degrees`` or ``radians``.
+        currents: observe the current of each actuator too, ``index.current`` in the driver's unit.
+        unmeasured: what the observation of a joint is that the hand does not measure: ``refuse``
+            to connect, or the ``command``.
+        velocity: largest velocity of any joint [rad/s].
+        acceleration: largest acceleration of any joint [rad/s^2].
+        stale_s: a measurement older than this is an error, not an observation [s].
+        cameras: LeRobot's cameras.
+    """
+
+    hand: str = "mimic_p050"
+    side: str = "right"
+    sinks: list[str] = field(default_factory=lambda: ["mujoco"])
+    joints: dict[str, str] = field(default_factory=dict)
+    left_joints: dict[str, str] = field(default_factory=dict)
+    unit: str = "degrees"
+    currents: bool = False
+    unmeasured: str = "refuse"
+    velocity: float = 8.0
+    acceleration: float = 200.0
+    stale_s: float = 1.0
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
