@@ -7,13 +7,13 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-from lerobot_stand_in import PACKAGES, TELEOPERATOR
+from lerobot_stand_in import PACKAGES, ROBOT, TELEOPERATOR
 from plugin_environment import environment_with
 
 MAIN = tomllib.loads((PACKAGES.parent / "pyproject.toml").read_text())["project"]
 
 
-NAMES = (TELEOPERATOR,)
+NAMES = (ROBOT, TELEOPERATOR)
 
 ASK = f"""
 import importlib.metadata, importlib.util, json, pathlib

@@ -40,6 +40,6 @@ class SmoothHandConfig(RobotConfig):
     currents: bool = False
     unmeasured: str = "refuse"
     velocity: float = 8.0
-    acceleration: float = 200.0
+    acceleration: float = 1500.0
     stale_s: float = 1.0
     cameras: dict[str, CameraConfig] = field(default_factory=dict)

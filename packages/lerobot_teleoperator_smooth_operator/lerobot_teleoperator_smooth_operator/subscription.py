@@ -108,7 +108,9 @@ class InProcess:
         self._newest, self._loop = newest, None
         self.error: Exception | None = None
         self._ending = threading.Event()
-        options: dict[str, Any] = {"method": method} if method else {}
+        options: dict[str, Any] = {"hand": hand, "side": side}
+        if method:
+            options["method"] = method
 
         def started(loop: Any) -> None:
             self._loop = loop
@@ -118,7 +120,7 @@ class InProcess:
         def run() -> None:
             try:
                 sink = MailboxSink(newest)
-                teleoperate(source, [sink], hand=hand, side=side, started=started, **options)
+                teleoperate(source, [sink], started=started, **options)
             except Exception as error:  # `connect` and `get_action` raise it
                 self.error = error
             newest.wake()

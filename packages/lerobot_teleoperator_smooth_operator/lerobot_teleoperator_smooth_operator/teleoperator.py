@@ -343,7 +343,11 @@ def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
             raise ValueError(f"{name} must not be negative, not {getattr(config, name)}")
     left = config.left_joints or config.joints
     named = {**config.joints, **{f"{name} (left)": key for name, key in left.items()}}
-    about = {"ends": config.ends, "signs": config.signs, "offsets": config.offsets}
+    about: dict[str, Mapping[str, object]] = {
+        "ends": config.ends,
+        "signs": config.signs,
+        "offsets": config.offsets,
+    }
     check_names(named, about, all_joints=not config.joints)
     if config.side != "both":
         if config.left_joints:

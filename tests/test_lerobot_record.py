@@ -1,0 +1,164 @@
+"""Recording with the real LeRobot: its own program, both plug-ins, a simulated hand, its dataset.
+
+Needs LeRobot and both plug-ins installed; CI has a job with them (``lerobot``).
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot_stand_in import REAL, ROBOT, TELEOPERATOR
+
+from smooth_operator import load_hand
+from smooth_operator.teleop import read_log
+
+INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
+LACKING = {"lerobot", TELEOPERATOR, ROBOT} - INSTALLED
+
+pytestmark = [
+    pytest.mark.lerobot,
+    pytest.mark.skipif(
+        not REAL or bool(LACKING), reason=f"not installed: {', '.join(sorted(LACKING))}"
+    ),
+]
+
+FPS, SECONDS, EPISODES = 30, 3.0, 2
+ADDRESS = "tcp://127.0.0.1:15791"
+TASK = "Move the fingers"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``dataset``, recorded by lerobot-record, and ``take.mcap``, what was sent."""
+    folder = tmp_path_factory.mktemp("lerobot")
+    environment = {
+        **os.environ,
+        "HF_HUB_OFFLINE": "1",
+        "HF_HOME": str(folder / "huggingface"),
+        "JAX_PLATFORMS": "cpu",
+    }
+    # A machine that stands still for a moment must not turn into held actions: they are tested
+    # elsewhere, and here each action must be a command that was sent.
+    teleop = ["teleop", "--source", "synthetic", "--hand", "mimic_p050", "--method", "joint_angle"]
+    teleop += ["--sink", f"zmq:{ADDRESS},valid_for_s=10", f"record:{folder / 'take.mcap'}"]
+    record = {
+        "robot.type": "smooth_hand",
+        "robot.hand": "mimic_p050",
+        "robot.unit": "degrees",
+        "teleop.type": "smooth_operator",
+        "teleop.address": ADDRESS,
+        "teleop.unit": "degrees",
+        "teleop.timeout_s": 120,
+        "dataset.repo_id": "test/hand",
+        "dataset.root": folder / "dataset",
+        "dataset.num_episodes": EPISODES,
+        "dataset.episode_time_s": SECONDS,
+        "dataset.reset_time_s": 1,
+        "dataset.fps": FPS,
+        "dataset.single_task": TASK,
+        "dataset.push_to_hub": "false",
+        "dataset.video": "false",
+        "play_sounds": "false",
+    }
+    options = [f"--{name}={value}" for name, value in record.items()]
+    with subprocess.Popen(
+        [sys.executable, "-m", "smooth_operator", *teleop, "--no-view"],
+        env=environment,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+    ) as operator:
+        done = subprocess.run(
+            [sys.executable, "-m", "lerobot.scripts.lerobot_record", *options],
+            env=environment,
+            cwd=folder,
+            capture_output=True,
+            encoding="utf-8",
+            timeout=400,
+        )
+        operator.terminate()
+        said, _ = operator.communicate(timeout=60)
+    assert done.returncode == 0, f"{done.stderr[-4000:]}\n{said[-2000:]}"
+    return folder
+
+
+def load(root: Path, name: str = "test/hand") -> Any:
+    """A dataset as LeRobot's own class opens it."""
+    os.environ["HF_HUB_OFFLINE"] = "1"
+    try:
+        from lerobot.datasets import LeRobotDataset
+    except ImportError:  # 0.4
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    return LeRobotDataset(name, root=root)
+
+
+def table(dataset: Any, column: str) -> np.ndarray:
+    return np.array([np.asarray(value) for value in dataset.hf_dataset[column]])
+
+
+def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
+    hand = load_hand("mimic_p050")
+    dataset = load(recorded / "dataset")
+    keys = [f"{name}.pos" for name in hand.actuated_names]
+    assert dataset.num_episodes == EPISODES
+    assert dataset.fps == FPS
+    assert dataset.meta.robot_type == "smooth_hand"
+    columns = {"action", "observation.state"}
+    indices = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
+    assert set(dataset.features) == columns | indices
+    for name in columns:
+        feature = dataset.features[name]
+        assert feature["dtype"] == "float32"
+        assert list(feature["names"]) == keys
+        assert tuple(feature["shape"]) == (len(keys),)
+
+    episode, frame = table(dataset, "episode_index"), table(dataset, "frame_index")
+    counts = [int(np.sum(episode == number)) for number in range(EPISODES)]
+    assert len(dataset) == sum(counts)
+    assert min(counts) > 0.3 * FPS * SECONDS  # fewer than it should, on a machine that is busy
+    np.testing.assert_array_equal(frame, np.concatenate([np.arange(n) for n in counts]))
+    np.testing.assert_array_equal(table(dataset, "index"), np.arange(len(dataset)))
+    np.testing.assert_allclose(table(dataset, "timestamp"), frame / FPS, atol=1e-6)
+    assert not table(dataset, "task_index").any()
+    assert dataset[0]["task"] == TASK
+
+    action, state = table(dataset, "action"), table(dataset, "observation.state")
+    low, high = np.degrees(hand.limits.T)
+    for values in (action, state):
+        assert values.shape == (len(dataset), len(keys))
+        assert np.isfinite(values).all()
+    assert np.all((action >= low - 1e-3) & (action <= high + 1e-3))
+    assert np.all((state >= low - 5.0) & (state <= high + 5.0))  # a physical hand overshoots
+    for name, values in (("action", action), ("observation.state", state)):
+        statistics = dataset.meta.stats[name]
+        np.testing.assert_allclose(statistics["min"], values.min(0), atol=1e-3)
+        np.testing.assert_allclose(statistics["max"], values.max(0), atol=1e-3)
+
+
+def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: Path) -> None:
+    hand = load_hand("mimic_p050")
+    dataset = load(recorded / "dataset")
+    sent = np.degrees(read_log(recorded / "take.mcap").commands.joint_positions)
+    sent = sent[:, list(hand.actuated)]
+    action, state = table(dataset, "action"), table(dataset, "observation.state")
+    nearest = np.array([np.abs(sent - row).max(axis=1).min() for row in action])
+    assert nearest.max() < 1e-3
+    assert np.unique(action, axis=0).shape[0] > 0.5 * len(action)
+
+    episode = table(dataset, "episode_index")
+    assert np.abs(state[0] - np.degrees(hand.neutral)).max() < 2.0  # it starts where it stands
+    for number in range(EPISODES):
+        late = np.flatnonzero(episode == number)[FPS:]  # after the approach
+        wanted, seen = action[late[:-2]], state[late[2:]]
+        moving = np.ptp(wanted, axis=0) > 10.0
+        assert moving.sum() >= 5
+        for joint in np.flatnonzero(moving):
+            assert np.corrcoef(wanted[:, joint], seen[:, joint])[0, 1] > 0.8

@@ -1,0 +1,200 @@
+"""The LeRobot robot: keys, limits and slow approach, on a simulated hand and on drivers."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_hand import FakeHand, FakeHandSink, write_fake_table
+from lerobot_stand_in import REAL, ROBOT, use_plugins
+
+from smooth_operator import load_hand
+from smooth_operator.hands.hand import Hand
+
+
+@pytest.fixture
+def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
+    use_plugins(monkeypatch)
+    import lerobot_robot_smooth_hand as package
+    from lerobot.utils import errors
+
+    yield SimpleNamespace(package=package, errors=errors)
+    for name in [n for n in sys.modules if n.startswith(ROBOT) and not REAL]:
+        del sys.modules[name]  # they hold the classes of a stand-in that is gone
+
+
+@pytest.fixture
+def robot(plugin: SimpleNamespace) -> Iterator[Callable[..., Any]]:
+    made = []
+
+    def make(**settings: Any) -> Any:
+        made.append(plugin.package.SmoothHand(plugin.package.SmoothHandConfig(**settings)))
+        return made[-1]
+
+    yield make
+    for device in made:
+        if device.is_connected:
+            device.disconnect()
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, plugin: SimpleNamespace) -> FakeHandSink:
+    """What ``--robot.sinks`` names then: a driver whose hand is in memory."""
+    hand = load_hand("mimic_p050")
+    table = write_fake_table(tmp_path / "fake.toml", hand.actuated_names)
+    sink = FakeHandSink(port=f"fake-{tmp_path.name}", table=str(table))
+    module = sys.modules[f"{ROBOT}.robot"]
+    monkeypatch.setattr(module, "build_sink", lambda text: sink)
+    return sink
+
+
+def goal(hand: Hand, share: float, factor: float = 1.0) -> dict[str, float]:
+    """An action: each joint at this share of its range."""
+    low, high = hand.limits.T
+    values = factor * (low + share * (high - low))
+    return dict(zip((f"{name}.pos" for name in hand.actuated_names), values.tolist(), strict=True))
+
+
+def go(device: Any, action: dict[str, float], near: float, seconds: float = 20.0) -> list[Any]:
+    """Send an action until the hand has come near to it; what was sent on the way."""
+    sent, end = [], time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        sent.append(device.send_action(action))
+        seen = device.get_observation()
+        if max(abs(seen[key] - value) for key, value in action.items()) < near:
+            return sent
+        time.sleep(0.01)
+    pytest.fail(f"the hand did not come to {action}, but to {seen}")
+
+
+def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(
+    robot: Callable[..., Any], plugin: SimpleNamespace
+) -> None:
+    hand = load_hand("mimic_p050")
+    device = robot(unit="radians")
+    keys = [f"{name}.pos" for name in hand.actuated_names]
+    assert list(device.action_features) == list(device.observation_features) == keys
+    with pytest.raises(plugin.errors.DeviceNotConnectedError):
+        device.get_observation()
+    device.connect()
+    start = device.get_observation()
+    np.testing.assert_allclose(list(start.values()), hand.neutral, atol=0.02)
+    sent = go(device, goal(hand, 0.6), near=0.05)
+    path = np.array([list(row.values()) for row in sent])
+    assert np.abs(path[0] - list(start.values())).max() < 0.03
+    low, high = hand.limits.T
+    assert np.all((path >= low) & (path <= high))
+
+    with pytest.raises(ValueError, match=r"lacks index_mcp2pp\.pos"):
+        device.send_action({key: 0.0 for key in keys if key != "index_mcp2pp.pos"})
+    with pytest.raises(ValueError, match="no numbers"):
+        device.send_action(dict.fromkeys(keys, float("nan")))
+    beyond = device.send_action({**dict.fromkeys(keys, 100.0), "a.key": 1.0})
+    assert list(beyond) == keys
+    assert np.all(np.array(list(beyond.values())) <= high + 1e-9)
+    with pytest.raises(plugin.errors.DeviceAlreadyConnectedError):
+        device.connect()
+    device.disconnect()
+    assert not device.is_connected
+    with pytest.raises(plugin.errors.DeviceNotConnectedError):
+        device.send_action(start)
+
+
+def test_both_hands_have_keys_of_their_own_and_joints_may_be_chosen(
+    robot: Callable[..., Any],
+) -> None:
+    device = robot(side="both", joints={"index_mcp2pp": "index"}, unit="degrees")
+    assert list(device.action_features) == ["right_index.pos", "left_index.pos"]
+    device.connect()
+    go(device, {"right_index.pos": 60.0, "left_index.pos": 10.0}, near=3.0)
+    names = load_hand("mimic_p050").joint_names
+    other = device._sinks[0].state("right").positions[names.index("middle_mcp2pp")]
+    neutral = load_hand("mimic_p050").full_configuration(load_hand("mimic_p050").neutral)
+    assert abs(other - neutral[names.index("middle_mcp2pp")]) < 0.1
+
+
+def test_a_driver_is_moved_and_its_currents_observed(
+    robot: Callable[..., Any], fake: FakeHandSink, plugin: SimpleNamespace
+) -> None:
+    hand = load_hand("mimic_p050")
+    device = robot(unit="degrees", currents=True, sinks=["fake"], stale_s=30.0)
+    currents = [f"m{k}.current" for k in range(len(hand.actuated))]
+    assert list(device.observation_features)[-len(currents) :] == currents
+    device.connect()
+    assert set(device.get_observation()) == set(device.observation_features)
+    near = dict.fromkeys(device.action_features, 20.0)
+    inside = np.degrees(hand.limits)
+    for key, (low, high) in zip(near, inside, strict=True):
+        near[key] = float(np.clip(20.0, max(low, -60.0), min(high, 60.0)))
+    go(device, near, near=1.0)
+    motors: FakeHand = fake.made[-1]
+    assert motors.count("write") > 5
+    expected = [180.0 + (1 - 2 * (k % 2)) * v for k, v in enumerate(near.values())]
+    np.testing.assert_allclose(motors.positions, expected, atol=1.5)
+
+    motors.gone.set()  # the cable
+    device.get_observation()  # for a while the last measurement counts
+    while device._sinks[0].state("right") is not None:
+        time.sleep(0.005)
+    device.config.stale_s = 0.0
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match=r"has not been .* cable"):
+        device.get_observation()
+
+
+def test_joints_that_are_not_measured_are_refused_or_observed_as_commanded(
+    robot: Callable[..., Any],
+    fake: FakeHandSink,
+    plugin: SimpleNamespace,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from smooth_operator.teleop.hardware.device import Reading
+
+    def read(self: FakeHand) -> Reading:
+        self._bus("read")
+        return Reading(np.full(len(self.positions), np.nan), None, None, None, ())
+
+    monkeypatch.setattr(FakeHand, "read", read)
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="does not measure"):
+        robot(sinks=["fake"]).connect()
+    device = robot(sinks=["fake"], unmeasured="command", unit="radians")
+    device.connect()
+    sent = device.send_action(goal(load_hand("mimic_p050"), 0.5))
+    seen = device.get_observation()
+    np.testing.assert_allclose(list(seen.values()), list(sent.values()))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"side": "up"}, "side must be one of"),
+        ({"unit": "deg"}, "unit must be one of degrees, radians"),
+        ({"sinks": []}, "name at least one"),
+        ({"joints": {"index_mp2dp": "a"}}, "index_mp2dp can't be commanded"),
+        ({"joints": {"index_mcp2pp": "a", "index_pp2mp": "a"}}, "two joints have one key"),
+        ({"left_joints": {"index_mcp2pp": "a"}}, "side=both"),
+        ({"currents": True}, "no driver in --robot.sinks"),
+        ({"unmeasured": "guess"}, "unmeasured must be one of"),
+    ],
+)
+def test_a_wrong_setting_is_refused(
+    robot: Callable[..., Any], settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        robot(**settings)
+
+
+def test_a_sink_that_measures_nothing_is_refused(
+    robot: Callable[..., Any], plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = sys.modules[f"{ROBOT}.hand_port"]
+    monkeypatch.setattr(port, "_PATIENCE_S", 0.05)
+    device = robot(sinks=["zmq:tcp://127.0.0.1:15799"])
+    with pytest.raises(plugin.errors.DeviceNotConnectedError, match="name mujoco or a driver"):
+        device.connect()
+    assert not device.is_connected
