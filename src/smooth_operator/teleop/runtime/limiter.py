@@ -23,8 +23,8 @@ _USUAL_S: Final = 0.005
 the end of a range is kept without it."""
 
 
-class Limiter:
-    """Follows a target within limits; holds what was last commanded.
+class JointLimiter:
+    """Follows a target within limits of joints; holds what was last commanded.
 
     The limits hold between the stamps of consecutive commands, however uneven these are. With
     positions ``q[k]`` at times ``t[k]``, steps ``dt[k] = t[k] - t[k-1]`` and velocities
@@ -46,31 +46,29 @@ class Limiter:
     speed the joint brakes ahead of the target.
 
     Args:
-        hand: the robot hand.
-        config: the limits; those of velocity and acceleration hold for coupled joints too.
+        ends: (m, 2) limits of the positions [rad].
+        velocity: (m,) of the velocities [rad/s].
+        acceleration: (m,) of the accelerations [rad/s^2].
+        start: (m,) where the joints stand [rad].
+        margin: kept clear of each end of a range [rad].
 
     Attributes:
-        q: (m,) last command of the actuated joints [rad].
+        q: (m,) last command [rad].
         velocity: (m,) its velocity, from the command before [rad/s].
-
-    Raises:
-        ConfigError: the margin leaves nothing of a joint's range.
     """
 
-    def __init__(self, hand: Hand, config: LimitsConfig) -> None:
-        room = (hand.limits[:, 1] - hand.limits[:, 0]).min()
-        if 2 * config.margin >= room:
-            raise ConfigError(
-                f"limits: a margin of {config.margin} rad leaves nothing of the smallest joint "
-                f"range of hand {hand.name!r}, {room:.3g} rad"
-            )
-        # the fastest joint that an actuated one moves, itself or one that follows it
-        gearing = np.maximum(np.abs(hand.coupling_matrix).max(axis=0), 1.0)
-        self._velocity = config.velocity / gearing
-        self._acceleration = config.acceleration / gearing
-        self._start, self._end = hand.limits[:, 0], hand.limits[:, 1]
-        self._low, self._high = self._start + config.margin, self._end - config.margin
-        self.q: Float[np.ndarray, " m"] = np.clip(hand.neutral, self._low, self._high)
+    def __init__(
+        self,
+        ends: Float[np.ndarray, "m 2"],
+        velocity: Float[np.ndarray, " m"],
+        acceleration: Float[np.ndarray, " m"],
+        start: Float[np.ndarray, " m"],
+        margin: float = 0.0,
+    ) -> None:
+        self._velocity, self._acceleration = velocity, acceleration
+        self._start, self._end = ends[:, 0], ends[:, 1]
+        self._low, self._high = self._start + margin, self._end - margin
+        self.q: Float[np.ndarray, " m"] = np.clip(start, self._low, self._high)
         self.velocity: Float[np.ndarray, " m"] = np.zeros_like(self.q)
         self._last_dt = math.inf  # it has stood still until now
 
@@ -110,12 +108,36 @@ class Limiter:
         """
         return self._go(np.zeros_like(self.q), max(dt, _SHORTEST_S))
 
-    def succeed(self, other: Limiter) -> None:
-        """Go on from where another one of the same hand has brought it."""
+    def bounds(self, dt: float) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Lowest and highest velocity that ``follow`` can give the joints in a step [rad/s].
+
+        Args:
+            dt: time since the last command [s].
+        """
+        down, up, change = self._room(max(dt, _SHORTEST_S))
+        slow, fast = self.velocity - change, self.velocity + change
+        return np.clip(-down, slow, fast), np.clip(up, slow, fast)
+
+    def follow(self, velocity: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
+        """Take a step at the velocity within the limits that is nearest to the one wanted.
+
+        Args:
+            velocity: (m,) [rad/s]; what is not finite stands for 0.
+            dt: time since the last command [s].
+
+        Returns:
+            (m,) command [rad].
+        """
+        return self._go(np.where(np.isfinite(velocity), velocity, 0.0), max(dt, _SHORTEST_S))
+
+    def succeed(self, other: JointLimiter) -> None:
+        """Go on from where another one of the same joints has brought them."""
         self.q, self.velocity, self._last_dt = other.q, other.velocity, other._last_dt
 
-    def _go(self, wanted: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
-        """Take a step at the velocity within the limits that is nearest to the one wanted."""
+    def _room(
+        self, dt: float
+    ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Highest speeds down and up, and the most that a velocity may change, in a step."""
         # Limits may have become stricter in mid-motion. Where the new acceleration can no longer
         # stop a joint within its range, it brakes as hard as that takes; no harder than before.
         ahead = np.where(self.velocity > 0, self._end - self.q, self.q - self._start)
@@ -125,7 +147,11 @@ class Limiter:
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
         down = np.minimum(_speed(self.q - self._low, dt, a), top)
         up = np.minimum(_speed(self._high - self.q, dt, a), top)
-        change = a * min(dt, (self._last_dt + dt) / 2)
+        return down, up, a * min(dt, (self._last_dt + dt) / 2)
+
+    def _go(self, wanted: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
+        """Take a step at the velocity within the limits that is nearest to the one wanted."""
+        down, up, change = self._room(dt)
         # Acceleration comes last: a joint that is too fast for new limits slows down to them.
         velocity = np.clip(wanted, -down, up)
         velocity = np.clip(velocity, self.velocity - change, self.velocity + change)
@@ -133,6 +159,35 @@ class Limiter:
         self.velocity = (q - self.q) / dt
         self.q, self._last_dt = q, dt
         return q
+
+
+class Limiter(JointLimiter):
+    """Keeps the commands of a robot hand within its limits; see ``JointLimiter``.
+
+    Args:
+        hand: the robot hand.
+        config: the limits; those of velocity and acceleration hold for coupled joints too.
+
+    Raises:
+        ConfigError: the margin leaves nothing of a joint's range.
+    """
+
+    def __init__(self, hand: Hand, config: LimitsConfig) -> None:
+        room = (hand.limits[:, 1] - hand.limits[:, 0]).min()
+        if 2 * config.margin >= room:
+            raise ConfigError(
+                f"limits: a margin of {config.margin} rad leaves nothing of the smallest joint "
+                f"range of hand {hand.name!r}, {room:.3g} rad"
+            )
+        # the fastest joint that an actuated one moves, itself or one that follows it
+        gearing = np.maximum(np.abs(hand.coupling_matrix).max(axis=0), 1.0)
+        super().__init__(
+            hand.limits,
+            config.velocity / gearing,
+            config.acceleration / gearing,
+            hand.neutral,
+            config.margin,
+        )
 
 
 def _speed(

@@ -73,6 +73,38 @@ class WristCommand:
 
 
 @dataclass(frozen=True, eq=False)
+class ArmCommand:
+    """A command to the arm that carries a hand.
+
+    Attributes:
+        name: of the arm.
+        joint_names: (n,) from the base.
+        positions: (n,) within all limits [rad].
+        velocity: (n,) from the command before [rad/s].
+        pose: (7,) of the hand's wrist at these positions, in the arm's base frame: x y z [m] and a
+            unit quaternion w x y z.
+        position_error: from there to the wanted pose [m]; NaN where none is wanted.
+        rotation_error: the same [rad].
+        clearance: smallest distance between parts, or to table and wall [m].
+        state: ``following``, ``holding``, ``braking`` (no motion keeps all distances) or
+            ``stopped``.
+        measured: (n,) where the joints were when a sink last measured them [rad]; None where none
+            does.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    positions: Float[np.ndarray, " n"]
+    velocity: Float[np.ndarray, " n"]
+    pose: Float[np.ndarray, "7"]
+    position_error: float = float("nan")
+    rotation_error: float = float("nan")
+    clearance: float = float("inf")
+    state: str = "following"
+    measured: Float[np.ndarray, " n"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Tick:
     """One command to one robot hand.
 
@@ -98,6 +130,8 @@ class Tick:
             object until there is a newer one.
         wrist: the target of the hand's wrist, with the same stamp; None where the loop moves
             fingers only.
+        arm: the command to the arm that carries the hand, with the same stamp; None without an
+            arm.
     """
 
     side: Side
@@ -116,3 +150,4 @@ class Tick:
     driver: Driver | None = None
     wrist: WristCommand | None = None
     state: HandState | None = None
+    arm: ArmCommand | None = None

@@ -1,0 +1,261 @@
+"""Distances between the parts of an arm, its hand, the table and a wall, as limits of velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import mink
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from smooth_operator.simulation.arms.arm import ArmSpec
+from smooth_operator.simulation.arms.arm_model import BASE, FLANGE
+from smooth_operator.simulation.arms.hand_mount import HandCapsules
+
+_POSES: Final = 400
+"""Random poses in which it is seen which parts can meet."""
+
+_ROWS: Final = 16
+"""The nearest pairs that limit a step; each more costs time."""
+
+_BRAKING: Final = 0.3
+"""Share of what the joints can do to a distance that is counted on to stop before its end."""
+
+_LEEWAY: Final = 0.02
+"""Of what the joints can do to a distance in a step, what is left to other distances."""
+
+_TINY: Final = 1e-12
+
+
+@dataclass(frozen=True)
+class ClearanceConfig:
+    """How far parts stay apart.
+
+    Attributes:
+        parts: between parts of the arm, and between arm and hand [m].
+        table: between the table and the arm or the palm [m].
+        fingers: between the table and the fingers, which may have to touch it [m].
+        wall: between the wall and anything [m].
+        seen: pairs farther apart than this are free [m].
+        approach: a pair at a distance beyond its own least one comes nearer by this share of the
+            rest in a second, at most [1/s].
+    """
+
+    parts: float = 0.02
+    table: float = 0.02
+    fingers: float = 0.0
+    wall: float = 0.02
+    seen: float = 0.3
+    approach: float = 4.0
+
+
+class Clearance(mink.Limit):
+    """Velocity limits that keep capsules apart: arm and arm, arm and hand, all and planes.
+
+    The time of a step does not depend on the pose: all distances are found in a few array
+    operations, and the nearest pairs become rows of the program.
+
+    Args:
+        arm: the arm; its base frame is the world.
+        model: of it, with a body ``FLANGE``.
+        hand: capsules of the hand; None for none.
+        rest: (n,) pose in which nothing touches; pairs that overlap in it are left out [rad].
+        table: height of the table [m]; None for none.
+        wall: y of a wall that the arm stays on this side of, as seen from its base [m]; None for
+            none.
+        config: the distances.
+
+    Attributes:
+        nearest: smallest distance at the last look [m].
+        low: (n,) least velocity of the joints in the next step [rad/s].
+        high: (n,) the most.
+    """
+
+    def __init__(
+        self,
+        arm: ArmSpec,
+        model: mujoco.MjModel,
+        hand: HandCapsules | None,
+        rest: Float[np.ndarray, " n"],
+        table: float | None,
+        wall: float | None,
+        config: ClearanceConfig,
+    ) -> None:
+        self.config = config
+        self.nearest = np.inf
+        self.low = self.high = np.zeros(len(arm.links))
+        self._hand = hand
+        self._arm = arm
+        self._joints = len(arm.links)
+        groups = [(arm.base, BASE), *((link.capsules, f"link{i}") for i, link in
+                                      enumerate(arm.links, start=1))]  # fmt: skip
+        shapes = [(capsule, level) for level, (own, _) in enumerate(groups) for capsule in own]
+        bodies = [model.body(name).id for _, name in groups]
+        starts = np.array([capsule.start for capsule, _ in shapes])
+        ends = np.array([capsule.end for capsule, _ in shapes])
+        self._middle = (starts + ends) / 2
+        half = (ends - starts) / 2
+        self._half = half
+        self._own = len(shapes)
+        self._body = np.array([bodies[level] for _, level in shapes])
+        self._flange = model.body(FLANGE).id
+        count = 0 if hand is None else len(hand)
+        self._level: Int[np.ndarray, " c"] = np.array(
+            [level for _, level in shapes] + [self._joints] * count
+        )
+        radii = np.array([capsule.radius for capsule, _ in shapes])
+        halves = np.linalg.norm(half, axis=1)
+        finger = np.zeros(self._own, bool)
+        if hand is not None:
+            radii, halves = np.concatenate([radii, hand.radii]), np.concatenate(
+                [halves, hand.halves]
+            )  # fmt: skip
+            finger = np.concatenate([finger, hand.fingers])
+        self._radius, self._length, self._finger = radii, halves, finger
+        self._placed = np.zeros((count, 2, 3))
+        # joint j moves a part of level l if j <= l
+        self._moves = np.arange(1, self._joints + 1) <= self._level[:, None]
+        self._joint_ids = [model.joint(name).id for name in arm.joint_names]
+        self._planes: list[tuple[np.ndarray, float]] = []
+        if table is not None:
+            self._planes.append((np.array([0.0, 0.0, 1.0]), table))
+        if wall is not None:
+            self._planes.append((np.array([0.0, -np.sign(wall), 0.0]), -abs(wall)))
+        self._table = table is not None
+        self._pairs = self._meeting(model, rest)
+        # the base and what turns on the spot above it stand on the table for good
+        high = self._level >= 3
+        self._free = [np.flatnonzero(high if axis[2] else self._level >= 1) for axis, _ in
+                      self._planes]  # fmt: skip
+
+    def place_hand(
+        self, middles: Float[np.ndarray, "c 3"], axes: Float[np.ndarray, "c 3"]
+    ) -> None:
+        """Where the hand's capsules are on the flange; see ``HandCapsules.at``."""
+        self._placed[:, 0], self._placed[:, 1] = middles, axes
+
+    def distances(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
+        """What is near, for a model whose kinematics are up to date.
+
+        Returns:
+            (k,) distance beyond the least one allowed [m], (k, n) its derivative by the joints
+            [m/rad] and (k,) the distance itself [m].
+        """
+        middle, half = self._world(data)
+        first, second = self._pairs.T
+        reach = self._radius[first] + self._radius[second]
+        apart = np.linalg.norm(middle[first] - middle[second], axis=1)
+        near = apart - self._length[first] - self._length[second] - reach < self.config.seen
+        first, second, reach = first[near], second[near], reach[near]
+        one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
+        line = other - one
+        length = np.linalg.norm(line, axis=1)
+        found = [(length - reach, np.full(len(first), self.config.parts), one, first, other,
+                  second, line / np.maximum(length, _TINY)[:, None])]  # fmt: skip
+        for (normal, offset), free in zip(self._planes, self._free, strict=True):
+            along = half[free] @ normal
+            point = middle[free] - np.sign(along)[:, None] * half[free]
+            gap = point @ normal - offset - self._radius[free]
+            least = np.full(len(free), self.config.wall)
+            if normal[2]:
+                least = np.where(self._finger[free], self.config.fingers, self.config.table)
+            none = np.zeros(len(free), int)  # the base, which nothing moves
+            found.append((gap, least, point, none, point, free, np.tile(normal, (len(free), 1))))
+        distance, least, one, a, other, b, normal = (
+            np.concatenate(part) for part in zip(*found, strict=True)
+        )
+        spare = distance - least
+        kept = np.flatnonzero(spare < self.config.seen)
+        if len(kept) > _ROWS:
+            kept = kept[np.argpartition(spare[kept], _ROWS)[:_ROWS]]
+        axis = data.xaxis[self._joint_ids]
+        anchor = data.xanchor[self._joint_ids]
+        normal = normal[kept]
+
+        def speed(point: np.ndarray, part: np.ndarray) -> np.ndarray:
+            moved = np.cross(axis[None], point[:, None] - anchor[None])
+            out: np.ndarray = np.einsum("kji,ki->kj", moved, normal) * self._moves[part]
+            return out
+
+        slope = speed(other[kept], b[kept]) - speed(one[kept], a[kept])
+        self.nearest = float(distance.min(initial=np.inf))
+        return spare[kept], slope, distance[kept]
+
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.limits.Constraint:
+        """Rows G and bounds h of G dq <= h; see ``mink.Limit``."""
+        spare, slope, _ = self.distances(configuration.data)
+        if not len(spare):
+            return mink.limits.Constraint()
+        room = np.maximum(spare, 0.0)
+        braking = _BRAKING * (np.abs(slope) @ self._arm.acceleration)
+        bound = dt * np.minimum(
+            min(self.config.approach, 0.5 / dt) * room, np.sqrt(2.0 * braking * room)
+        )
+        # What no velocity within the joints' bounds can keep is braked for as hard as they let it.
+        least = np.minimum(-slope * self.low, -slope * self.high).sum(axis=1) * dt
+        most = np.maximum(-slope * self.low, -slope * self.high).sum(axis=1) * dt
+        return mink.limits.Constraint(
+            G=-slope, h=np.maximum(bound, least + _LEEWAY * (most - least))
+        )
+
+    def _world(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        """Middles and half segments of all capsules in the base frame [m]."""
+        turn = data.xmat.reshape(-1, 3, 3)
+        rotation = turn[self._body]
+        middle = np.einsum("cij,cj->ci", rotation, self._middle) + data.xpos[self._body]
+        half = np.einsum("cij,cj->ci", rotation, self._half)
+        if self._hand is None:
+            return middle, half
+        flange = turn[self._flange]
+        at = self._placed[:, 0] @ flange.T + data.xpos[self._flange]
+        along = self._placed[:, 1] @ flange.T * self._hand.halves[:, None]
+        return np.concatenate([middle, at]), np.concatenate([half, along])
+
+    def _meeting(self, model: mujoco.MjModel, rest: np.ndarray) -> Int[np.ndarray, "p 2"]:
+        """Pairs of capsules that some pose within the limits brings near each other, and that do
+        not touch at rest; those of neighbours, which a joint joins, are none."""
+        level = self._level
+        first, second = np.triu_indices(len(level), 1)
+        # what is on one link, or on the next, is shaped not to collide; a wrist's three axes meet
+        some = np.abs(level[first] - level[second]) >= 2
+        some &= ~((level[first] >= self._joints - 2) & (level[second] >= self._joints - 2))
+        first, second = first[some], second[some]
+        data = mujoco.MjData(model)
+        low, high = self._arm.limits.T
+        rng = np.random.default_rng(0)
+        reach = self._radius[first] + self._radius[second]
+        least = np.full(len(first), np.inf)
+        for number in range(_POSES + 1):
+            data.qpos[:] = rest if number == 0 else rng.uniform(low, high)
+            mujoco.mj_kinematics(model, data)
+            middle, half = self._world(data)
+            one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
+            gap = np.linalg.norm(one - other, axis=1) - reach
+            if number == 0:
+                touching = gap < self.config.parts
+            least = np.minimum(least, gap)
+        meet = (least < 2 * self.config.parts) & ~touching
+        return np.stack([first[meet], second[meet]], axis=1)
+
+
+def _nearest_points(
+    a: np.ndarray, u: np.ndarray, b: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest points of segments a + s u and b + t v, s and t from -1 to 1; (p, 3) each [m].
+
+    As in Ericson, Real-Time Collision Detection, 5.1.9, for all pairs in one go.
+    """
+    r = a - b
+    uu, vv, uv = (u * u).sum(1), (v * v).sum(1), (u * v).sum(1)
+    ur, vr = (u * r).sum(1), (v * r).sum(1)
+    determinant = uu * vv - uv * uv
+    parallel = determinant < 1e-9 * uu * vv + _TINY**2
+    s = np.where(parallel, 0.0, (uv * vr - vv * ur) / np.where(parallel, 1.0, determinant))
+    s = np.clip(s, -1.0, 1.0)
+    t = np.clip((uv * s + vr) / np.maximum(vv, _TINY), -1.0, 1.0)
+    s = np.clip((uv * t - ur) / np.maximum(uu, _TINY), -1.0, 1.0)
+    return a + s[:, None] * u, b + t[:, None] * v

@@ -1,0 +1,375 @@
+"""Controller of an arm: the pose that the hand's wrist is to have, to joint commands in limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import mink
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.simulation.arms.arm import ArmSpec
+from smooth_operator.simulation.arms.arm_model import FLANGE, arm_spec
+from smooth_operator.simulation.arms.hand_mount import HandMount
+from smooth_operator.simulation.arms.rigid import Matrix, angle_between, matrix_of, pose_of, rigid
+from smooth_operator.teleop.arm.clearance import Clearance, ClearanceConfig
+from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, JointLimiter
+from smooth_operator.teleop.sinks.tick import ArmCommand
+
+_WRIST: Final = "wrist"
+
+_SMOOTHING_S: Final = 0.03
+"""Time constant of the estimate of how fast the target moves [s]."""
+
+_JUMP: Final = 3.0
+"""A target that moves faster than this [m/s], or three times this [rad/s], has jumped."""
+
+_HOME_STEPS: Final = 1500
+_HOME_STEP_S: Final = 0.01
+_HOME_NEAR: Final = (1e-3, 5e-3)
+"""How near the home pose has to be reached [m, rad]."""
+
+
+@dataclass(frozen=True)
+class ArmControlConfig:
+    """How an arm follows.
+
+    Attributes:
+        speed: most of the wrist [m/s].
+        turn: most of the wrist [rad/s].
+        acceleration: with which the wrist comes to rest at its target [m/s^2].
+        turn_acceleration: the same for its orientation [rad/s^2].
+        velocity_share: share of the maker's joint velocities that is used.
+        joint_speed: most of any joint: above it an arm can't stop in front of what it sees [rad/s].
+        margin: kept clear of each end of a joint's range [rad].
+        orientation: weight of 1 rad against 1 m.
+        posture: weight of 1 rad away from the arm's preferred posture against 1 m.
+        damping: largest damping near a singular pose [m].
+        singular: below this smallest singular value of the Jacobian damping begins [m/rad].
+        collisions: whether parts are kept apart.
+        clearance: how far.
+    """
+
+    speed: float = 1.0
+    turn: float = 3.0
+    acceleration: float = 4.0
+    turn_acceleration: float = 12.0
+    velocity_share: float = 0.9
+    joint_speed: float = 2.0
+    margin: float = 0.02
+    orientation: float = 0.3
+    posture: float = 0.03
+    damping: float = 0.08
+    singular: float = 0.06
+    collisions: bool = True
+    clearance: ClearanceConfig = ClearanceConfig()
+
+    def __post_init__(self) -> None:
+        positive = (
+            "speed", "turn", "acceleration", "turn_acceleration", "joint_speed", "orientation",
+            "singular",
+        )  # fmt: skip
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"arm: {name} must be positive, not {getattr(self, name)}")
+        if not 0 < self.velocity_share <= 1:
+            raise ConfigError(
+                f"arm: velocity_share must be above 0 and up to 1, not {self.velocity_share}"
+            )
+
+
+class ArmController:
+    """Follows the pose of the hand's wrist with the arm, one step for each command of the loop.
+
+    Each step solves one quadratic program (mink, daqp) for joint velocities: the wrist's error,
+    a preferred posture and damping near singular poses, within limits of position, velocity,
+    acceleration and clearance. ``JointLimiter`` has the last word, so the first three limits hold
+    whatever is asked for. Where the program has no solution the arm brakes.
+
+    Not thread-safe: it belongs to the loop.
+
+    Args:
+        arm: the arm.
+        mount: the hand on its flange.
+        config: how it follows.
+        table: height of the table in the base frame [m]; None for none.
+        wall: y of a wall in the base frame that the arm keeps to its side of [m]; None for none.
+        home: wrist pose at the start in the base frame, (4, 4); the arm's own if left out.
+
+    Attributes:
+        limiter: what was last commanded.
+
+    Raises:
+        ConfigError: the arm can't reach its home pose with this hand.
+    """
+
+    def __init__(
+        self,
+        arm: ArmSpec,
+        mount: HandMount,
+        config: ArmControlConfig | None = None,
+        *,
+        table: float | None = 0.0,
+        wall: float | None = None,
+        home: Matrix | None = None,
+    ) -> None:
+        self.arm, self.mount = arm, mount
+        self.config = ArmControlConfig() if config is None else config
+        spec = arm_spec(arm)
+        pose = pose_of(mount.flange_to_wrist)
+        spec.body(FLANGE).add_site(name=_WRIST, pos=pose[:3], quat=pose[3:])
+        self.model = spec.compile()
+        nominal = np.array(arm.nominal)
+        self._configuration = mink.Configuration(self.model, nominal)
+        self._site = self.model.site(_WRIST).id
+        self._capsules = mount.capsules()
+        self._clearance = Clearance(
+            arm, self.model, self._capsules, nominal, table, wall, self.config.clearance
+        )
+        self._task = mink.FrameTask(
+            _WRIST, "site", position_cost=1.0, orientation_cost=self.config.orientation
+        )
+        self._posture = mink.PostureTask(self.model, cost=self.config.posture, gain=0.02)
+        self._posture.set_target(nominal)
+        self._box = _Box(self.model.nv)
+        self._hand = mount.hand.full_configuration(mount.hand.neutral)
+        self.limiter = self._limiter(nominal)
+        self._before: Matrix | None = None
+        self._twist = np.zeros(6)
+        self.home = self._go_home(matrix_of(_home(arm)) if home is None else home)
+
+    @property
+    def q(self) -> Float[np.ndarray, " n"]:
+        """(n,) last command [rad]."""
+        return self.limiter.q
+
+    @property
+    def clearance(self) -> float:
+        """Smallest distance between parts, or to table and wall, at the last step [m]."""
+        return self._clearance.nearest
+
+    def wrist_at(self, positions: Float[np.ndarray, " n"]) -> Float[np.ndarray, "7"]:
+        """Pose of the hand's wrist in the base frame.
+
+        Args:
+            positions: (n,) of the arm's joints [rad].
+        """
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = positions
+        mujoco.mj_kinematics(self.model, data)
+        return pose_of(rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site]))
+
+    def restart(self, positions: Float[np.ndarray, " n"]) -> None:
+        """Begin at rest from a measured position of the joints (n,) [rad]."""
+        self.limiter = self._limiter(positions)
+        self._configuration.update(self.limiter.q)
+        self._before = None
+
+    def step(
+        self,
+        target: Float[np.ndarray, "7"] | None,
+        dt: float,
+        hand: Float[np.ndarray, " h"] | None = None,
+        *,
+        stop: bool = False,
+    ) -> ArmCommand:
+        """The next command.
+
+        Args:
+            target: wrist pose in the base frame: position [m], quaternion (w x y z); what is not
+                finite, or None, holds the arm.
+            dt: time since the last command [s].
+            hand: (h,) positions of all joints of the hand [rad]; as before if left out.
+            stop: brake as hard as the limits let it, and stand.
+        """
+        if hand is not None and np.isfinite(hand).all():
+            self._hand = hand
+        dt = max(dt, 1e-4)
+        wanted = None if stop else _target(target)
+        state = "stopped" if stop else "holding" if wanted is None else "following"
+        if wanted is None:
+            self.limiter.rest(dt)
+            self._before = None
+        else:
+            velocity, limited = self._solve(wanted, min(dt, MAX_STEP_S))
+            if velocity is None:
+                self.limiter.rest(dt)
+            else:
+                self.limiter.follow(velocity, dt)
+            state = limited or state
+        self._configuration.update(self.limiter.q)
+        now = self._wrist()
+        apart = (float("nan"), float("nan"))
+        if wanted is not None:
+            apart = (
+                float(np.linalg.norm(wanted[:3, 3] - now[:3, 3])),
+                angle_between(now, wanted),
+            )
+        return ArmCommand(
+            self.arm.name,
+            self.arm.joint_names,
+            self.limiter.q.copy(),
+            self.limiter.velocity.copy(),
+            pose_of(now),
+            *apart,
+            self._clearance.nearest,
+            state,
+        )
+
+    def _solve(self, wanted: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
+        """Joint velocities [rad/s], None where there are none; what limits them."""
+        self._clearance.place_hand(*self._capsules.at(self._hand))
+        now = self._wrist()
+        step = self._governed(now, wanted, dt)
+        aim = now.copy()
+        aim[:3, 3] += step[:3]
+        aim[:3, :3] = _turned(step[3:], now[:3, :3])
+        self._task.set_target(mink.SE3(np.concatenate([_quaternion(aim), aim[:3, 3]])))
+        low, high = self.limiter.bounds(dt)
+        self._box.low, self._box.high = low, high
+        self._clearance.low, self._clearance.high = low, high
+        limits: list[mink.Limit] = [self._box]
+        if self.config.collisions:
+            limits.append(self._clearance)
+        try:
+            velocity = mink.solve_ik(
+                self._configuration,
+                [self._task, self._posture],
+                dt,
+                "daqp",
+                damping=self._damping(),
+                limits=limits,
+            )
+        except (mink.NoSolutionFound, ValueError):
+            return None, "braking"
+        return velocity, ""
+
+    def _governed(self, now: Matrix, wanted: Matrix, dt: float) -> Float[np.ndarray, "6"]:
+        """How far to go in this step: translation [m] and rotation vector [rad], in the base frame.
+
+        The target's own motion, and of the distance to it as much as lets the wrist come to rest
+        there.
+        """
+        config = self.config
+        if self._before is not None:
+            moved = _difference(self._before, wanted) / dt
+            if max(np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:]) / 3.0) > _JUMP:
+                moved = np.zeros(6)
+            self._twist = self._twist + (moved - self._twist) * min(1.0, dt / _SMOOTHING_S)
+        else:
+            self._twist = np.zeros(6)
+        self._before = wanted
+        error = _difference(now, wanted)
+        return np.concatenate(
+            [
+                _approach(error[:3], self._twist[:3], dt, config.acceleration, config.speed),
+                _approach(error[3:], self._twist[3:], dt, config.turn_acceleration, config.turn),
+            ]
+        )
+
+    def _damping(self) -> float:
+        """Damping of the program [m^2]: none where the arm can move every way."""
+        jacobian = self._configuration.get_frame_jacobian(_WRIST, "site")
+        scaled = jacobian.copy()
+        scaled[3:] *= self.config.orientation
+        least = np.sqrt(max(float(np.linalg.eigvalsh(scaled @ scaled.T)[0]), 0.0))
+        share = max(0.0, 1.0 - least / self.config.singular)
+        return 1e-6 + (share * self.config.damping) ** 2
+
+    def _wrist(self) -> Matrix:
+        data = self._configuration.data
+        return rigid(data.site_xmat[self._site].reshape(3, 3), data.site_xpos[self._site])
+
+    def _limiter(self, start: Float[np.ndarray, " n"]) -> JointLimiter:
+        arm, config = self.arm, self.config
+        velocity = np.minimum(config.velocity_share * arm.velocity, config.joint_speed)
+        return JointLimiter(arm.limits, velocity, arm.acceleration, start, config.margin)
+
+    def _go_home(self, home: Matrix) -> Float[np.ndarray, " n"]:
+        """Joint positions of the home pose, reached from the nominal ones as in operation."""
+        pose = pose_of(home)
+        for _ in range(_HOME_STEPS):
+            command = self.step(pose, _HOME_STEP_S)
+            if (
+                command.position_error < _HOME_NEAR[0]
+                and command.rotation_error < _HOME_NEAR[1]
+                and np.abs(command.velocity).max() < 1e-2
+            ):
+                self.restart(self.limiter.q)
+                return self.limiter.q.copy()
+        raise ConfigError(
+            f"arm {self.arm.name!r} can't reach the home pose of hand {self.mount.hand.name!r}: "
+            f"{1e3 * command.position_error:.0f} mm and {command.rotation_error:.2f} rad are left; "
+            "mount the hand at another roll, or with a thinner adapter"
+        )
+
+
+class _Box(mink.Limit):
+    """Bounds of the joint velocities [rad/s], set before each step."""
+
+    def __init__(self, count: int) -> None:
+        self.low = self.high = np.zeros(count)
+        self._rows = np.concatenate([np.eye(count), -np.eye(count)])
+
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.limits.Constraint:
+        del configuration
+        return mink.limits.Constraint(
+            G=self._rows, h=np.concatenate([self.high, -self.low]) * dt
+        )
+
+
+def _home(arm: ArmSpec) -> Float[np.ndarray, "7"]:
+    """The arm's own home pose: fingers forward and down, the back of the hand up."""
+    half = arm.pitch / 2.0
+    return np.array([*arm.home, np.cos(half), 0.0, np.sin(half), 0.0])
+
+
+def _target(pose: Float[np.ndarray, "7"] | None) -> Matrix | None:
+    if pose is None or not np.isfinite(pose).all() or np.linalg.norm(pose[3:]) < 1e-6:
+        return None
+    return matrix_of(pose)
+
+
+def _approach(
+    error: np.ndarray, moving: np.ndarray, dt: float, acceleration: float, speed: float
+) -> np.ndarray:
+    """A step [m or rad] that follows a moving target and comes to rest at a standing one."""
+    distance = float(np.linalg.norm(error))
+    closing = min(np.sqrt(2.0 * acceleration * distance), distance / dt)
+    wanted = moving + (error * (closing / distance) if distance > 1e-12 else 0.0)
+    # not past the target, as it will be after this step
+    fast = float(np.linalg.norm(wanted))
+    return np.asarray(wanted * (min(1.0, speed / fast) if fast > 0 else 1.0) * dt)
+
+
+def _difference(one: Matrix, other: Matrix) -> Float[np.ndarray, "6"]:
+    """Translation [m] and rotation vector [rad] from one pose to another, in the base frame."""
+    vector = np.zeros(3)
+    mujoco.mju_quat2Vel(vector, _quaternion_of(other[:3, :3] @ one[:3, :3].T), 1.0)
+    return np.concatenate([other[:3, 3] - one[:3, 3], vector])
+
+
+def _turned(vector: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """A rotation (3, 3), turned further by a rotation vector [rad] of the base frame."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return rotation
+    quaternion, matrix = np.zeros(4), np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quaternion, vector / angle, angle)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return np.asarray(matrix.reshape(3, 3) @ rotation)
+
+
+def _quaternion(matrix: Matrix) -> np.ndarray:
+    return _quaternion_of(matrix[:3, :3])
+
+
+def _quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion
