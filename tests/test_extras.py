@@ -28,6 +28,7 @@ EXTRAS = [
     "lab",
     "study",
     "all",
+    "arm",
     "bench",
     "cluster",
     "fk",
@@ -48,10 +49,12 @@ LIBRARIES = [
     "cryptography",
     "cv2",
     "cyclonedds",
+    "daqp",
     "h5py",
     "mcap",
     "mediapipe",
     "matplotlib",
+    "mink",
     "mujoco_menagerie",
     "optax",
     "psycopg",
@@ -68,6 +71,7 @@ LIBRARIES = [
 ]
 """Modules of the extras."""
 AT_THE_TOP = (
+    "teleop/arm/",
     "teleop/pages/",
     "teleop/recording/mcap_library.py",
     "teleop/ros2/cyclone_transport.py",

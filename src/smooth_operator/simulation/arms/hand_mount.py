@@ -77,7 +77,7 @@ class HandMount:
     @cached_property
     def flange_to_model(self) -> Matrix:
         """The world of the hand's own model in the flange's frame."""
-        return self.flange_to_wrist @ inverse(self.model_to_palm @ self.palm_to_wrist)
+        return np.asarray(self.flange_to_wrist @ inverse(self.model_to_palm @ self.palm_to_wrist))
 
     def capsules(self) -> HandCapsules:
         """The hand's shapes as capsules, to be posed with its fingers."""

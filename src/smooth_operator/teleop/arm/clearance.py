@@ -130,9 +130,7 @@ class Clearance(mink.Limit):
         self._free = [np.flatnonzero(high if axis[2] else self._level >= 1) for axis, _ in
                       self._planes]  # fmt: skip
 
-    def place_hand(
-        self, middles: Float[np.ndarray, "c 3"], axes: Float[np.ndarray, "c 3"]
-    ) -> None:
+    def place_hand(self, middles: Float[np.ndarray, "c 3"], axes: Float[np.ndarray, "c 3"]) -> None:
         """Where the hand's capsules are on the flange; see ``HandCapsules.at``."""
         self._placed[:, 0], self._placed[:, 1] = middles, axes
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import mink
@@ -27,7 +27,7 @@ _SMOOTHING_S: Final = 0.03
 _JUMP: Final = 3.0
 """A target that moves faster than this [m/s], or three times this [rad/s], has jumped."""
 
-_HOME_STEPS: Final = 1500
+_HOME_STEPS: Final = 1000
 _HOME_STEP_S: Final = 0.01
 _HOME_NEAR: Final = (1e-3, 5e-3)
 """How near the home pose has to be reached [m, rad]."""
@@ -55,8 +55,8 @@ class ArmControlConfig:
 
     speed: float = 1.0
     turn: float = 3.0
-    acceleration: float = 4.0
-    turn_acceleration: float = 12.0
+    acceleration: float = 3.0
+    turn_acceleration: float = 10.0
     velocity_share: float = 0.9
     joint_speed: float = 2.0
     margin: float = 0.02
@@ -65,7 +65,7 @@ class ArmControlConfig:
     damping: float = 0.08
     singular: float = 0.06
     collisions: bool = True
-    clearance: ClearanceConfig = ClearanceConfig()
+    clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
 
     def __post_init__(self) -> None:
         positive = (
@@ -277,7 +277,7 @@ class ArmController:
         scaled[3:] *= self.config.orientation
         least = np.sqrt(max(float(np.linalg.eigvalsh(scaled @ scaled.T)[0]), 0.0))
         share = max(0.0, 1.0 - least / self.config.singular)
-        return 1e-6 + (share * self.config.damping) ** 2
+        return 1e-6 + float(share * self.config.damping) ** 2
 
     def _wrist(self) -> Matrix:
         data = self._configuration.data
@@ -318,9 +318,7 @@ class _Box(mink.Limit):
         self, configuration: mink.Configuration, dt: float
     ) -> mink.limits.Constraint:
         del configuration
-        return mink.limits.Constraint(
-            G=self._rows, h=np.concatenate([self.high, -self.low]) * dt
-        )
+        return mink.limits.Constraint(G=self._rows, h=np.concatenate([self.high, -self.low]) * dt)
 
 
 def _home(arm: ArmSpec) -> Float[np.ndarray, "7"]:
@@ -340,9 +338,10 @@ def _approach(
 ) -> np.ndarray:
     """A step [m or rad] that follows a moving target and comes to rest at a standing one."""
     distance = float(np.linalg.norm(error))
-    closing = min(np.sqrt(2.0 * acceleration * distance), distance / dt)
+    # the step itself, and braking after it, are not to go past a standing target
+    late = acceleration * dt
+    closing = min(np.sqrt(late**2 + 2.0 * acceleration * distance) - late, distance / dt)
     wanted = moving + (error * (closing / distance) if distance > 1e-12 else 0.0)
-    # not past the target, as it will be after this step
     fast = float(np.linalg.norm(wanted))
     return np.asarray(wanted * (min(1.0, speed / fast) if fast > 0 else 1.0) * dt)
 

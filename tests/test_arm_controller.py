@@ -1,0 +1,214 @@
+"""Arms: their kinematics against the makers' figures, and a controller that keeps every limit."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("mink", reason="the extra arm is not installed")
+pytest.importorskip("daqp", reason="the extra arm is not installed")
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.simulation.arms.arm_model import FLANGE, arm_spec
+from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
+from smooth_operator.simulation.arms.hand_mount import HandMount
+from smooth_operator.teleop.arm.controller import ArmController
+
+STEP = 0.01
+NAMES = tuple(ARMS)
+
+
+@cache
+def _mount(hand: str, arm: str, side: str = "right") -> HandMount:
+    return HandMount(load_hand(hand, side), roll=ARMS[arm].roll)  # type: ignore[arg-type]
+
+
+def _controller(arm: str, hand: str = "mimic_p050", **settings: float) -> ArmController:
+    return ArmController(ARMS[arm], _mount(hand, arm), **settings)  # type: ignore[arg-type]
+
+
+def _flange(arm: str, q: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    model = arm_spec(ARMS[arm]).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    body = model.body(FLANGE).id
+    return data.xpos[body], data.xmat[body].reshape(3, 3)
+
+
+def _standard_ur5e(q: list[float]) -> np.ndarray:
+    """The maker's own form: standard Denavit-Hartenberg, UR5e."""
+    rows = [(0, 0.1625, np.pi / 2), (-0.425, 0, 0), (-0.3922, 0, 0), (0, 0.1333, np.pi / 2),
+            (0, 0.0997, -np.pi / 2), (0, 0.0996, 0)]  # fmt: skip
+    out = np.eye(4)
+    for (a, d, alpha), theta in zip(rows, q, strict=True):
+        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        out = out @ np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s],
+                              [0, sa, ca, d], [0, 0, 0, 1]])  # fmt: skip
+    return out
+
+
+@pytest.mark.parametrize(
+    ("arm", "q", "place"),
+    [  # drawings: what the lengths of the links come to in poses at right angles
+        ("panda", [0, 0, 0, 0, 0, 0, 0], (0.088, 0, 0.333 + 0.316 + 0.384 - 0.107)),
+        ("xarm7", [0, 0, 0, 0, 0, 0, 0], (0.206, 0, 0.1205)),
+        ("iiwa14", [0, 0, 0, 0, 0, 0, 0], (0, 0, 0.36 + 0.42 + 0.4 + 0.126)),
+        ("iiwa14", [0, np.pi / 2, 0, 0, 0, 0, 0], (0.42 + 0.4 + 0.126, 0, 0.36)),
+        ("iiwa14", [0, 0, 0, -np.pi / 2, 0, 0, 0], (0.4 + 0.126, 0, 0.36 + 0.42)),
+        ("ur5e", [0, 0, 0, 0, 0, 0], (-0.8172, -0.2329, 0.0628)),
+    ],
+)
+def test_the_flange_is_where_the_makers_lengths_put_it(
+    arm: str, q: list[float], place: tuple[float, ...]
+) -> None:
+    np.testing.assert_allclose(_flange(arm, q)[0], place, atol=1e-9)
+
+
+def test_a_ur5e_turns_as_its_makers_own_table_says() -> None:
+    q = [0.3, -1.1, 1.7, -0.4, 0.9, 2.0]
+    place, turn = _flange("ur5e", q)
+    expected = _standard_ur5e(q)
+    np.testing.assert_allclose(place, expected[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(turn, expected[:3, :3], atol=1e-9)
+
+
+def test_an_unknown_arm_is_named_with_those_that_there_are() -> None:
+    with pytest.raises(UnknownNameError, match="panda"):
+        arm_named("pandora")
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("hand", ["mimic_p050", "shadow_hand", "leap_hand"])
+def test_a_hand_stands_on_the_flange_with_its_fingers_outward(hand: str, side: str) -> None:
+    mount = _mount(hand, "panda", side)
+    middles, _ = mount.capsules().at(mount.hand.full_configuration(mount.hand.neutral))
+    radii = mount.capsules().radii
+    assert (middles[:, 2] + radii).min() > 0.0, "all of it is in front of the flange"
+    tips = mount.hand.tips(mount.hand.full_configuration(mount.hand.neutral))
+    to_flange = mount.flange_to_wrist @ np.linalg.inv(mount.palm_to_wrist)
+    along = tips @ to_flange[:3, :3].T + to_flange[:3, 3]
+    assert along[1:, 2].min() > mount.flange_to_wrist[2, 3] + 0.03, "the fingers are beyond it"
+    assert np.linalg.det(mount.flange_to_wrist[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("arm", NAMES)
+def test_no_limit_is_passed_whatever_the_target_does(arm: str) -> None:
+    """Random poses, teleports, flipped quaternions, NaN, uneven steps, fingers in motion."""
+    controller = _controller(arm)
+    spec, hand = controller.arm, controller.mount.hand
+    rng = np.random.default_rng(sum(map(ord, arm)))
+    target = controller.wrist_at(controller.home)
+    q, velocity, before = controller.home, np.zeros(len(spec.links)), np.inf
+    fingers, nearest, states = hand.neutral.copy(), np.inf, set()
+    for number in range(400):
+        if number % 25 == 0:
+            turn = rng.normal(size=4)
+            target = np.concatenate([rng.uniform((-0.9, -0.9, -0.3), (0.9, 0.9, 1.2)), turn])
+            goal = rng.uniform(*hand.limits.T)
+        if number % 7 == 0:
+            target = np.concatenate([target[:3], -target[3:]])
+        given = np.full(7, np.nan) if number % 50 in (3, 4) else target
+        fingers = fingers + np.clip(goal - fingers, -0.02, 0.02)
+        dt = float(rng.choice([0.004, 0.01, 0.01, 0.02, 0.06]))
+        command = controller.step(given, dt, hand.full_configuration(fingers))
+        states.add(command.state)
+        assert (
+            (command.positions >= spec.limits[:, 0]) & (command.positions <= spec.limits[:, 1])
+        ).all()
+        moved = (command.positions - q) / dt
+        np.testing.assert_allclose(moved, command.velocity, atol=1e-9)
+        assert (np.abs(moved) <= spec.velocity * 0.9 + 1e-9).all()
+        change = spec.acceleration * min(dt, (before + dt) / 2)
+        assert (np.abs(moved - velocity) <= change + 1e-6).all()
+        q, velocity, before = command.positions, moved, dt
+        nearest = min(nearest, command.clearance)
+    assert nearest > -0.004, f"parts were {1e3 * nearest:.1f} mm apart"
+    assert {"following", "holding"} <= states
+
+
+@pytest.mark.parametrize("arm", ["ur5e", "panda"])
+def test_the_wrist_follows_and_comes_to_rest_without_overshoot(arm: str) -> None:
+    controller = _controller(arm)
+    home = controller.wrist_at(controller.home)
+    errors = []
+    for number in range(260):
+        t = number * STEP
+        target = home.copy()
+        target[:3] += 0.06 * np.sin(np.pi * t) * np.array([0.4, 1.0, -0.5])
+        command = controller.step(target, STEP)
+        errors.append(command.position_error)
+    assert max(errors[30:]) < 0.006
+    beyond = home + np.array([0, 0.08, 0, 0, 0, 0, 0])
+    controller.restart(controller.home)
+    places = [controller.step(beyond, STEP).pose[1] - home[1] for _ in range(100)]
+    assert max(places) < 0.082, "it passes a standing target by no more than 2 mm"
+    assert places[-1] == pytest.approx(0.08, abs=1e-3)
+
+
+@pytest.mark.parametrize("arm", ["xarm7", "iiwa14"])
+def test_a_target_out_of_reach_is_approached_and_the_arm_stands(arm: str) -> None:
+    controller = _controller(arm)
+    target = controller.wrist_at(controller.home)
+    target[:3] = 3.0, 0.3, 0.6
+    commands = [controller.step(target, STEP) for _ in range(400)]
+    errors = np.array([command.position_error for command in commands])
+    assert errors[-1] < errors[0] - 0.1
+    still = np.array([command.velocity for command in commands[-50:]])
+    assert np.abs(still).max() < 0.02, "no oscillation at full reach"
+
+
+def test_without_a_target_it_brakes_and_holds_and_a_stop_is_obeyed() -> None:
+    controller = _controller("panda")
+    target = controller.wrist_at(controller.home)
+    target[2] += 0.2
+    for _ in range(20):
+        moving = controller.step(target, STEP)
+    assert np.abs(moving.velocity).max() > 0.1
+    for _ in range(60):
+        held = controller.step(None, STEP)
+    assert held.state == "holding"
+    assert np.abs(held.velocity).max() == 0.0
+    for _ in range(30):
+        controller.step(target, STEP)
+    for _ in range(60):
+        stopped = controller.step(target, STEP, stop=True)
+    assert stopped.state == "stopped"
+    assert np.abs(stopped.velocity).max() == 0.0
+    first = controller.step(target, STEP)
+    assert np.abs(first.positions - stopped.positions).max() < 0.02
+    assert np.linalg.norm(first.pose[:3] - stopped.pose[:3]) < 0.002
+
+
+def test_nothing_passes_the_wall_nor_the_table() -> None:
+    controller = _controller("xarm7", wall=-0.3)
+    target = controller.wrist_at(controller.home)
+    capsules = controller._capsules
+    lowest, rightmost = np.inf, np.inf
+    for number in range(300):
+        target[:3] = (0.45, -0.7, 0.2) if number < 150 else (0.45, 0.0, -0.5)
+        controller.step(target, STEP)
+        data = controller._configuration.data
+        middles, axes = capsules.at(controller._hand)
+        body = controller.model.body(FLANGE).id
+        turn, place = data.xmat[body].reshape(3, 3), data.xpos[body]
+        ends = (
+            middles[:, None]
+            + np.array([-1.0, 1.0])[:, None] * (axes * capsules.halves[:, None])[:, None]
+        )
+        points = ends @ turn.T + place
+        rightmost = min(rightmost, (points[..., 1] - capsules.radii[:, None]).min())
+        lowest = min(lowest, (points[..., 2] - capsules.radii[:, None]).min())
+    assert -0.3 < rightmost < -0.25, "it goes up to the wall"
+    assert -0.002 < lowest < 0.03, "the fingers may touch the table, and go no deeper"
+
+
+def test_a_home_pose_out_of_reach_is_refused() -> None:
+    from smooth_operator.simulation.arms.rigid import rigid
+
+    with pytest.raises(ConfigError, match="can't reach the home pose"):
+        _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))  # type: ignore[arg-type]
