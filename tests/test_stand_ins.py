@@ -57,7 +57,7 @@ def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name: str, tmp_
     pairs = capsule_pairs(bare)
     assert len(pairs.pairs) > 10
     assert (pairs.shapes == -1).all()
-    q = np.random.default_rng(3).uniform(*real.limits.T, (300, len(real.limits)))
+    q = np.random.default_rng(3).uniform(*real.limits.T, (600, len(real.limits)))
     truth = penetration_depths(real, real.expand(q))
     assert truth is not None
     ours = np.maximum(depths(pairs, ends_of(pairs, bare, q)).max(axis=-1), 0.0)
