@@ -17,7 +17,7 @@ from cyclonedds._clayer import ddspy_take
 from cyclonedds.core import InstanceState, SampleState, ViewState
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.idl.types import float32, float64, int32, sequence, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -157,6 +157,34 @@ class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
 
 
 @dataclass
+class RawNode(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusRawNode_"):
+    node_id: int32
+    parent_node_id: int32
+    joint_type: str
+    chain_type: str
+    pose: Pose
+
+
+@dataclass
+class Ergonomics(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusErgonomics_"):
+    type: str
+    value: float32
+
+
+@dataclass
+class ManusGlove(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusGlove_"):
+    glove_id: int32
+    side: str
+    raw_node_count: int32
+    raw_nodes: sequence[RawNode]
+    ergonomics_count: int32
+    ergonomics: sequence[Ergonomics]
+    raw_sensor_orientation: Quaternion
+    raw_sensor_count: int32
+    raw_sensor: sequence[Pose]
+
+
+@dataclass
 class Garbled(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
     """A type with the name of another, as of a package that was changed."""
 
@@ -181,6 +209,13 @@ def message(kind: str, values: dict[str, Any]) -> Any:
         return PoseArray(head, [pose(row) for row in values["poses"]])
     if kind == "PoseStamped":
         return PoseStamped(head, pose(values["pose"]))
+    if kind == "ManusGlove":
+        nodes = [RawNode(i, 0, "MCP", "Index", pose(row)) for i, row in enumerate(values["poses"])]
+        angles = [Ergonomics("IndexMCPStretch", 12.5)]
+        turn = Quaternion(0.0, 0.0, 0.0, 1.0)
+        return ManusGlove(
+            values["glove"], values["side"], len(nodes), nodes[::-1], 1, angles, turn, 0, []
+        )
     return {"String": String, "Garbled": Garbled}[kind](values["data"])
 
 

@@ -20,19 +20,34 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from ticks import make_tick
 
-from smooth_operator.errors import ConfigError, MissingExtraError, SinkError, UnknownNameError
+from smooth_operator.errors import (
+    ConfigError,
+    MissingExtraError,
+    RecordingError,
+    SinkError,
+    UnknownNameError,
+)
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.landmarks import NODE_LAYOUTS
+from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.teleop.ros2 import messages as ros
 from smooth_operator.teleop.ros2 import sink as sink_module
 from smooth_operator.teleop.ros2.backends import open_transport
+from smooth_operator.teleop.ros2.hand_poses import HandPoseReader
 from smooth_operator.teleop.ros2.messages import Message
 from smooth_operator.teleop.ros2.sink import Ros2Sink
+from smooth_operator.teleop.ros2.source import Ros2Source
 from smooth_operator.teleop.ros2.transport import Endpoint
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
+from smooth_operator.teleop.sources.live import Mailbox
+from smooth_operator.teleop.sources.registry import build_source
+from smooth_operator.types import HandFrame, Side
 
 needs_cyclonedds = pytest.mark.skipif(
     not __import__("importlib.util").util.find_spec("cyclonedds"),
@@ -358,6 +373,208 @@ def test_wrong_names_and_settings_say_what_is_expected(hand: Hand, recorded: Rec
             build_sink(text)
 
 
+# --- the source
+
+
+def a_hand(side: Side = "right", points: int = 21) -> np.ndarray:
+    """(n, 3) points of an open hand, of 21, 25 or 26 [m]."""
+    landmarks = reference_landmarks(load_hand("mimic_p050", side))
+    if points == len(landmarks):
+        return landmarks
+    rows = np.random.default_rng(5).normal(0.0, 0.03, (points, 3))
+    rows[list(NODE_LAYOUTS[points][0])] = landmarks
+    return rows
+
+
+def started(source: Ros2Source) -> tuple[Ros2Source, Mailbox]:
+    mailbox = Mailbox()
+    source.prepare()
+    source.start(mailbox)
+    return source, mailbox
+
+
+def publish_until(peer: Peer, done: Callable[[], object], *orders: dict[str, Any]) -> None:
+    """Publish again and again, until what comes of it is there."""
+
+    def sent() -> object:
+        for order in orders:
+            peer.order(**order)
+        time.sleep(0.02)
+        return done()
+
+    until(sent)
+
+
+@needs_cyclonedds
+@pytest.mark.parametrize("reliable", [True, False])
+def test_hands_come_from_another_process_with_the_wrist_in_the_world(
+    peer: Peer, domain: int, reliable: bool
+) -> None:
+    source, mailbox = started(Ros2Source("/{side}/p", side="both", domain=domain, **LOCAL))
+    hands = {"right": a_hand("right", 26), "left": a_hand("left", 25)}
+    turn = Rotation.from_euler("xyz", [30, -20, 100], degrees=True)
+    place = np.array([0.5, 0.25, 1.0])
+    moved = {side: turn.apply(points) + place for side, points in hands.items()}
+    orders: list[dict[str, Any]] = [
+        {
+            "domain": domain,
+            "publish": f"rt/{side}/p",
+            "type": "PoseArray",
+            "reliable": reliable,
+            "values": {"frame": "map", "stamp": 12.5, "poses": points.tolist()},
+        }
+        for side, points in moved.items()
+    ]
+    publish_until(peer, lambda: len(mailbox.received_of) == 2, *orders)
+    for side, points in moved.items():
+        arrival = mailbox.take(side)  # type: ignore[arg-type]
+        assert arrival is not None
+        frame = arrival.frame
+        landmarks = points[list(NODE_LAYOUTS[len(points)][0])]
+        assert np.array_equal(frame.landmarks, landmarks)
+        assert (frame.stamp, frame.side, frame.world) == (12.5, side, "map")
+        assert frame.orientations is None  # all are the unit one: they say nothing
+        wrist = wrist_from_landmarks(landmarks, side)  # type: ignore[arg-type]
+        assert np.allclose(frame.T_world_wrist, wrist)
+        assert np.isfinite(wrist).all()
+    source.stop()
+    until(lambda: source.health().state == "ended")
+
+
+@needs_cyclonedds
+def test_wrist_topic_gloves_and_texts(peer: Peer, domain: int) -> None:
+    points = a_hand()
+    points -= points[0]
+    turn = Rotation.from_euler("xyz", [30, -20, 100], degrees=True)
+    place = [0.5, 0.25, 1.0]
+    common: dict[str, Any] = {"domain": domain, **LOCAL}
+    sources = [
+        started(Ros2Source("/h", frame="wrist", wrist="/w", **common)),
+        started(Ros2Source("/g0 /g1", side="both", message="manus_glove", **common)),
+        started(Ros2Source("/json", side="both", message="json", **common)),
+    ]
+    glove = a_hand("left", 25)
+    text = json.dumps({"side": "right", "stamp": 3.5, "landmarks": points.tolist()})
+    nodes = [{"id": i, "pos": row, "quat": [1, 0, 0, 0]} for i, row in enumerate(glove.tolist())]
+    manus = json.dumps({"side": "left", "glove_id": 4, "nodes": nodes})
+    pose = [*place, *turn.as_quat().tolist()]  # x y z w, as in ROS 2
+    orders: list[dict[str, Any]] = [
+        {"publish": "rt/w", "type": "PoseStamped", "values": {"frame": "odom", "pose": pose}},
+        {"publish": "rt/h", "type": "PoseArray", "values": {"poses": points.tolist()}},
+        {
+            "publish": "rt/g1",
+            "type": "ManusGlove",
+            "values": {"glove": 7, "side": "Left", "poses": glove.tolist()},
+        },
+        {"publish": "rt/json", "type": "String", "values": {"data": text}},
+        {"publish": "rt/json", "type": "String", "values": {"data": manus}},
+    ]
+
+    def all_are_here() -> bool:
+        boxes = [mailbox for _, mailbox in sources]
+        seen = boxes[0].newest("right")
+        wrist = None if seen is None else seen.frame.T_world_wrist
+        found = wrist is not None and bool(np.isfinite(wrist).all())
+        return found and boxes[1].received > 0 and len(boxes[2].received_of) == 2
+
+    publish_until(peer, all_are_here, *({"domain": domain, **order} for order in orders))
+    in_wrist, from_glove, from_text = (mailbox for _, mailbox in sources)
+    arrival = in_wrist.take("right")
+    assert arrival is not None
+    frame = arrival.frame
+    assert np.array_equal(frame.landmarks, points)
+    expected = wrist_from_landmarks(turn.apply(points) + place, "right")
+    assert np.allclose(frame.T_world_wrist, expected)
+    assert frame.world == "odom"
+    assert frame.stamp == arrival.received  # a stamp of zero is none
+    for mailbox in (from_glove, from_text):
+        arrival = mailbox.take("left")
+        assert arrival is not None
+        assert np.allclose(arrival.frame.landmarks, glove[list(NODE_LAYOUTS[25][0])], atol=1e-6)
+    arrival = from_text.take("right")
+    assert arrival is not None
+    assert arrival.frame.stamp == 3.5
+    for source, _ in sources:
+        source.stop()
+
+
+@needs_cyclonedds
+def test_a_message_that_can_not_be_read_is_counted_and_the_next_is_read(
+    peer: Peer, domain: int
+) -> None:
+    source, mailbox = started(Ros2Source("/x", domain=domain, **LOCAL))
+    here = {"domain": domain, "publish": "rt/x"}
+    points = a_hand()
+    bad = [
+        here | {"type": "PoseArray", "values": {"poses": rows}}
+        for rows in ([], points[:20].tolist())  # the first is "no hand"
+    ]
+    words = "message has 20 points; a hand has 21"
+    publish_until(peer, lambda: words in source.health().detail, *bad)
+    in_millimetres = {"type": "PoseArray", "values": {"poses": (1e3 * points).tolist()}}
+    publish_until(peer, lambda: "0.001" in source.health().detail, here | in_millimetres)
+    good = {"type": "PoseArray", "values": {"poses": points.tolist()}}
+    publish_until(peer, lambda: mailbox.received, here | good)
+    assert source.health().state == "running"
+    source.stop()
+
+
+def test_bytes_of_another_type_are_refused_in_one_line(domain: int) -> None:
+    pytest.importorskip("cyclonedds")
+    from smooth_operator.teleop.ros2 import cyclone_transport
+
+    class Reader:
+        def take(self, most: int, condition: Any) -> list[Any]:
+            return [cyclone_transport.wire_class(ros.PoseArray).deserialize(b"\0\1\0\0\7")]
+
+    (found,) = cyclone_transport._take(Reader(), None, ros.PoseArray)  # type: ignore[arg-type]
+    assert isinstance(found, RecordingError)
+    reader = HandPoseReader({"/x": "right"}, {}, "world", "mediapipe", {})
+    with pytest.raises(RecordingError, match="another type than geometry_msgs/msg/PoseArray"):
+        reader.read("/x", found, 1.0)
+
+
+def test_a_wrist_that_is_old_or_unknown_is_not_valid() -> None:
+    reader = HandPoseReader({"/x": "right"}, {"/w": "right"}, "wrist", "mediapipe", {})
+    points = a_hand()
+    array = ros.PoseArray(poses=[ros.Pose(ros.Point(*row)) for row in points.tolist()])
+
+    def wrist(received: float, stamp: float = 0.0) -> HandFrame:
+        message = replace(array, header=ros.Header(ros.Time.of(round(stamp * 1e9))))
+        (reading,) = reader.read("/x", message, received)
+        return reading.frame
+
+    def valid(frame: HandFrame) -> bool:
+        assert frame.T_world_wrist is not None
+        return bool(np.isfinite(frame.T_world_wrist).all())
+
+    assert not valid(wrist(9.0))
+    reader.read("/w", ros.PoseStamped(ros.Header(ros.Time(50), "odom")), 10.0)
+    assert valid(wrist(10.05))
+    assert not valid(wrist(10.2))
+    assert valid(wrist(99.0, stamp=50.05))  # by the stamps where both have one
+    assert not valid(wrist(10.0, stamp=50.2))
+    camera = HandPoseReader({"/x": "right"}, {}, "camera", "mediapipe", {})
+    (reading,) = camera.read("/x", array, 1.0)
+    assert reading.frame.T_world_wrist is None
+
+
+def test_settings_of_the_source_that_contradict_each_other() -> None:
+    for text, words in {
+        "ros2:/p,side=both": "put {side} into the topic",
+        "ros2:/p,wrist=/w": "give both or none",
+        "ros2:/p,frame=wrist": "give both or none",
+        "ros2:/{side}/p,side=both,frame=wrist,wrist=/w": "two wrists",
+        "ros2:/{hand}/p": "can't be a topic",
+        "ros2:/p,right_glove=3,left_glove=3": "both '3'",
+        "ros2:/p,domain=-1": "0 to 232",
+        "ros2:/p,message=twist": "pose_array or json or manus_glove",
+    }.items():
+        with pytest.raises(ConfigError, match=words):
+            build_source(text)
+    assert build_source("ros2", "left").label == "ROS 2 /hand/{side}/poses"
+
+
 # --- domain, network and libraries
 
 
@@ -465,6 +682,10 @@ class FakeRos:
         self.log: list[Any] = []
         self.arriving: dict[str, list[Any]] = {}
         self.callbacks: dict[str, tuple[type, Callable[[Any], None]]] = {}
+
+    def find(self, kind: type[Message]) -> Any:
+        package, _, name = kind.type_name.partition("/msg/")
+        return self.kinds[package][name]
 
     def modules(self) -> dict[str, dict[str, Any]]:
         fake = self
@@ -595,5 +816,21 @@ def test_rclpy_is_used_where_it_is(hand: Hand, rclpy: FakeRos) -> None:
         assert (profile.history.name, profile.depth) == ("KEEP_LAST", depth)
     with pytest.raises(ConfigError, match="ROS_AUTOMATIC_DISCOVERY_RANGE"):
         Ros2Sink(network="subnet").open(hands, {})  # type: ignore[arg-type]
+    source = Ros2Source("/p", side="left")
+    points = a_hand("left")
+    kinds = rclpy.kinds["geometry_msgs"]
+    poses = [ros.to_foreign(ros.Pose(ros.Point(*row)), rclpy.find) for row in points.tolist()]
+    header = ros.to_foreign(ros.Header(ros.Time(3, 4), "map"), rclpy.find)
+    rclpy.arriving["/p"] = [kinds["PoseArray"](header, poses)] * 3
+    _, mailbox = started(source)
+    until(lambda: mailbox.received == 3)
+    arrival = mailbox.take("left")
+    assert arrival is not None
+    assert np.array_equal(arrival.frame.landmarks, points)
+    assert arrival.frame.stamp == 3.000000004
+    source.stop()
+    until(lambda: source.health().state == "ended")
+    profile = rclpy.profiles["/p"]
+    assert (profile.reliability.name, profile.durability.name) == ("BEST_EFFORT", "VOLATILE")
     Ros2Sink(domain=5).check(hands)  # type: ignore[arg-type]
     assert ("init", 5) in rclpy.log

@@ -23,7 +23,7 @@ from cyclonedds.core import (
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.idl.types import float32, float64, int32, sequence, uint32
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -48,7 +48,7 @@ Reach: TypeAlias = Literal["localhost", "subnet", "own"]
 
 _CLASSES: dict[type[Message], Any] = {}
 _MANY: Final = 256  # samples that are taken in one go, so that a flood can't keep it from stopping
-_NUMBERS: Final = {"int32": int32, "uint32": uint32, "float64": float64}
+_NUMBERS: Final = {"int32": int32, "uint32": uint32, "float32": float32, "float64": float64}
 _CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Discovery>
 <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""

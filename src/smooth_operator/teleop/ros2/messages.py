@@ -1,8 +1,9 @@
 """ROS 2 messages that are sent and read here, as dataclasses that need no ROS 2.
 
 Fields are those of the public interface definitions (builtin_interfaces, std_msgs, geometry_msgs,
-sensor_msgs, trajectory_msgs, tf2_msgs), the same from Humble to Rolling. A class knows the name of
-its type; ``to_foreign`` and ``from_foreign`` change to and from the classes of a library.
+sensor_msgs, trajectory_msgs, tf2_msgs), the same from Humble to Rolling, and of manus_ros2_msgs. A
+class knows the name of its type; ``to_foreign`` and ``from_foreign`` change to and from the classes
+of a library.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar, get_args, get_t
 
 Int32: TypeAlias = Annotated[int, "int32"]
 UInt32: TypeAlias = Annotated[int, "uint32"]
+Float32: TypeAlias = Annotated[float, "float32"]
 Float64: TypeAlias = Annotated[float, "float64"]
 
 
@@ -225,10 +227,48 @@ M = TypeVar("M", bound=Message)
 _FIELDS: dict[type[Message], dict[str, tuple[Any, bool]]] = {}
 
 
+@dataclass
+class ManusRawNode(Message):
+    """A node of the skeleton of a MANUS glove."""
+
+    type_name = "manus_ros2_msgs/msg/ManusRawNode"
+    node_id: Int32 = 0
+    parent_node_id: Int32 = 0
+    joint_type: str = ""
+    chain_type: str = ""
+    pose: Pose = field(default_factory=Pose)
+
+
+@dataclass
+class ManusErgonomics(Message):
+    """A joint angle of a MANUS glove."""
+
+    type_name = "manus_ros2_msgs/msg/ManusErgonomics"
+    type: str = ""
+    value: Float32 = 0.0
+
+
+@dataclass
+class ManusGlove(Message):
+    """A MANUS glove; its raw nodes are 25."""
+
+    type_name = "manus_ros2_msgs/msg/ManusGlove"
+    glove_id: Int32 = 0
+    side: str = ""
+    raw_node_count: Int32 = 0
+    raw_nodes: list[ManusRawNode] = field(default_factory=list)
+    ergonomics_count: Int32 = 0
+    ergonomics: list[ManusErgonomics] = field(default_factory=list)
+    raw_sensor_orientation: Quaternion = field(default_factory=Quaternion)
+    raw_sensor_count: Int32 = 0
+    raw_sensor: list[Pose] = field(default_factory=list)
+
+
 def field_types(kind: type[Message]) -> dict[str, tuple[Any, bool]]:
     """Fields of a message in their order: name -> type, and whether there is a list of it.
 
-    A type is a message, ``str``, or the name of a number: ``"int32"``, ``"uint32"``, ``"float64"``.
+    A type is a message, ``str``, or the name of a number: ``"int32"``, ``"uint32"``, ``"float32"``,
+    ``"float64"``.
     """
     if kind in _FIELDS:
         return _FIELDS[kind]

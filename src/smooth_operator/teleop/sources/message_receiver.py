@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.teleop.sources.live import Running, SourceHealth
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.types import Side
 
-Message: TypeAlias = tuple[bytes, ...]
-"""A message as it came, in one part or several."""
+Message: TypeAlias = tuple[Any, ...]
+"""A message as it came, in one part or several: bytes, or what its library makes of them."""
 Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
 """The hands of a message that came at a time by the loop's clock [s]."""
 

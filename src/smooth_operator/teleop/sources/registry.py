@@ -39,6 +39,10 @@ SOURCES: Final = Registry(
             "the ZeroMQ stream of glove bridges (extra zmq)",
         ),
         "zmq": Entry(f"{_HERE}.zmq_stream:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
+        "ros2": Entry(
+            "smooth_operator.teleop.ros2.source:Ros2Source",
+            "hand poses from ROS 2 topics, without a ROS 2 installation too (extra ros2)",
+        ),
         "udp": Entry(f"{_HERE}.udp:UdpSource", "landmarks over UDP: udp:PORT"),
     },
     needs=("label", "start", "stop", "health"),

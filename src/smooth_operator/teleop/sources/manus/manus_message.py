@@ -70,7 +70,7 @@ def read_manus(
     topic = found[1].decode().lower().rpartition("/")[2]
     known: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
     message = parse_json(data[found.end() :])
-    return tuple(_read_hand(hand, gloves, known, received) for hand in _hands(message))
+    return tuple(read_glove(hand, gloves, known, received) for hand in _hands(message))
 
 
 def write_manus(frame: HandFrame) -> bytes:
@@ -129,9 +129,14 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
     return hands
 
 
-def _read_hand(
+def read_glove(
     message: Mapping[str, Any], gloves: Mapping[str, Side], side: Side | None, received: float
 ) -> Reading:
+    """Read one hand, an object of JSON with ``nodes``; see ``read_manus``.
+
+    Raises:
+        RecordingError: it can't be read, with the reason.
+    """
     key = next((key for key in ("nodes", "raw_nodes", "data") if key in message), None)
     if key is None:
         raise RecordingError(

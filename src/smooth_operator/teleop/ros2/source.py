@@ -1,0 +1,169 @@
+"""Hand poses from ROS 2 topics: ``--source ros2:/hand/{side}/poses``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from smooth_operator.errors import ConfigError, SourceError
+from smooth_operator.io.anatomy import layout_order
+from smooth_operator.teleop.ros2.backends import open_transport
+from smooth_operator.teleop.ros2.hand_poses import KINDS, Frame, HandPoseReader, Kind
+from smooth_operator.teleop.ros2.messages import PoseStamped
+from smooth_operator.teleop.ros2.transport import (
+    Backend,
+    Endpoint,
+    Network,
+    Transport,
+    topic_name,
+)
+from smooth_operator.teleop.sources.message_receiver import Message
+from smooth_operator.teleop.sources.payload import Reading
+from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
+from smooth_operator.types import Side
+
+
+@dataclass(frozen=True)
+class Ros2Source(StreamSource):
+    """Each message a hand: from a publisher of any kind, reliable or best effort.
+
+    Attributes:
+        topic: of the hands; ``{side}`` stands for right and left; several names may stand there,
+            separated by blanks.
+        side: the hands that are taken. ``both`` needs ``{side}`` in the topic, or messages that
+            say it (``json``, ``manus_glove``).
+        message: ``pose_array``: ``geometry_msgs/PoseArray`` of 21, 25 or 26 poses; ``json``:
+            ``std_msgs/String`` with landmarks, or a MANUS glove, as ``udp`` and ``manus`` read
+            them; ``manus_glove``: ``manus_ros2_msgs/ManusGlove``.
+        frame: what poses of a ``pose_array`` are relative to. ``world``: a fixed frame with z up
+            (REP 103), so the pose of the wrist follows from them; ``wrist``: the frame of the topic
+            ``wrist``; ``camera``: another, so the wrist has no pose in the world.
+        wrist: topic of the wrist's pose in the world, ``geometry_msgs/PoseStamped``.
+        layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
+        right_glove: id of the right MANUS glove, where messages do not say which hand is which.
+        left_glove: id of the left one.
+        node: name of the node (rclpy).
+        domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
+        network: ``localhost`` or ``subnet``, for CycloneDDS; default: what ROS 2's variables say,
+            else localhost.
+        backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy where it can be imported.
+
+    Raises:
+        ConfigError: a setting is outside its range, or a name is none that ROS 2 takes.
+        UnknownNameError: there is no such layout.
+    """
+
+    topic: str = "/hand/{side}/poses"
+    side: Hands = "right"
+    message: Kind = "pose_array"
+    frame: Frame = "world"
+    wrist: str | None = None
+    layout: str = "mediapipe"
+    right_glove: str | None = None
+    left_glove: str | None = None
+    node: str = "smooth_operator_source"
+    domain: int | None = None
+    network: Network | None = None
+    backend: Backend = "auto"
+
+    def __post_init__(self) -> None:
+        layout_order(self.layout)
+        self._endpoint()
+        topics = self._topics()
+        if self.message == "pose_array" and None in topics.values():
+            raise ConfigError(
+                "ros2: poses do not say which hand they are of: put {side} into the topic, or take "
+                "one hand only (side=right or side=left)"
+            )
+        if len(self._wrist_topics()) < len(self.sides) and self.wrist is not None:
+            raise ConfigError("ros2: two hands need two wrists: put {side} into wrist")
+        if (self.wrist is not None) != (self.frame == "wrist"):
+            raise ConfigError("ros2: wrist=TOPIC and frame=wrist go together: give both or none")
+        if self.right_glove is not None and self.right_glove == self.left_glove:
+            raise ConfigError(f"right_glove and left_glove are both {self.right_glove!r}")
+
+    @property
+    def label(self) -> str:
+        """What it is, in a few words."""
+        return f"ROS 2 {self.topic}"
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The hands that it takes."""
+        return sides_of(self.side)
+
+    def connect(self) -> Ros2Inbox:
+        """Open the transport and its subscriptions."""
+        topics, wrists = self._topics(), self._wrist_topics()
+        transport = open_transport(self._endpoint())
+        try:
+            for topic in topics:
+                transport.subscribe(KINDS[self.message], topic, KEPT)
+            for topic in wrists:
+                transport.subscribe(PoseStamped, topic, KEPT)
+        except BaseException:
+            transport.close()
+            raise
+        gloves: dict[str, Side] = {}
+        if self.right_glove is not None:
+            gloves[self.right_glove.lower()] = "right"
+        if self.left_glove is not None:
+            gloves[self.left_glove.lower()] = "left"
+        reader = HandPoseReader(topics, wrists, self.frame, self.layout, gloves)
+        # The settings are frozen, but wrist poses are kept from one message to the next.
+        object.__setattr__(self, "_reader", reader)
+        return Ros2Inbox(transport, f"{', '.join(topics)} ({transport.label})")
+
+    def read(self, message: Message, received: float) -> Sequence[Reading]:
+        """The hands of a message: its topic, and what came."""
+        reader: HandPoseReader = getattr(self, "_reader")  # noqa: B009  (set in connect())
+        topic, content = message
+        return reader.read(topic, content, received)
+
+    def _endpoint(self) -> Endpoint:
+        return Endpoint(
+            "the source 'ros2'", SourceError, self.node, self.domain, self.network, self.backend
+        )
+
+    def _topics(self) -> dict[str, Side | None]:
+        """Topic -> side of its hands, None where a message says it."""
+        found: dict[str, Side | None] = {}
+        names = self.topic.split() or [self.topic]
+        for name in names:
+            for side in self.sides:
+                topic = topic_name(name, "ros2", side=side)
+                found[topic] = side if "{side}" in name else only_side(self.side)
+        return found
+
+    def _wrist_topics(self) -> Mapping[str, Side]:
+        if self.wrist is None:
+            return {}
+        return {topic_name(self.wrist, "ros2", side=side): side for side in self.sides}
+
+
+class Ros2Inbox:
+    """Open subscriptions: the newest messages of each topic.
+
+    Args:
+        transport: with the subscriptions.
+        address: what is listened to, for people.
+    """
+
+    def __init__(self, transport: Transport, address: str) -> None:
+        self._transport = transport
+        self.address = address
+
+    def receive(self, timeout: float) -> list[Message]:
+        """See ``Inbox``."""
+        received = self._transport.receive(timeout)
+        left: dict[str, int] = {}
+        newest: list[Message] = []
+        for topic, message in reversed(received):
+            left[topic] = left.get(topic, KEPT) - 1
+            if left[topic] >= 0:
+                newest.append((topic, message))
+        return newest[::-1]
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        self._transport.close()
