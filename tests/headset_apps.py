@@ -118,3 +118,82 @@ def pico_tracking(hands: dict[str, Any], stamp_ns: int | None, nested: bool = Tr
         value["timeStampNs"] = stamp_ns
     value = json.dumps(value) if nested else value
     return pico_packet(0x6D, json.dumps({"functionName": "Tracking", "value": value}).encode())
+
+
+# Tracking Streamer: ARKit's axes (the world as OpenXR's), 4 x 4 transforms.
+
+_OPENXR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+_ANCHOR: dict[Side, np.ndarray] = {
+    # the wrist's x, y, z in ours: to the forearm, out of the back, to the thumb (and its mirror
+    # image, turned by half a turn: to the fingers, out of the palm, to the little finger)
+    "right": np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),
+    "left": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+
+
+def transform(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation, position
+    return out
+
+
+def arkit_wrist(side: Side, pose: Pose) -> np.ndarray:
+    """From the anchor to ARKit's world."""
+    return transform(_OPENXR @ turn(pose[3:]) @ _ANCHOR[side].T, _OPENXR @ np.asarray(pose[:3]))
+
+
+def arkit_joints(side: Side, joints: np.ndarray, forearm: bool = True) -> np.ndarray:
+    """(27, 4, 4) or (25, 4, 4) from the joints to the anchor; none is turned."""
+    points = joints @ _ANCHOR[side].T
+    if forearm:
+        points = np.vstack([points, points[0], points[0] - _ANCHOR[side] @ [0.25, 0.0, 0.0]])
+    return np.stack([transform(np.eye(3), p) for p in points])
+
+
+def _tag(field: int, kind: int) -> bytes:
+    number = field << 3 | kind
+    return bytes([number]) if number < 128 else bytes([number & 127 | 128, number >> 7])
+
+
+def _nested(field: int, data: bytes) -> bytes:
+    size, length = len(data), b""
+    while size > 127:
+        length, size = length + bytes([size & 127 | 128]), size >> 7
+    return _tag(field, 2) + length + bytes([size]) + data
+
+
+def avp_matrix(matrix: np.ndarray) -> bytes:
+    return b"".join(
+        _tag(k + 1, 5) + struct.pack("<f", v) for k, v in enumerate(matrix.ravel()) if v != 0.0
+    )
+
+
+def avp_hand(wrist: np.ndarray, joints: np.ndarray) -> bytes:
+    skeleton = b"".join(_nested(1, avp_matrix(joint)) for joint in joints)
+    return _nested(1, avp_matrix(wrist)) + _nested(2, skeleton)
+
+
+def avp_update(hands: dict[Side, tuple[np.ndarray, np.ndarray]]) -> bytes:
+    """A ``HandUpdate``, with a head."""
+    fields = {"left": 1, "right": 2}
+    update = b"".join(
+        _nested(fields[side], avp_hand(*hands[side])) for side in ("left", "right") if side in hands
+    )
+    return update + _nested(3, avp_matrix(np.eye(4)))
+
+
+_JSONL_NAMES = [
+    "wrist",
+    *("thumb" + part for part in ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")),
+    *(
+        finger + part
+        for finger in ("index", "middle", "ring", "little")
+        for part in ("Metacarpal", "Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
+    ),
+]
+
+
+def avp_jsonl_hand(wrist: np.ndarray, joints: np.ndarray) -> dict[str, list[float]]:
+    """A hand in a line of a recording: 16 numbers each, column by column."""
+    rows = [wrist, *joints[1:25]]
+    return {n: m.T.ravel().tolist() for n, m in zip(_JSONL_NAMES, rows, strict=True)}

@@ -23,6 +23,7 @@ IDENTITY: Final[Float[np.ndarray, "7"]] = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0
 """The pose that moves nothing."""
 
 _TINY: Final = 1e-12
+_RIGID: Final = 0.02  # of an entry of a matrix
 _NEXT: Final = np.array([1, 2, 0])
 _AFTER: Final = np.array([2, 0, 1])
 
@@ -71,13 +72,16 @@ WRIST_AXES: Final[Mapping[str, Float[np.ndarray, "3 3"]]] = MappingProxyType(
         "ours": np.eye(3),
         "openxr": axes("-z", "-x", "y"),
         "unity": axes("z", "-x", "y"),
+        "arkit_right": axes("-x", "z", "y"),
+        "arkit_left": axes("x", "z", "-y"),
     }
 )
 """Wrist axes of trackers: to the middle finger, z x x, out of the back of the hand, in each one's.
 
 ``openxr`` (XR_EXT_hand_tracking, WebXR): -z to the fingers, y out of the back, on both hands.
-``unity`` (XR Hands): the same with z to the fingers, left-handed. A tracker with other axes names
-them with ``axes``.
+``unity`` (XR Hands): the same with z to the fingers, left-handed. ``arkit_right``, ``arkit_left``
+(hand anchors of visionOS, EgoDex): the right hand's x points to the forearm, y out of its back; the
+left hand's x to the fingers, y out of its palm. A tracker with other axes names them with ``axes``.
 """
 
 
@@ -168,6 +172,18 @@ def matrices(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
     out[..., :3, 3] = poses[..., :3]
     out[..., 3, 3] = 1.0
     return out
+
+
+def is_rigid(matrix: Float[np.ndarray, "*n 4 4"]) -> Bool[np.ndarray, "*n"]:
+    """Whether each matrix is a proper rotation and a position, but for the rounding of float32."""
+    rotation = matrix[..., :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond any transform
+        gram = rotation @ np.swapaxes(rotation, -1, -2)
+        good = (np.abs(gram - np.eye(3)) < _RIGID).all(axis=(-2, -1))
+        good &= np.linalg.det(rotation) > 0
+        last = np.abs(matrix[..., 3, :] - np.array([0.0, 0.0, 0.0, 1.0])) < _RIGID
+    whole: np.ndarray = good & last.all(axis=-1) & np.isfinite(matrix).all(axis=(-2, -1))
+    return whole
 
 
 def from_matrices(matrix: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:

@@ -49,7 +49,7 @@ PORT: Final = 63_901
 WORLD: Final = "pico"
 """Name of the world frame: where the headset was when the app started."""
 MOST_BYTES: Final = 60_000
-"""Longest body that is read; all that the app can track at once is half of it."""
+"""Longest body that is read; all that the app can track together is half of it."""
 
 Axes: TypeAlias = Literal["openxr", "unity"]
 """Axes of the joints."""

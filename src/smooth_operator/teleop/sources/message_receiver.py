@@ -79,8 +79,11 @@ class MessageReceiver:
             "running" if self._accepted else "waiting", self._detail()
         )
 
-    def silent(self) -> None:
-        """Say so if no message has come for a while."""
+    def silent(self, problem: str = "") -> None:
+        """Say so if no message has come for a while, or why none can come."""
+        if problem:
+            self._running.health = SourceHealth("waiting", problem)
+            return
         if self._last is None:
             return
         silence = self._running.mailbox.clock() - self._last

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.poses import quaternions
+from smooth_operator.poses import is_rigid, quaternions
 
 QuaternionOrder: TypeAlias = Literal["wxyz", "xyzw"]
 """Order of the quaternion in a row of 7, after x y z."""
@@ -18,7 +18,6 @@ MatrixOrder: TypeAlias = Literal["auto", "rows", "columns"]
 _AXES: Final = ("x", "y", "z")
 _LAST: Final = np.array([0.0, 0.0, 0.0, 1.0])
 _CLOSE: Final = 1e-3  # of the last row; trackers send float32 and rounded text
-_RIGID: Final = 0.02  # of R R^T from the identity
 
 
 def read_points(
@@ -94,16 +93,12 @@ def points_of_matrices(
             "or leave it out"
         )
     rotation = matrices[:, :3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond any transform
-        gram = rotation[whole] @ np.swapaxes(rotation[whole], 1, 2)
-        rigid = bool((np.abs(gram - np.eye(3)) < _RIGID).all())
-    if not rigid:
+    if not is_rigid(matrices[whole]).all():
+        mirrored = is_rigid(matrices[whole] * np.array([-1.0, 1.0, 1.0, 1.0])).all()
         raise RecordingError(
             f"{what} must be rotations and positions, but a matrix is scaled or skewed"
-        )
-    if (np.linalg.det(rotation[whole]) < 0).any():
-        raise RecordingError(
-            f"{what} must be in a right-handed frame, but a matrix is a mirror image"
+            if not mirrored
+            else f"{what} must be in a right-handed frame, but a matrix is a mirror image"
         )
     turned = np.full((len(matrices), 4), np.nan)
     turned[whole] = quaternions(rotation[whole])

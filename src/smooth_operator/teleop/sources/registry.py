@@ -33,6 +33,10 @@ SOURCES: Final = Registry(
             f"{_HERE}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
         ),
         "hts": Entry(f"{_HERE}.hts:HtsSource", "the Quest app Hand Tracking Streamer: hts:0.0.0.0"),
+        "avp": Entry(
+            f"{_HERE}.avp:AvpSource",
+            "the Vision Pro app Tracking Streamer: avp:ADDRESS (extra avp)",
+        ),
         "pico": Entry(f"{_HERE}.pico:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
             f"{_HERE}.manus.manus_stream:ManusStream",

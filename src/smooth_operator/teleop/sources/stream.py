@@ -92,6 +92,10 @@ class StreamSource(ThreadedSource):
         """What to look at while nothing has come: a clause that begins with a sign, or nothing."""
         return ""
 
+    def problem(self, inbox: Inbox) -> str:
+        """Why nothing can come, for an inbox that connects; empty where nothing is wrong."""
+        return ""
+
     @property
     def endpoint(self) -> str | None:
         """What it listens to, an asked-for free port being a real one; None before its start."""
@@ -113,6 +117,6 @@ class StreamSource(ThreadedSource):
                 for message in messages:
                     receiver.take(message, received)
                 if not messages:
-                    receiver.silent()
+                    receiver.silent(self.problem(inbox))
         finally:
             inbox.close()
