@@ -29,6 +29,7 @@ EXTRAS = [
     "study",
     "all",
     "arm",
+    "avp",
     "bench",
     "cluster",
     "fk",
@@ -48,6 +49,7 @@ EXTRAS = [
 LIBRARIES = [
     "cryptography",
     "cv2",
+    "grpc",
     "cyclonedds",
     "daqp",
     "h5py",
