@@ -11,6 +11,7 @@ if TYPE_CHECKING:  # --help names the sinks, and needs no NumPy
     from smooth_operator.teleop.sinks.sink import Sink
 
 _HERE: Final = "smooth_operator.teleop.sinks"
+_HANDS: Final = "smooth_operator.teleop.hardware.drivers"
 
 SINKS: Final = Registry(
     "sink",
@@ -25,6 +26,14 @@ SINKS: Final = Registry(
         ),
         "record": Entry(f"{_HERE}.record:RecordSink", "an MCAP log: record:FILE"),
         "table": Entry(f"{_HERE}.table:TableSink", "a table in the terminal"),
+        "inspire": Entry(f"{_HANDS}.inspire:InspireSink", "an Inspire RH56 hand (extra inspire)"),
+        "linker": Entry(f"{_HANDS}.linker:LinkerSink", "a LinkerHand L10 or L20 (extra linker)"),
+        "allegro": Entry(
+            f"{_HANDS}.allegro:AllegroSink", "an Allegro Hand V4 or V5 (extra allegro)"
+        ),
+        "ability": Entry(f"{_HANDS}.ability:AbilitySink", "an Ability Hand (extra ability)"),
+        "wuji": Entry(f"{_HANDS}.wuji:WujiSink", "a Wuji Hand (extra wuji)"),
+        "revo2": Entry(f"{_HANDS}.revo2:Revo2Sink", "a BrainCo Revo2 (extra revo2)"),
     },
     needs=("label", "open", "send", "stalled", "close", "simulation"),
     advice="derive it from smooth_operator.teleop.Sink",

@@ -1,0 +1,287 @@
+"""Driver of the Inspire RH56 hands (DFX and FTP): Modbus over TCP or over a serial line.
+
+Facts of the protocol, from the maker's register map as published: holding registers, one 16-bit
+word per motor at ``ANGLE_SET`` (1486), ``FORCE_SET`` (1498), ``SPEED_SET`` (1522), ``ANGLE_ACT``
+(1546), ``FORCE_ACT`` (1582), ``CURRENT`` (1594); two motors to a word, the first in the low byte,
+at ``ERROR`` (1606), ``STATUS`` (1612), ``TEMP`` (1618). Motors in the order little, ring, middle
+and index finger, thumb bending, thumb rotation; 1000 is open, 0 is closed. TCP port 6000; serial
+line 115200 baud, 8 data bits, no parity; device 1.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import struct
+import time
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError, require
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+
+MOTORS: Final = 6
+PORT: Final = 6000
+BAUD: Final = 115200
+
+_CLEAR_ERROR, _CURRENT_LIMIT = 1004, 1020
+_ANGLE_SET, _FORCE_SET, _SPEED_SET = 1486, 1498, 1522
+_ANGLE_ACT, _FORCE_ACT, _CURRENT = 1546, 1582, 1594
+_ERROR, _STATUS, _TEMP = 1606, 1612, 1618
+
+_IN_TURNS: Final = (_CURRENT, _FORCE_ACT, _ERROR, _CURRENT, _FORCE_ACT, _STATUS, _CURRENT, _TEMP)
+"""What is read besides the angles, one in each cycle: a serial line has no time for more."""
+
+_ERRORS: Final = (
+    "rotor locked", "too hot", "too much current", "motor faulty", "motor does not answer",
+)  # fmt: skip
+"""Bits of ``ERROR``, from the lowest."""
+
+_STATUSES: Final = {5: "stopped by its current limit", 6: "rotor locked", 7: "faulty"}
+"""Values of ``STATUS`` that mean that a motor stands against its will."""
+
+_TIMEOUT: Final = 0.2
+"""How long an answer may take [s]."""
+
+_MARGIN: Final = 100
+"""How far from 0 to 1000 a measured angle may be."""
+
+
+@dataclass(frozen=True)
+class InspireSink(HardwareSink):
+    """Moves an Inspire RH56 hand; see ``HardwareSink``.
+
+    Attributes:
+        port: ``ADDRESS`` or ``ADDRESS:PORT`` for Modbus TCP; a serial port, such as
+            ``/dev/ttyUSB0``, for Modbus RTU.
+    """
+
+    driver: ClassVar[str] = "inspire"
+
+    port: str = "192.168.11.210"
+
+    def device(self, actuators: ActuatorMap) -> InspireDevice:
+        """The hand, not yet open; see ``HardwareSink``."""
+        return InspireDevice(actuators, self.port)
+
+
+class InspireDevice:
+    """An Inspire RH56 hand on its bus; see ``HandDevice``.
+
+    Its screws hold the fingers without current, so ``relax`` is ``hold``: the motors stop where
+    they are. ``Reading.currents`` is in mA, ``Reading.touch`` the six forces [g].
+
+    Args:
+        table: of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``, the
+            hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
+        port: ``ADDRESS`` or ``ADDRESS:PORT`` for TCP; a serial port such as ``/dev/ttyUSB0``.
+
+    Raises:
+        ConfigError: the table has not six actuators, or a setting is out of range.
+    """
+
+    def __init__(self, table: ActuatorMap, port: str) -> None:
+        if len(table.actuators) != MOTORS:
+            raise ConfigError(
+                f"{table.file}: an Inspire hand has {MOTORS} actuators, not {len(table.actuators)}"
+            )
+        self._table, self._port = table, port
+        self._device_id = _whole(table, "device_id", 1, 1, 254)
+        self._speed = _whole(table, "speed", 1000, 0, 1000)
+        self._force = _whole(table, "force", 500, 0, 3000)
+        self._client: Any = None
+        self._turn = 0
+        self._resting = False
+        self._slow: dict[int, np.ndarray] = {}
+
+    @property
+    def serial(self) -> bool:
+        """Whether it is reached by a serial line, and not by TCP."""
+        return "/" in self._port or self._port.upper().startswith("COM")
+
+    def open(self) -> None:
+        """Connect, check that the hand answers, and set its limits; see ``HandDevice``."""
+        require("an Inspire hand", "inspire", "pymodbus")
+        from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+
+        # Without a handler of its own, each lost answer would be a line in the user's terminal.
+        logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+        if self.serial:
+            require("an Inspire hand on a serial line", "inspire", "serial")
+            self._client = ModbusSerialClient(
+                self._port, baudrate=BAUD, timeout=_TIMEOUT, retries=0
+            )
+        else:
+            host, _, number = self._port.partition(":")
+            if number and not number.isdigit():
+                raise ConfigError(f"inspire: {self._port!r} is not ADDRESS or ADDRESS:PORT")
+            self._client = ModbusTcpClient(
+                host, port=int(number or PORT), timeout=_TIMEOUT, retries=0
+            )
+        self._turn, self._slow, self._resting = 0, {}, False
+        try:
+            if not self._client.connect():
+                raise DeviceLostError(f"inspire: nothing answers at {self._port}")
+            self._angles()
+            if _bytes(self._ask(_ERROR, 3)).any():
+                self._tell(_CLEAR_ERROR, [1])
+            self._tell(_SPEED_SET, [self._speed] * MOTORS)
+            self._tell(_FORCE_SET, [self._force] * MOTORS)
+            self._limit_currents()
+        except SinkError as error:
+            self.close()
+            way = (
+                f"the adapter's port and the {BAUD} baud of the hand"
+                if self.serial
+                else "power, cable, and that this computer is in the hand's network"
+            )
+            raise SinkError(
+                f"{error}; check {way}, and that no other program has the hand"
+            ) from error
+
+    def _limit_currents(self) -> None:
+        limits = self._table.limits
+        if not np.isfinite(limits).any():
+            return
+        words = np.clip(np.nan_to_num(limits, nan=1500.0), 0, 1500).astype(int)
+        with contextlib.suppress(WrongAnswerError):  # not every model has this register
+            self._tell(_CURRENT_LIMIT, words.tolist())
+
+    def read(self) -> Reading:
+        """Angles, and one of currents, forces, errors and temperatures; see ``HandDevice``."""
+        angles = self._angles()
+        address = _IN_TURNS[self._turn % len(_IN_TURNS)]
+        words = self._ask(address, 3 if address in (_ERROR, _STATUS, _TEMP) else MOTORS)
+        self._slow[address] = _bytes(words) if len(words) == 3 else _signed(words)
+        self._turn += 1
+        currents, touch = self._slow.get(_CURRENT), self._slow.get(_FORCE_ACT)
+        temperatures = self._slow.get(_TEMP)
+        return Reading(
+            positions=angles,
+            currents=None if currents is None else currents.astype(float),
+            temperatures=None if temperatures is None else temperatures.astype(float),
+            errors=self._errors(),
+            touch=None if touch is None else touch.astype(float),
+        )
+
+    def _errors(self) -> tuple[str, ...]:
+        found = []
+        flags = self._slow.get(_ERROR, np.zeros(MOTORS, int))
+        statuses = self._slow.get(_STATUS, np.zeros(MOTORS, int))
+        for name, flag, status in zip(self._table.names, flags, statuses, strict=True):
+            words = [text for bit, text in enumerate(_ERRORS) if int(flag) >> bit & 1]
+            if not words and int(status) in _STATUSES:
+                words = [_STATUSES[int(status)]]
+            found += [f"{name}: {text}" for text in words]
+        return tuple(found)
+
+    def write(self, commands: Float[np.ndarray, " 6"]) -> None:
+        """Send the angles, 0 (closed) to 1000 (open); see ``HandDevice``."""
+        self._resting = False
+        self._tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
+
+    def hold(self) -> None:
+        """Make where the fingers are their target, once; see ``HandDevice``."""
+        if self._resting:
+            return
+        angles = self._angles()
+        self.write(angles)
+        self._resting = True
+
+    def relax(self) -> None:
+        """As ``hold``: the screws give way to nobody."""
+        self.hold()
+
+    def close(self) -> None:
+        """Give the line back; the hand keeps its last target. See ``HandDevice``."""
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def _angles(self) -> Float[np.ndarray, " 6"]:
+        angles = _signed(self._ask(_ANGLE_ACT, MOTORS)).astype(float)
+        if (angles < -_MARGIN).any() or (angles > 1000 + _MARGIN).any():
+            raise WrongAnswerError(
+                f"inspire: the hand says that its motors are at {angles.astype(int).tolist()}; "
+                "expected 0 to 1000"
+            )
+        return angles
+
+    def _ask(self, address: int, count: int) -> list[int]:
+        words: list[int] = self._exchange("read_holding_registers", address, count=count).registers
+        if len(words) != count:
+            raise WrongAnswerError(
+                f"inspire: {len(words)} words came from register {address}, and not {count}"
+            )
+        return words
+
+    def _tell(self, address: int, words: list[int]) -> None:
+        self._exchange("write_registers", address, words)
+
+    def _exchange(self, function: str, *values: Any, **named: Any) -> Any:
+        """One request and its answer.
+
+        An answer that comes after its time would be taken for that of the next request, so the
+        line is cleared before there is a next one.
+        """
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        if self._client is None:
+            raise DeviceLostError("inspire: the hand is not open")
+        try:
+            answer = getattr(self._client, function)(*values, device_id=self._device_id, **named)
+        except (ConnectionException, OSError) as error:
+            raise DeviceLostError(
+                f"inspire: the connection to the hand at {self._port} is gone"
+            ) from error
+        except (ModbusException, struct.error, ValueError) as error:
+            self._clear()
+            raise WrongAnswerError(
+                f"inspire: no good answer of the hand at {self._port} within {_TIMEOUT:g} s"
+            ) from error
+        if answer.isError():
+            raise WrongAnswerError(
+                f"inspire: the hand refused register {values[0]} "
+                f"(Modbus exception {getattr(answer, 'exception_code', '?')})"
+            )
+        return answer
+
+    def _clear(self) -> None:
+        """Drop what may still come: the connection, or what is on the serial line."""
+        if not self.serial:
+            self._client.close()  # the next request opens it again
+            return
+        line = self._client.socket
+        deadline = time.perf_counter() + _TIMEOUT
+        try:
+            while line is not None and time.perf_counter() < deadline:
+                line.reset_input_buffer()
+                time.sleep(0.01)
+                if not line.in_waiting:
+                    return
+        except OSError as error:
+            raise DeviceLostError(f"inspire: {self._port} is gone ({error})") from error
+
+
+def _whole(table: ActuatorMap, name: str, default: int, low: int, high: int) -> int:
+    value = table.settings.get(name, default)
+    if not isinstance(value, int) or not low <= value <= high:
+        raise ConfigError(
+            f"{table.file}: {name} must be a whole number from {low} to {high}, not {value!r}"
+        )
+    return value
+
+
+def _signed(words: list[int]) -> np.ndarray:
+    return np.array(words, np.uint16).astype(np.int16).astype(int)
+
+
+def _bytes(words: list[int]) -> np.ndarray:
+    """Six bytes from three words, the low byte first."""
+    pairs = np.array(words, int)
+    return np.stack([pairs & 0xFF, pairs >> 8 & 0xFF], axis=1).ravel()

@@ -1,0 +1,241 @@
+"""Driver of the LinkerHand L10 and L20 on a CAN bus.
+
+Facts of the protocol, from the maker's SDK as published: frames with an 11-bit identifier, 0x28 for
+a right hand and 0x27 for a left one, at 1 Mbit/s. The first byte says what the frame is about, the
+others are one value from 0 to 255 per motor; most motors are open at 255. A frame of positions sets
+them, and the hand answers with where the motors are; without values it only answers. L10: six
+motors in 0x01, four in 0x04; speed 0x05 and 0x06, torque 0x02 and 0x03, temperatures 0x33 and 0x34,
+faults 0x35 and 0x36, five values each. L20: roots of the fingers 0x01, their sideways motors 0x02,
+roll of the thumb 0x03 (first value), tips 0x04; speed 0x05, current 0x06, faults 0x07.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import ClassVar, Final, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+
+
+@dataclass(frozen=True)
+class Model:
+    """Frames of one model.
+
+    Attributes:
+        positions: kind of frame -> how many motors, in the order of the table.
+        width: values in each of those frames.
+        limits: kinds of the frames that limit torque or current, five motors each.
+        temperatures: kinds of the frames of temperatures, five motors each.
+        faults: kinds of the frames of faults; five motors each, or five fingers.
+    """
+
+    positions: dict[int, int]
+    width: dict[int, int]
+    limits: tuple[int, ...]
+    temperatures: tuple[int, ...]
+    faults: tuple[int, ...]
+
+    @property
+    def motors(self) -> int:
+        """How many it has."""
+        return sum(self.positions.values())
+
+
+MODELS: Final = {
+    "l10": Model({1: 6, 4: 4}, {1: 6, 4: 4}, (0x02, 0x03), (0x33, 0x34), (0x35, 0x36)),
+    "l20": Model({1: 5, 2: 5, 3: 1, 4: 5}, {1: 5, 2: 5, 3: 5, 4: 5}, (0x06,), (), (0x07,)),
+}
+"""Name of a model -> its frames."""
+
+_FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
+_IDENTIFIERS: Final = {"right": 0x28, "left": 0x27}
+_SPEED: Final = 0x05
+_TIMEOUT: Final = 0.05
+"""How long an answer may take [s]."""
+
+
+@dataclass(frozen=True)
+class LinkerSink(HardwareSink):
+    """Moves a LinkerHand L10 or L20; see ``HardwareSink``.
+
+    Attributes:
+        port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
+        model: of the hand; it chooses the table, too, unless one is named.
+    """
+
+    driver: ClassVar[str] = "linker"
+
+    port: str = "can0"
+    model: Literal["l10", "l20"] = "l20"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.table:
+            object.__setattr__(self, "table", f"linker_{self.model}")
+
+    def device(self, actuators: ActuatorMap) -> LinkerDevice:
+        """The hand, not yet open; see ``HardwareSink``."""
+        return LinkerDevice(actuators, self.port, self.model)
+
+
+class LinkerDevice:
+    """A LinkerHand on its bus; see ``HandDevice``.
+
+    The hand has no command that switches its motors off, so ``relax`` is ``hold``. It does not
+    report currents.
+
+    Args:
+        table: of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255. Its
+            settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
+        port: of the CAN bus.
+        model: ``l10`` or ``l20``.
+
+    Raises:
+        ConfigError: the table has another number of actuators, or a setting is out of range.
+    """
+
+    def __init__(self, table: ActuatorMap, port: str, model: str) -> None:
+        self._model = MODELS[model]
+        if len(table.actuators) != self._model.motors:
+            raise ConfigError(
+                f"{table.file}: a LinkerHand {model.upper()} has {self._model.motors} actuators, "
+                f"not {len(table.actuators)}"
+            )
+        speed, gap = table.settings.get("speed", 255), table.settings.get("gap_ms", 1.0)
+        if not isinstance(speed, int) or not 1 <= speed <= 255:
+            raise ConfigError(f"{table.file}: speed must be 1 to 255, not {speed!r}")
+        if not isinstance(gap, int | float) or not 0.0 <= gap <= 20.0:
+            raise ConfigError(f"{table.file}: gap_ms must be 0 to 20, not {gap!r}")
+        if (table.limits > 255).any() or (table.limits < 1).any():
+            raise ConfigError(f"{table.file}: limit must be 1 to 255, the hand's own unit")
+        self._table, self._port, self._name = table, port, model.upper()
+        self._identifier = _IDENTIFIERS[table.side]
+        self._speed, self._gap = speed, float(gap) / 1000
+        self._bus: CanBus | None = None
+        self._answers: dict[int, bytes] = {}
+        self._turn = 0
+        self._resting = False
+        self._sent = 0.0
+
+    def open(self) -> None:
+        """Open the bus, check that every motor answers, set limits; see ``HandDevice``."""
+        self._bus = CanBus(self._port, "linker", "linker")
+        self._answers, self._turn, self._resting = {}, 0, False
+        try:
+            self.read()
+        except SinkError as error:
+            self.close()
+            other = "left" if self._table.side == "right" else "right"
+            raise SinkError(
+                f"{error}; check power and cable, and that it is not a {other} hand, whose "
+                f"identifier is 0x{_IDENTIFIERS[other]:X}"
+            ) from error
+        self._send(_SPEED, [self._speed] * 5)
+        limits = np.nan_to_num(self._table.limits, nan=255.0)
+        if np.isfinite(self._table.limits).any():
+            for k, kind in enumerate(self._model.limits):
+                self._send(kind, [int(x) for x in limits[5 * k : 5 * k + 5]])
+
+    def read(self) -> Reading:
+        """Positions, and in turns temperatures and faults; see ``HandDevice``."""
+        bus = self._open_bus()
+        self._collect(bus, time.perf_counter())  # what came for the last ``write``
+        for kind in self._model.positions:
+            if kind not in self._answers:
+                self._send(kind, [])
+        slow = self._model.temperatures + self._model.faults
+        self._send(slow[self._turn % len(slow)], [])
+        self._turn += 1
+        deadline = time.perf_counter() + _TIMEOUT
+        while missing := [k for k in self._model.positions if k not in self._answers]:
+            self._collect(bus, deadline, missing)
+            if time.perf_counter() >= deadline:
+                break
+        if missing:
+            raise WrongAnswerError(
+                f"linker: the hand did not answer frame 0x{missing[0]:02X} within {_TIMEOUT:g} s"
+            )
+        return self._reading()
+
+    def _collect(self, bus: CanBus, deadline: float, wanted: list[int] | None = None) -> None:
+        """Take frames of the hand until all wanted ones are there, or the time is over."""
+        for identifier, data in bus.until(deadline):
+            if identifier == self._identifier and data:
+                self._answers[data[0]] = data[1:]
+            if wanted is not None and all(kind in self._answers for kind in wanted):
+                return
+
+    def _reading(self) -> Reading:
+        positions: list[int] = []
+        for kind, motors in self._model.positions.items():
+            values = self._answers.pop(kind)
+            if len(values) < motors:
+                raise WrongAnswerError(
+                    f"linker: frame 0x{kind:02X} of the hand has {len(values)} values, not {motors}"
+                )
+            positions += values[:motors]
+        temperatures = self._gathered(self._model.temperatures)
+        return Reading(
+            positions=np.array(positions, float),
+            temperatures=temperatures,
+            errors=self._errors(),
+        )
+
+    def _gathered(self, kinds: tuple[int, ...]) -> Float[np.ndarray, " a"] | None:
+        values = b"".join(self._answers.get(kind, b"") for kind in kinds)
+        count = self._model.motors
+        return np.array(list(values[:count]), float) if kinds and len(values) >= count else None
+
+    def _errors(self) -> tuple[str, ...]:
+        codes = b"".join(self._answers.get(kind, b"") for kind in self._model.faults)
+        names = self._table.names if len(self._model.faults) == 2 else _FINGERS
+        pairs = zip(names, codes, strict=False)
+        return tuple(f"{name}: fault 0x{code:02X}" for name, code in pairs if code)
+
+    def write(self, commands: Float[np.ndarray, " a"]) -> None:
+        """Send the positions, 0 to 255; see ``HandDevice``."""
+        self._resting = False
+        values = np.clip(np.rint(commands), 0, 255).astype(int).tolist()
+        bus = self._open_bus()
+        self._collect(bus, time.perf_counter())
+        for kind, motors in self._model.positions.items():
+            self._answers.pop(kind, None)
+            mine, values = values[:motors], values[motors:]
+            self._send(kind, mine + [0] * (self._model.width[kind] - motors))
+
+    def hold(self) -> None:
+        """Make where the fingers are their target, once; see ``HandDevice``."""
+        if not self._resting:
+            self.write(self.read().positions)
+            self._resting = True
+
+    def relax(self) -> None:
+        """As ``hold``: the hand has nothing else."""
+        self.hold()
+
+    def close(self) -> None:
+        """Give the bus back; the hand keeps its last target. See ``HandDevice``."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
+
+    def _open_bus(self) -> CanBus:
+        if self._bus is None:
+            raise DeviceLostError("linker: the hand is not open")
+        return self._bus
+
+    def _send(self, kind: int, values: list[int]) -> None:
+        """Put a frame on the bus, not too soon after the last: the hand loses frames otherwise."""
+        wait = self._sent + self._gap - time.perf_counter()
+        if wait > 0:
+            time.sleep(wait)
+        self._open_bus().send(self._identifier, bytes([kind, *values]))
+        self._sent = time.perf_counter()

@@ -1,0 +1,208 @@
+"""Driver of the Wuji Hand through the maker's package ``wujihandpy``.
+
+Facts of its interface: positions of (5, 4) joints [rad], thumb first, from the palm to the tip; a
+realtime controller that takes targets at any rate and sends them through a low-pass filter at 1
+kHz; efforts and their limits [A], temperatures and error codes as arrays of that shape. Zero and
+sense of a joint are those of the maker's URDF.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SinkError, require
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+
+MOTORS: Final = 20
+_SHAPE: Final = (5, 4)
+_SLOW: Final = 50
+"""Temperatures and error codes are asked for once in so many cycles, in turns."""
+
+
+@dataclass(frozen=True)
+class WujiSink(HardwareSink):
+    """Moves a Wuji Hand; see ``HardwareSink``.
+
+    Attributes:
+        port: serial number of the hand; empty for the only one that is plugged in.
+        cutoff: of the low-pass filter between two commands [Hz].
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    driver: ClassVar[str] = "wuji"
+
+    cutoff: float = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.5 <= self.cutoff <= 100.0:
+            raise ConfigError(f"wuji: cutoff must be 0.5 to 100 Hz, not {self.cutoff}")
+
+    def device(self, actuators: ActuatorMap) -> WujiDevice:
+        """The hand, not yet open; see ``HardwareSink``."""
+        return WujiDevice(actuators, self.port, self.cutoff)
+
+
+class WujiDevice:
+    """A Wuji Hand on USB; see ``HandDevice``.
+
+    Args:
+        table: of the hand; ``limit`` is the current [mA] of each joint.
+        port: serial number of the hand, or empty.
+        cutoff: of the filter [Hz].
+
+    Raises:
+        ConfigError: the table has not 20 actuators.
+    """
+
+    def __init__(self, table: ActuatorMap, port: str, cutoff: float) -> None:
+        if len(table.actuators) != MOTORS:
+            raise ConfigError(
+                f"{table.file}: a Wuji Hand has {MOTORS} actuators, not {len(table.actuators)}"
+            )
+        self._table, self._port, self._cutoff = table, port, cutoff
+        self._hand: Any = None
+        self._controller: Any = None
+        self._held: Float[np.ndarray, " 20"] | None = None
+        self._cycle = 0
+        self._temperatures: Float[np.ndarray, " 20"] | None = None
+        self._codes = np.zeros(MOTORS, int)
+
+    def open(self) -> None:
+        """Find the hand, check its side and its limits; the motors stay off. See ``HandDevice``."""
+        require("a Wuji Hand", "wuji", "wujihandpy")
+        import wujihandpy
+
+        self._held, self._cycle, self._temperatures = None, 0, None
+        try:
+            self._hand = wujihandpy.Hand(serial_number=self._port or None)
+            self._check_side(int(self._hand.read_handedness()))
+            limits = self._table.limits
+            if np.isfinite(limits).all():
+                self._hand.write_joint_effort_limit(limits.reshape(_SHAPE) / 1000.0)
+            self.read()
+        except SinkError:
+            self.close()
+            raise
+        except Exception as error:
+            self.close()
+            which = f"with the serial number {self._port}" if self._port else "on USB"
+            raise SinkError(
+                f"wuji: no Wuji Hand {which} answers ({error}); check its power and cable"
+                + (", and the udev rule of the maker" if sys.platform == "linux" else "")
+            ) from error
+
+    def _check_side(self, handedness: int) -> None:
+        side = ("right", "left")[handedness] if handedness in (0, 1) else None
+        if side is not None and side != self._table.side:
+            raise SinkError(
+                f"wuji: the hand that is plugged in is a {side} one, and {self._table.file} is for "
+                f"a {self._table.side} one"
+            )
+
+    def read(self) -> Reading:
+        """Positions [rad] and efforts; temperatures and errors in turns. See ``HandDevice``."""
+        with _Speaking(self._hand):
+            source = self._controller
+            if source is None:
+                positions, efforts = self._hand.read_joint_actual_position(), None
+            else:
+                positions = source.get_joint_actual_position()
+                efforts = source.get_joint_actual_effort()
+            if self._cycle % _SLOW == 0:
+                self._temperatures = _flat(self._hand.read_joint_temperature())
+            elif self._cycle % _SLOW == _SLOW // 2 or self._cycle == 1:
+                self._codes = _flat(self._hand.read_joint_error_code()).astype(int)
+        self._cycle += 1
+        flat = _flat(positions)
+        if not np.isfinite(flat).all():
+            raise WrongAnswerError("wuji: the hand answers positions that are not finite")
+        return Reading(
+            positions=flat,
+            currents=None if efforts is None else 1000.0 * _flat(efforts),
+            temperatures=self._temperatures,
+            errors=tuple(
+                f"{name}: error {code:#x}"
+                for name, code in zip(self._table.names, self._codes, strict=True)
+                if code
+            ),
+        )
+
+    def write(self, commands: Float[np.ndarray, " 20"]) -> None:
+        """Send the positions [rad]; the first call switches the motors on. See ``HandDevice``."""
+        self._held = None
+        self._send(commands)
+
+    def hold(self) -> None:
+        """Send where the joints were at the first call; see ``HandDevice``."""
+        if self._held is None:
+            self._held = np.asarray(self.read().positions)
+        self._send(self._held)
+
+    def relax(self) -> None:
+        """Switch the motors off; see ``HandDevice``."""
+        self._held = None
+        self._stop()
+
+    def close(self) -> None:
+        """Switch the motors off and let the hand go; see ``HandDevice``."""
+        try:
+            self._stop()
+        except SinkError:
+            pass  # it is gone
+        finally:
+            self._controller = self._hand = None
+
+    def _send(self, commands: Float[np.ndarray, " 20"]) -> None:
+        target = np.asarray(commands, float).reshape(_SHAPE)
+        with _Speaking(self._hand):
+            if self._controller is None:
+                import wujihandpy
+
+                # The filter starts at the target, so that nothing moves when the motors go on.
+                self._controller = self._hand.realtime_controller(
+                    enable_upstream=True, filter=wujihandpy.filter.LowPass(cutoff_freq=self._cutoff)
+                )
+                self._controller.set_joint_target_position(target)
+                self._hand.write_joint_enabled(True)
+            self._controller.set_joint_target_position(target)
+
+    def _stop(self) -> None:
+        controller, self._controller = self._controller, None
+        if controller is not None:
+            with _Speaking(self._hand):
+                controller.close()
+                self._hand.write_joint_enabled(False)
+
+
+class _Speaking:
+    """Turns what ``wujihandpy`` raises into the errors of a driver."""
+
+    def __init__(self, hand: Any) -> None:
+        if hand is None:
+            raise DeviceLostError("wuji: the hand is not open")
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if isinstance(error, TimeoutError) or "timeout" in str(error).lower():
+            raise WrongAnswerError(f"wuji: no answer of the hand in time ({error})") from error
+        if isinstance(error, RuntimeError | OSError):
+            raise DeviceLostError(f"wuji: the hand is gone ({error})") from error
+
+
+def _flat(values: Any) -> Float[np.ndarray, " 20"]:
+    flat = np.asarray(values, float).ravel()
+    if flat.shape != (MOTORS,):
+        raise WrongAnswerError(f"wuji: {flat.size} values came, not {MOTORS}")
+    return flat

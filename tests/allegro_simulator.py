@@ -1,0 +1,129 @@
+"""A simulated Allegro Hand V4 or V5 on a CAN bus: motors that take torque and report angles.
+
+Written from the maker's user manuals; it shares no code with the driver. The identifier on the wire
+is the message number times four. Each joint is an inertia with friction, so a driver that loses its
+controller or reverses a sign is seen to fail.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from hand_servos import Faults
+
+LSB = {"v4": math.radians(333.3 / 65536), "v5": math.radians(0.088)}
+TORQUE = {"v4": 1 / 1200, "v5": 1 / 1430}
+"""Newton metres per unit of the torque frame."""
+LIMIT = {"v4": 1200, "v5": 240}
+
+
+class AllegroHand:
+    """The hand on the bus, with a thread for its physics and its periodic reports."""
+
+    def __init__(self, channel: str, version: str = "v5", *, left: bool = False) -> None:
+        import can
+
+        self.version, self.left = version, left
+        self.position = np.zeros(16)
+        self.position[12] = 0.6
+        self.velocity = np.zeros(16)
+        self.torque = np.zeros(16, int)
+        self.largest_torque = 0
+        self.servo_on = False
+        self.switched: list[bool] = []
+        self.period_s = 0.0
+        self.faults = Faults()
+        self.stuck: set[int] = set()
+        self.error: tuple[int, int] | None = None
+        self.torque_frames = 0
+        self._can: Any = can
+        self.bus: Any = can.Bus(interface="virtual", channel=channel)
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        last = reported = time.perf_counter()
+        try:
+            while not self._closed:
+                message = self.bus.recv(timeout=0.002)
+                if message is not None:
+                    self._take(message)
+                now = time.perf_counter()
+                if now - last >= 0.001:
+                    self._move(now - last)
+                    last = now
+                if self.period_s and now - reported >= self.period_s:
+                    reported = now
+                    self._report()
+        except Exception:
+            if not self._closed:
+                raise
+
+    def _take(self, message: Any) -> None:
+        number = message.arbitration_id >> 2
+        if self.faults.mute:
+            return
+        if number == 0x40 or number == 0x41:
+            self.servo_on = number == 0x40
+            self.switched.append(self.servo_on)
+        elif 0x60 <= number <= 0x63 and not message.is_remote_frame:
+            values = struct.unpack("<4h", message.data)
+            self.torque_frames += 1
+            self.largest_torque = max(self.largest_torque, *(abs(v) for v in values))
+            self.torque[4 * (number - 0x60) : 4 * (number - 0x60) + 4] = values
+        elif number == 0x81:
+            self.period_s = struct.unpack("<3h", message.data)[0] / 1000
+        elif message.is_remote_frame and number == 0x80:
+            if self.version == "v4":
+                status = int(self.servo_on) | (2 if self.error else 0)
+                self._send(0x80, struct.pack("<HHBBB", 0x0401, 0x0102, self.left, 35, status))
+            else:
+                self._send(0x80, struct.pack("<HHBBB", 0x0501, 0x0103, 0, 0, 1))
+        elif message.is_remote_frame and number == 0x88:
+            text = f"5TB{'L' if self.left else 'R'}0042" if self.version == "v5" else "LR000042"
+            self._send(0x88, text.encode())
+        elif message.is_remote_frame and 0x38 <= number <= 0x3B:
+            self._send(number, bytes([36, 37, 38, 39]))
+
+    def _move(self, seconds: float) -> None:
+        """Inertia 3e-3 kg m^2 as the motor's rotor shows, friction 0.06 N m s."""
+        steps = max(1, int(seconds / 0.001))
+        dt = min(seconds, 0.1) / steps
+        for _ in range(steps):
+            torque = self.torque * TORQUE[self.version] if self.servo_on else np.zeros(16)
+            self.velocity += (torque - 0.06 * self.velocity) / 3e-3 * dt
+            for joint in self.stuck:
+                self.velocity[joint] = 0.0
+            self.position += self.velocity * dt
+            ends = (-0.6, 2.0)
+            out = (self.position < ends[0]) | (self.position > ends[1])
+            self.position = np.clip(self.position, *ends)
+            self.velocity[out] = 0.0
+
+    def _report(self) -> None:
+        if self.faults.mute:
+            return
+        if self.faults.delay_s:
+            time.sleep(self.faults.delay_s)
+        counts = np.rint(self.position / LSB[self.version]).astype(int)
+        for finger in range(4):
+            data = struct.pack("<4h", *counts[4 * finger : 4 * finger + 4])
+            self._send(0x20 + finger, data[:5] if self.faults.garble else data)
+        if self.error is not None and self.version == "v5":
+            self._send(0xEE, bytes(self.error))
+
+    def _send(self, number: int, data: bytes) -> None:
+        self.bus.send(
+            self._can.Message(arbitration_id=number << 2, data=data, is_extended_id=False)
+        )
+
+    def close(self) -> None:
+        self._closed = True
+        self._thread.join(1.0)
+        self.bus.shutdown()

@@ -1,0 +1,263 @@
+"""Each driver of a real hand with a simulator on its wire, in one form for the shared tests."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from ability_simulator import AbilityHand
+from allegro_simulator import AllegroHand
+from fake_hand_sdks import StarkWorld, WujiWorld
+from hand_servos import Faults
+from inspire_simulator import InspireHand, RtuServer, TcpServer
+from linker_simulator import LinkerHand
+
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.sinks.registry import build_sink
+
+_channels = itertools.count()
+
+
+class Rig:
+    """A simulated hand, and what is needed to reach it.
+
+    Attributes:
+        driver: name of the driver.
+        sink: text of the sink, without settings.
+        faults: what the simulated device does wrong.
+        unit: how near a motor comes to its command, in the commands' unit.
+        moved: what came over the wire that makes the hand move, counted.
+    """
+
+    driver: str = ""
+    library: str = ""
+    unit: float = 1.0
+    reports = False
+    """Whether the hand says by itself where it is, and is not asked."""
+    delay_s = 0.02
+    """A delay that the driver must bear."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.monkeypatch = folder, monkeypatch
+        self.sink = self.driver
+        self.hand: Any = None
+        self.start()
+
+    @property
+    def faults(self) -> Faults:
+        found: Faults = self.hand.faults
+        return found
+
+    def build(self, **settings: object) -> HardwareSink:
+        """The sink, with fast motion unless told otherwise."""
+        values = {"approach": 20.0, "speed": 40.0, **settings}
+        joint = "," if ":" in self.sink else ":"
+        made = build_sink(
+            self.sink + joint + ",".join(f"{name}={value}" for name, value in values.items())
+        )
+        assert isinstance(made, HardwareSink)
+        return made
+
+    def positions(self) -> np.ndarray:
+        """Where the motors are, in the commands' unit."""
+        found: np.ndarray = self.hand.servos.positions()
+        return found
+
+    def outside(self) -> int:
+        """How often a target beyond the ends came."""
+        return len(self.hand.servos.outside)
+
+    def targets(self) -> int:
+        """How many targets came."""
+        return len(self.hand.servos.targets)
+
+    def stick(self, motor: int) -> None:
+        """Block a motor."""
+        self.hand.servos.stuck.add(motor)
+
+    def start(self) -> None:
+        """Put the hand on its wire."""
+        raise NotImplementedError
+
+    def lose(self) -> None:
+        """Take the hand off its wire, in motion."""
+        raise NotImplementedError
+
+    def back(self) -> None:
+        """Put it back."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End."""
+
+
+class InspireTcp(Rig):
+    driver, library = "inspire", "pymodbus"
+
+    def start(self) -> None:
+        self.hand = self.hand or InspireHand()
+        self.server: Any = TcpServer(self.hand)
+        self.sink = f"inspire:127.0.0.1:{self.server.port}"
+
+    def lose(self) -> None:
+        self.faults.mute = True
+        self.server.drop()
+
+    def back(self) -> None:
+        self.faults.mute = False
+
+    def close(self) -> None:
+        self.server.close()
+
+
+class InspireRtu(InspireTcp):
+    library = "serial"
+
+    def start(self) -> None:
+        self.hand = self.hand or InspireHand()
+        self.server = RtuServer(self.hand)
+        self.sink = f"inspire:{_linked(self.folder / 'ttyHand', self.server.port)}"
+
+    def lose(self) -> None:
+        self.server.close()
+
+    def back(self) -> None:
+        self.start()
+
+
+class Linker(Rig):
+    driver, library = "linker", "can"
+    model = "l20"
+
+    def start(self) -> None:
+        self.channel = f"linker-{next(_channels)}-{os.getpid()}"
+        self.hand = LinkerHand(self.channel, self.model)
+        self.sink = f"linker:virtual:{self.channel},model={self.model}"
+
+    def lose(self) -> None:
+        self.faults.mute = True
+
+    def back(self) -> None:
+        self.faults.mute = False
+
+    def close(self) -> None:
+        self.hand.close()
+
+
+class LinkerL10(Linker):
+    model = "l10"
+
+
+class Allegro(Rig):
+    driver, library, unit, reports = "allegro", "can", 0.06, True
+    version = "v5"
+    table = "allegro_v5"
+
+    def start(self) -> None:
+        self.channel = f"allegro-{next(_channels)}-{os.getpid()}"
+        self.hand = AllegroHand(self.channel, self.version)
+        self.sink = f"allegro:virtual:{self.channel},table={self.table}"
+
+    def positions(self) -> np.ndarray:
+        return self.hand.position.copy()  # type: ignore[no-any-return]
+
+    def outside(self) -> int:
+        """Torques above the table's limit: the hand is sent no positions."""
+        return int(self.hand.largest_torque > (150 if self.version == "v5" else 300))
+
+    def targets(self) -> int:
+        return int(self.hand.torque_frames) if any(self.hand.switched) else 0
+
+    def stick(self, motor: int) -> None:
+        self.hand.stuck.add(motor)
+
+    def lose(self) -> None:
+        self.faults.mute = True
+
+    def back(self) -> None:
+        self.faults.mute = False
+
+    def close(self) -> None:
+        self.hand.close()
+
+
+class AllegroV4(Allegro):
+    version, table = "v4", "allegro"
+
+
+class Ability(Rig):
+    driver, library, unit = "ability", "serial", 0.3
+
+    def start(self) -> None:
+        self.hand = AbilityHand()
+        self.sink = f"ability:{_linked(self.folder / 'ttyAbility', self.hand.port)}"
+
+    def lose(self) -> None:
+        self.hand.close()
+
+    def back(self) -> None:
+        self.start()
+
+    def close(self) -> None:
+        self.hand.close()
+
+
+class Wuji(Rig):
+    driver, unit = "wuji", 0.01
+
+    def start(self) -> None:
+        self.hand = self.hand or WujiWorld()
+        self.monkeypatch.setitem(sys.modules, "wujihandpy", self.hand.module)
+
+    def lose(self) -> None:
+        self.hand.plugged_in = False
+
+    def back(self) -> None:
+        self.hand.plugged_in = True
+
+
+class Revo2(Rig):
+    driver = "revo2"
+
+    def start(self) -> None:
+        self.hand = self.hand or StarkWorld()
+        self.monkeypatch.setitem(sys.modules, "bc_stark_sdk", self.hand.package)
+        self.monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", self.hand.main_mod)
+
+    def lose(self) -> None:
+        self.hand.plugged_in = False
+
+    def back(self) -> None:
+        self.hand.plugged_in = True
+
+
+def _linked(link: Path, port: str) -> Path:
+    """A fixed name for a port that changes when the adapter is plugged in again, as udev's."""
+    link.unlink(missing_ok=True)
+    link.symlink_to(port)
+    return link
+
+
+RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
+    "inspire": InspireTcp, "inspire-rtu": InspireRtu, "linker-l20": Linker, "linker-l10": LinkerL10,
+    "allegro-v5": Allegro, "allegro-v4": AllegroV4, "ability": Ability, "wuji": Wuji,
+    "revo2": Revo2,
+}  # fmt: skip
+"""Name -> a driver with its simulator."""
+
+ON_A_PTY: Final = ("inspire-rtu", "ability")
+
+
+def missing(name: str) -> str:
+    """Why a rig can't be used here; empty if it can."""
+    library = RIGS[name].library  # type: ignore[attr-defined]
+    if library and importlib.util.find_spec(library) is None:
+        return f"needs {library}"
+    return "needs a pty" if name in ON_A_PTY and sys.platform == "win32" else ""

@@ -1,0 +1,275 @@
+"""All drivers of real hands on simulators of their wire protocols: one set of tests for each."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hand_rigs import RIGS, Rig, missing
+from ticks import make_tick
+
+from smooth_operator.errors import SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import hand_names, load_hand
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
+from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
+from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.types import JointCommand
+
+TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
+
+
+@pytest.fixture(params=list(RIGS))
+def rig(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Rig]:
+    if why := missing(request.param):
+        pytest.skip(why)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    made = RIGS[request.param](tmp_path, monkeypatch)
+    yield made
+    made.close()
+
+
+def until(done: Callable[[], object], what: str = "it", seconds: float = 20.0) -> None:
+    end = time.perf_counter() + seconds
+    while not done():
+        assert time.perf_counter() < end, f"{what} did not happen in time"
+        time.sleep(0.002)
+
+
+_hands: dict[str, Hand] = {}
+
+
+def hand_of(table: ActuatorMap) -> Hand:
+    if table.hand not in _hands:
+        if table.hand not in hand_names():
+            pytest.skip(f"the hand {table.hand} is not built in")
+        _hands[table.hand] = load_hand(table.hand, side=table.side)
+    return _hands[table.hand]
+
+
+def within(table: ActuatorMap, share: float) -> np.ndarray:
+    """Commands at a share of the way between the ends, for each actuator."""
+    low, high = np.array([actuator.ends for actuator in table.actuators]).T
+    found: np.ndarray = low + share * (high - low)
+    return found
+
+
+class Opened:
+    """A device of a rig, open; and its table, bound to the model of the hand."""
+
+    def __init__(self, rig: Rig, **settings: object) -> None:
+        sink = rig.build(**settings)
+        self.table = sink.actuators("right")
+        self.bound = BoundMap(self.table, hand_of(self.table))
+        self.device: HandDevice = sink.device(self.table)
+        self.device.open()
+
+    def __enter__(self) -> Opened:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.device.close()
+        self.device.close()  # a second call does nothing
+
+
+class Driven:
+    """A sink that gets a command every few milliseconds, as from a loop."""
+
+    def __init__(self, rig: Rig, **settings: object) -> None:
+        self.sink: HardwareSink = rig.build(**settings)
+        self.table = self.sink.actuators("right")
+        self.hand = hand_of(self.table)
+        self.bound = BoundMap(self.table, self.hand)
+        self.tick: Tick | None = None
+        self.longest = 0.0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Driven:
+        self.sink.open({"right": self.hand}, {})
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        self.sink.close()
+
+    def _run(self) -> None:
+        while not self._done.wait(0.005):
+            if self.tick is not None:
+                begin = time.thread_time()
+                self.sink.send(self.tick)
+                self.longest = max(self.longest, time.thread_time() - begin)
+
+    def ask(self, share: float) -> np.ndarray:
+        """Ask for the joints at a share of each actuator's way; returns the commands."""
+        commands = within(self.table, share)
+        self.ask_joints(self.bound.joints(commands))
+        return commands
+
+    def ask_joints(self, joints: np.ndarray) -> None:
+        joints = np.where(np.isfinite(joints), joints, 0.0)
+        tick = make_tick(self.hand)
+        self.tick = replace(tick, command=JointCommand(joints, self.hand.joint_names, 0.0))
+
+    def statistics(self) -> dict[str, float]:
+        return self.sink.figures
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_fits_its_hand(name: str) -> None:
+    table = read_table(built_in_tables() / f"{name}.toml")
+    if table.hand not in hand_names():
+        pytest.skip(f"the hand {table.hand} is not built in")
+    hand = load_hand(table.hand, side=table.side)
+    bound = BoundMap(table, hand)
+    assert name == f"{name.rsplit('_', 1)[0]}_{table.side}"
+    assert table.source
+    # every joint that the hand's motors move is moved by an actuator of the table
+    assert bound.known.all(), [
+        n for n, k in zip(hand.joint_names, bound.known, strict=True) if not k
+    ]
+    # and the way to the actuators and back is the same place
+    for share in (0.0, 0.3, 1.0):
+        commands = within(table, share)
+        back = bound.commands(bound.angles(bound.joints(commands)))
+        assert back == pytest.approx(commands, abs=1e-6)
+
+
+def test_opening_moves_nothing_and_reads_where_the_hand_is(rig: Rig) -> None:
+    before = rig.positions()
+    with Opened(rig) as opened:
+        reading = opened.device.read()
+        assert reading.positions == pytest.approx(before, abs=rig.unit)
+        assert reading.errors == ()
+        assert rig.targets() == 0
+        assert opened.device.read().positions.shape == (len(opened.table.actuators),)
+    assert rig.positions() == pytest.approx(before, abs=rig.unit)
+
+
+def test_it_goes_where_it_is_told_and_reads_it_back(rig: Rig) -> None:
+    with Driven(rig) as driven:
+        wanted = driven.ask(0.4)
+        until(
+            lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit,
+            f"{rig.positions()} -> {wanted}",
+        )
+        wished = driven.bound.joints(wanted)
+
+        def read_back() -> bool:
+            state = driven.sink.state("right")
+            if state is None:
+                return False
+            measured = driven.bound.commands(driven.bound.angles(state.positions))
+            return bool(np.abs(measured - wanted).max() <= 2 * rig.unit)
+
+        until(read_back, "reading back")
+        state = driven.sink.state("right")
+        assert state is not None
+        assert np.isfinite(wished).all()
+        # a wish far beyond every joint never leaves the ends
+        driven.ask_joints(np.full(len(driven.hand.joint_names), 9.0))
+        until(lambda: np.abs(rig.positions() - wanted).max() > 5 * rig.unit, "moving on")
+        driven.ask_joints(np.full(len(driven.hand.joint_names), -9.0))
+        time.sleep(0.05)
+    assert rig.outside() == 0
+
+
+def test_a_hold_stops_the_hand_on_its_way(rig: Rig) -> None:
+    with Opened(rig) as opened:
+        start = opened.device.read().positions
+        goal = within(opened.table, 0.6)
+        way = np.abs(goal - start).max()
+        opened.device.write(start)
+        end = time.perf_counter() + 20.0
+        while np.abs(rig.positions() - start).max() < 0.1 * way:
+            opened.device.write(goal)
+            opened.device.read()
+            assert time.perf_counter() < end
+        for _ in range(3):
+            opened.device.hold()
+            opened.device.read()
+        time.sleep(0.1)
+        held = rig.positions()
+        for _ in range(5):
+            opened.device.hold()
+            opened.device.read()
+            time.sleep(0.02)
+        assert rig.positions() == pytest.approx(held, abs=2 * rig.unit)
+        opened.device.relax()
+        opened.device.read()
+
+
+def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
+    with Driven(rig, lost_s=0.3) as driven:
+        driven.ask(0.2)
+        until(lambda: driven.statistics()["cycles"] > 3, "following")
+        rig.lose()
+        until(lambda: driven.statistics()["device_lost"], "the loss")
+        assert driven.sink.state("right") is None
+        assert "tried again" in driven.sink.note
+        rig.back()
+        wanted = driven.ask(0.5)
+        until(
+            lambda: (
+                driven.sink.state("right") is not None
+                and np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
+            ),
+            "the return",
+        )
+    assert rig.outside() == 0
+
+
+def test_wrong_answers_move_nothing_and_pass(rig: Rig) -> None:
+    with Opened(rig) as opened:
+        opened.device.read()
+        rig.faults.garble = True
+        for _ in range(3):
+            if rig.reports:  # what it reports by itself is dropped where it is damaged
+                opened.device.read()
+            else:
+                with pytest.raises(WrongAnswerError, match=f"^{rig.driver}"):
+                    opened.device.read()
+        rig.faults.garble = False
+
+        def right() -> bool:
+            try:
+                return bool(
+                    np.abs(opened.device.read().positions - rig.positions()).max() <= rig.unit
+                )
+            except WrongAnswerError:
+                return False
+
+        until(right, "a right answer")
+    assert rig.targets() == 0
+
+
+def test_a_slow_bus_costs_the_loop_nothing(rig: Rig) -> None:
+    with Driven(rig, lost_s=2.0) as driven:
+        rig.faults.delay_s = rig.delay_s
+        driven.ask(0.3)
+        cycles = driven.statistics()["cycles"]
+        until(lambda: driven.statistics()["cycles"] > cycles + 3, "slow cycles")
+        assert driven.longest < 0.005  # of the processor; the bus takes tens of milliseconds
+        rig.faults.delay_s = 0.0
+    assert rig.outside() == 0
+
+
+def test_nothing_on_the_wire_is_one_sentence(rig: Rig) -> None:
+    rig.lose()
+    with pytest.raises(SinkError) as caught, Opened(rig):
+        pass
+    text = str(caught.value)
+    assert text.startswith(rig.driver)
+    assert "check" in text
+    assert "\n" not in text

@@ -1,0 +1,360 @@
+"""What drivers of real hands put on the wire, byte by byte, and what they make of the answers."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import itertools
+import os
+import struct
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ability_simulator import AbilityHand
+from allegro_simulator import AllegroHand
+from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand, WujiWorld
+from hand_rigs import RIGS, missing
+from inspire_simulator import InspireHand, TcpServer
+from linker_simulator import LinkerHand
+
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.drivers.ability import AbilityDevice, framed, unstuffed
+from smooth_operator.teleop.hardware.drivers.allegro import AllegroDevice
+from smooth_operator.teleop.hardware.drivers.inspire import InspireDevice
+from smooth_operator.teleop.hardware.drivers.linker import LinkerDevice
+from smooth_operator.teleop.hardware.drivers.revo2 import Revo2Device
+from smooth_operator.teleop.hardware.drivers.wuji import WujiDevice
+from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
+
+_channels = itertools.count()
+
+
+def table(name: str, **settings: object) -> ActuatorMap:
+    from dataclasses import replace
+
+    found = read_table(built_in_tables() / f"{name}.toml")
+    return replace(found, settings={**found.settings, **settings})
+
+
+def channel() -> str:
+    return f"protocol-{next(_channels)}-{os.getpid()}"
+
+
+def needs(rig: str) -> None:
+    if why := missing(rig):
+        pytest.skip(why)
+
+
+def test_inspire_sets_its_limits_and_says_what_the_motors_report() -> None:
+    needs("inspire")
+    hand = InspireHand()
+    hand.errors = [0, 4, 0, 0, 0, 0]
+    server = TcpServer(hand)
+    device = InspireDevice(table("inspire_right", force=300, speed=700), f"127.0.0.1:{server.port}")
+    try:
+        device.open()
+        assert (hand.force_limit, hand.speed, hand.cleared) == ([300] * 6, [700] * 6, 1)
+        hand.errors = [1, 0, 2 | 4, 0, 0, 16]
+        hand.servos.stuck.add(3)
+        device.write(np.array([1000, 1000, 1000, 400, 1000, 1000.0]))
+        for _ in range(8):
+            reading = device.read()
+        assert reading.errors == (
+            "little: rotor locked", "middle: too hot", "middle: too much current",
+            "thumb_rotation: motor does not answer",
+        )  # fmt: skip
+        assert reading.temperatures is not None
+        assert reading.currents is not None
+        assert reading.touch is not None
+        assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
+        assert reading.currents.tolist() == [0, 0, 0, 1200, 0, 0]
+        assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]
+    finally:
+        device.close()
+        server.close()
+
+
+def test_inspire_follows_a_run_of_teleop(capsys: pytest.CaptureFixture[str]) -> None:
+    needs("inspire")
+    hand = InspireHand()
+    server = TcpServer(hand)
+    try:
+        sink = f"inspire:127.0.0.1:{server.port},approach=5"
+        argv = ["teleop", "--hand", "inspire_hand", "--method", "joint_angle", "--source"]
+        assert main([*argv, "synthetic", "--sink", sink, "--no-view", "--duration", "1.5"]) == 0
+    finally:
+        server.close()
+    targets = np.array(hand.servos.targets)
+    assert len(targets) > 30
+    assert np.ptp(targets, axis=0).max() > 100  # the operator's fingers move
+    assert np.abs(np.diff(targets, axis=0)).max() <= 5 * 1000 / 0.6 * 0.2  # and none jumps
+    assert not hand.servos.outside
+    assert "inspire" in capsys.readouterr().err
+
+
+def test_linker_frames() -> None:
+    needs("linker-l20")
+    import can
+
+    wire = channel()
+    hand = LinkerHand(wire, "l20", identifier=0x27)
+    spy = can.Bus(interface="virtual", channel=wire)
+    device = LinkerDevice(table("linker_l20_left", speed=120), f"virtual:{wire}", "l20")
+    try:
+        device.open()
+        device.write(np.arange(16) * 10.0)
+        seen = []
+        while (frame := spy.recv(timeout=0.05)) is not None:
+            assert frame.arbitration_id == 0x27
+            seen.append(bytes(frame.data).hex())
+        for expected in ("010 00a141e28", "02323c46505a", "036400000000", "046e78828c96"):
+            assert expected.replace(" ", "") in seen
+        assert hand.settings[0x05] == [120] * 5
+        hand.fault_codes[1] = 3
+        for _ in range(2):
+            reading = device.read()
+        time.sleep(0.02)
+        reading = device.read()
+        assert reading.errors == ("index: fault 0x03",)
+    finally:
+        device.close()
+        spy.shutdown()
+        hand.close()
+    right = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
+    with pytest.raises(SinkError, match="not a left hand, whose identifier is 0x27"):
+        right.open()
+
+
+def test_linker_l10_reports_temperatures_and_takes_a_torque() -> None:
+    needs("linker-l10")
+    from dataclasses import replace
+
+    wire = channel()
+    hand = LinkerHand(wire, "l10")
+    device = LinkerDevice(replace(table("linker_l10_right"), limit=150.0), f"virtual:{wire}", "l10")
+    try:
+        device.open()
+        for _ in range(6):
+            reading = device.read()
+            time.sleep(0.01)
+        assert reading.temperatures is not None
+        assert reading.temperatures.tolist() == list(range(30, 40))
+        assert (hand.settings[2], hand.settings[3]) == ([150] * 5, [150] * 5)
+    finally:
+        device.close()
+        hand.close()
+
+
+@pytest.mark.parametrize("version", ["v4", "v5"])
+def test_allegro_torques_have_the_sign_and_the_limit(version: str) -> None:
+    needs("allegro-v5")
+    wire = channel()
+    hand = AllegroHand(wire, version)
+    name = "allegro_right" if version == "v4" else "allegro_v5_right"
+    device = AllegroDevice(table(name), f"virtual:{wire}")
+    try:
+        device.open()
+        assert hand.switched == [False]
+        start = device.read().positions
+        device.write(start)
+        hand.stuck.update(range(16))
+        goal = start + np.where(np.arange(16) % 2, 0.5, -0.5)
+        device.write(goal)
+        end = time.perf_counter() + 10
+        while hand.torque.tolist().count(0) and time.perf_counter() < end:
+            time.sleep(0.005)
+        assert hand.servo_on
+        assert (np.sign(hand.torque) == np.sign(goal - start)).all()
+        assert hand.largest_torque <= np.nanmax(table(name).limits)
+        currents = device.read().currents
+        assert currents is not None
+        assert (np.abs(currents) > 0).all()
+        device.relax()
+        while hand.servo_on and time.perf_counter() < end:
+            time.sleep(0.005)
+        assert hand.switched == [False, True, False]
+        if version == "v5":
+            hand.error = (5, 0b100101)
+            while not device.read().errors and time.perf_counter() < end:
+                time.sleep(0.005)
+            assert device.read().errors == ("middle_1: input voltage, too hot, overload",)
+    finally:
+        device.close()
+        hand.close()
+
+
+def test_allegro_of_the_other_side_is_refused() -> None:
+    needs("allegro-v5")
+    wire = channel()
+    hand = AllegroHand(wire, "v5", left=True)
+    try:
+        with pytest.raises(SinkError, match="5TBL0042 is a left one"):
+            AllegroDevice(table("allegro_v5_right"), f"virtual:{wire}").open()
+    finally:
+        hand.close()
+
+
+def test_ability_frames() -> None:
+    # address, command, six positions of 0, and what makes the sum 0: 0x50 + 0x10 + 0xA0 = 0x100
+    assert framed(bytes.fromhex("5010" + "00" * 12 + "a0")).hex() == "7e5010" + "00" * 12 + "a07e"
+    assert framed(b"\x7e\x7d\x01") == b"\x7e\x7d\x5e\x7d\x5d\x01\x7e"
+    for body in (os.urandom(40), b"\x7e" * 5, b""):
+        assert unstuffed(framed(body)[1:-1]) == body
+
+
+def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake() -> None:
+    needs("ability")
+    hand = AbilityHand()
+    device = AbilityDevice(table("ability_right"), hand.port, 460800, 0x50)
+    try:
+        device.open()
+        hand.hot = 0b100010
+        hand.servos.stuck.add(2)
+        device.write(np.array([15, 15, 60, 15, 15, -15.0]))
+        reading = device.read()
+        assert reading.touch is not None
+        assert reading.currents is not None
+        assert reading.touch.tolist() == hand.touch
+        assert reading.currents[2] == pytest.approx(750.0, abs=2.0)
+        assert reading.errors == ("middle: too hot", "thumb_rotator: too hot")
+        device.relax()
+        device.read()
+        assert not hand.servos.powered
+        assert not hand.gaps
+        assert not hand.bad_frames
+    finally:
+        device.close()
+        hand.close()
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("ah_wrapper"), reason="needs ability-hand")
+def test_ability_speaks_as_the_makers_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # the package writes files into the current folder
+    from ah_wrapper.ah_api import create_misc_msg, create_pos_msg
+    from ah_wrapper.ah_parser import parse_packet
+
+    degrees = [0.0, 12.5, 99.0, 33.3, 57.0, -81.0]
+    body = struct.pack("<BB6h", 0x50, 0x10, *[int(d * 32767 / 150) for d in degrees])
+    mine = framed(body + bytes([-sum(body) & 0xFF]))
+    assert mine == bytes(create_pos_msg(reply_mode=0, positions=degrees))
+    asked = bytes([0x50, 0xA0])
+    assert framed(asked + bytes([-sum(asked) & 0xFF])) == bytes(create_misc_msg(0xA0))
+    hand = AbilityHand()
+    try:  # and the simulator answers what the package understands
+        descriptor = os.open(hand.port, os.O_RDWR | os.O_NOCTTY)
+        os.write(descriptor, mine)
+        answer = b""
+        while answer.count(b"~") < 2:
+            answer += os.read(descriptor, 256)
+        packet = parse_packet(bytearray(unstuffed(answer.strip(b"~"))))
+        assert packet.valid
+        assert packet.pos == pytest.approx([15] * 5 + [-15], abs=2.0)
+    finally:
+        hand.close()
+
+
+def test_wuji_limits_efforts_and_knows_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = WujiWorld()
+    monkeypatch.setitem(sys.modules, "wujihandpy", world.module)
+    device = WujiDevice(table("wuji_right"), "", 10.0)
+    device.open()
+    assert world.effort_limit is not None
+    assert (world.effort_limit == 1.0).all()  # ampere, of the table's 1000 mA
+    assert world.switched == []
+    world.codes[1, 2] = 0x20
+    device.write(device.read().positions)
+    for _ in range(60):
+        reading = device.read()
+    assert reading.errors == ("index_3: error 0x20",)
+    assert reading.temperatures is not None
+    assert (reading.temperatures == 41.0).all()
+    assert reading.currents is not None
+    assert np.abs(reading.currents).max() <= 1500.0
+    device.relax()
+    device.close()
+    assert world.switched == [True, False]
+    world.handedness = 1
+    with pytest.raises(SinkError, match="is a left one"):
+        device.open()
+
+
+def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = StarkWorld()
+    monkeypatch.setitem(sys.modules, "bc_stark_sdk", world.package)
+    monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", world.main_mod)
+    device = Revo2Device(table("revo2_right"), "/dev/ttyUSB0", 460800)
+    device.open()
+    world.servos.stuck.add(2)
+    device.write(np.array([0, 0, 500, 0, 0, 0.0]))
+    reading = device.read()
+    assert reading.errors == ("index: stalled",)
+    assert reading.currents is not None
+    assert reading.currents.tolist() == [0, 0, 1000, 0, 0, 0]
+    device.close()
+    left = StarkWorld(left=True)
+    left.number = 0x7F
+    monkeypatch.setitem(sys.modules, "bc_stark_sdk", left.package)
+    monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", left.main_mod)
+    with pytest.raises(SinkError, match="is a left one"):
+        device.open()
+
+
+@pytest.mark.parametrize("rig", list(RIGS))
+def test_a_table_of_another_hand_is_refused(rig: str) -> None:
+    kinds = {
+        "inspire": lambda t: InspireDevice(t, "x"),
+        "linker": lambda t: LinkerDevice(t, "x", "l20"),
+        "allegro": lambda t: AllegroDevice(t, "x"),
+        "ability": lambda t: AbilityDevice(t, "x", 460800, 0x50),
+        "wuji": lambda t: WujiDevice(t, "", 10.0),
+        "revo2": lambda t: Revo2Device(t, "x", 460800),
+    }
+    driver = rig.partition("-")[0]
+    other = "wuji_right" if driver != "wuji" else "ability_right"
+    with pytest.raises(ConfigError, match="actuators, not"):
+        kinds[driver](table(other))
+
+
+def calls(kind: type) -> dict[str, list[str]]:
+    """Name of a method -> names of its parameters, without ``self``."""
+    found = {}
+    for name, method in inspect.getmembers(kind, inspect.isfunction):
+        if not name.startswith("_"):
+            found[name] = list(inspect.signature(method).parameters)[1:]
+    return found
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("wujihandpy"), reason="needs wujihandpy")
+def test_the_stand_in_of_wujihandpy_is_like_the_real_one() -> None:
+    import wujihandpy
+
+    for mine, real in ((WujiHand, wujihandpy.Hand), (WujiController, wujihandpy.IController)):
+        for name, parameters in calls(mine).items():
+            text = getattr(real, name).__doc__ or ""  # pybind11 writes the signature there
+            for parameter in parameters:
+                assert f"{parameter}:" in text, f"{name} of the real one takes no {parameter}"
+    assert "serial_number" in (wujihandpy.Hand.__init__.__doc__ or "serial_number")
+    wujihandpy.filter.LowPass(cutoff_freq=10.0)
+    with pytest.raises(OSError):  # noqa: PT011 - what the driver turns into a sentence
+        wujihandpy.Hand(serial_number="none-of-this-number")
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("bc_stark_sdk"), reason="needs bc-stark-sdk")
+def test_the_stand_in_of_bc_stark_sdk_is_like_the_real_one() -> None:
+    from bc_stark_sdk import main_mod
+
+    for name, parameters in calls(StarkContext).items():
+        real = list(inspect.signature(getattr(main_mod.DeviceContext, name)).parameters)
+        assert real[-len(parameters) :] == parameters or not parameters, name
+    world = StarkWorld()
+    assert list(inspect.signature(main_mod.modbus_open).parameters) == ["port_name", "baudrate"]
+    for kind in ("Baudrate", "FingerUnitMode", "HandType", "MotorState"):
+        for member in getattr(world.main_mod, kind):
+            assert hasattr(getattr(main_mod, kind), member.name), f"{kind}.{member.name}"
