@@ -11,6 +11,7 @@ import sys
 import textwrap
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -250,22 +251,22 @@ def test_disk_full_reaches_the_loop_once_and_recording_goes_on_in_another_file(
     runner.open({"right": hand}, {"a": 1})
     number = 0
 
-    def send_for(seconds: float) -> None:
+    def send_until(done: Callable[[], bool], ticks: int) -> None:
         nonlocal number
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
+        end = number + ticks
+        while number < end or not done():
+            assert number < 10_000
             runner.observe(make_tick(hand, number))
             number += 1
             time.sleep(0.005)
 
-    send_for(0.4)
+    send_until(lambda: recorded(sink) > 10, 60)  # on the disk, with one flush at least
     full[0] = True
-    send_for(0.3)
+    send_until(lambda: runner.health()[0].failed >= 1, 40)
     (health,) = runner.health()
-    assert health.failed >= 1
     assert "no space is left" in health.detail
     full[0] = False
-    send_for(0.8)
+    send_until(lambda: len(sink.paths) > 1, 120)
     runner.close()
     first, *more = sink.paths
     assert first.name == "a.mcap"

@@ -221,7 +221,7 @@ def listen() -> Iterator[Callable[[str, bytes], Any]]:
     def subscribe(address: str, prefix: bytes = b"") -> Any:
         socket = context.socket(zmq.SUB)
         socket.setsockopt(zmq.SUBSCRIBE, prefix)
-        socket.setsockopt(zmq.RCVTIMEO, 3000)
+        socket.setsockopt(zmq.RCVTIMEO, 30_000)
         socket.connect(address)
         sockets.append(socket)
         return socket

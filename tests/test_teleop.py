@@ -263,7 +263,7 @@ def test_switches_work_from_another_program(
     context = zmq.Context()
     client = context.socket(zmq.REQ)
     client.setsockopt(zmq.LINGER, 0)
-    client.setsockopt(zmq.RCVTIMEO, 5000)
+    client.setsockopt(zmq.RCVTIMEO, 30_000)
 
     def ask(message: str) -> dict[str, Any]:
         client.send_string(message)

@@ -23,6 +23,9 @@ FORMAT: Final = 1
 _WAITING_MESSAGES: Final = 4
 """Messages that wait for a subscriber that does not keep up; older ones would do it no good."""
 
+_LINGER_MS: Final = 1000
+"""How long closing waits for what a subscriber has not got yet, such as the message of the end."""
+
 
 @dataclass(frozen=True)
 class ZmqSink(ThreadedSink):
@@ -64,7 +67,7 @@ class ZmqSink(ThreadedSink):
             raise MissingExtraError("sending commands over ZeroMQ", "zmq") from error
         context = zmq.Context()
         socket = context.socket(zmq.PUB)
-        socket.setsockopt(zmq.LINGER, 200)
+        socket.setsockopt(zmq.LINGER, _LINGER_MS)
         socket.setsockopt(zmq.SNDHWM, _WAITING_MESSAGES)
         try:
             socket.bind(self.address)
