@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
 from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 STAMP_TOLERANCE_S: Final = 1e-6
@@ -39,6 +40,7 @@ class Episode:
         name: of the episode, for files and reports.
         notes: what a person should know about how it was read.
         states: the measured joints of the robot hand, or None.
+        wrist: the commanded wrist of the robot hand, with each of the commands, or None.
 
     Raises:
         RecordingError: there is neither hand nor command, arrays do not fit each other, or a stamp
@@ -53,6 +55,7 @@ class Episode:
     name: str = "episode"
     notes: tuple[str, ...] = ()
     states: StateTrajectory | None = None
+    wrist: WristTrack | None = None
 
     def __post_init__(self) -> None:
         if self.recording is None and self.commands is None:
@@ -60,6 +63,10 @@ class Episode:
         if self.commands is not None:
             check_commands(self.commands, self.name)
         count = 0 if self.commands is None else len(self.commands)
+        if self.wrist is not None and len(self.wrist) != count:
+            raise RecordingError(
+                f"{self.name}: a wrist is commanded {len(self.wrist)} times, the fingers {count}"
+            )
         for stage, values in self.stages_ms.items():
             if np.shape(values) != (count,):
                 raise RecordingError(
@@ -128,7 +135,9 @@ class Episode:
             status=self.commands.status[kept],
         )
         stages = {name: np.asarray(values)[kept] for name, values in self.stages_ms.items()}
-        return replace(self, recording=recording, commands=commands, stages_ms=stages)
+        wrist = None if self.wrist is None else self.wrist[kept]
+        parts: dict[str, Any] = {"commands": commands, "stages_ms": stages, "wrist": wrist}
+        return replace(self, recording=recording, **parts)
 
     def joined(self, other: Episode, where: str) -> Episode:
         """This recording with the commands of another file.
@@ -155,6 +164,7 @@ class Episode:
             commands=other.commands,
             config=other.config,
             stages_ms=other.stages_ms,
+            wrist=other.wrist,
             task=other.task if self.task is None else self.task,
             notes=(*self.notes, *other.notes),
         )

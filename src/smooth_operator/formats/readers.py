@@ -52,7 +52,8 @@ def read_recording(
       ``landmarks`` or being its only 3-D array, with ``timestamps`` or ``stamps`` (T,) [s] and
       ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR) and 26 (OpenXR) are
       mapped onto the 21; a single frame (21, 3) is a recording of one. With 21, ``valid``
-      (T, 21), ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz are read too;
+      (T, 21), ``metacarpals`` (T, 4, 3) [m], ``orientations`` (T, 21, 4) wxyz and
+      ``T_world_wrist`` (T, 7), with the name ``world``, are read too;
     - the log that ``LogWriter`` writes, also when it was
       cut off;
     - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
@@ -189,9 +190,16 @@ def read_arrays(
         valid=valid,
         metacarpals=own.get("metacarpals") if metacarpals is None else nodes[:, metacarpals],
         orientations=own.get("orientations", orientations),
+        T_world_wrist=own.get("T_world_wrist"),
+        world=_world(arrays) if "T_world_wrist" in own else None,
         name=path.stem,
         meta=meta,
     )
+
+
+def _world(arrays: StoredArrays) -> str | None:
+    stored = arrays.get("world")
+    return None if stored is None or stored.dtype.kind != "U" else stored.text()[:64]
 
 
 def _beside_landmarks(
@@ -203,6 +211,7 @@ def _beside_landmarks(
         ("valid", (count, 21), "b"),
         ("metacarpals", (count, 4, 3), "f"),
         ("orientations", (count, 21, 4), "f"),
+        ("T_world_wrist", (count, 7), "f"),
     ):
         if name in arrays:
             if arrays[name].shape == shape and arrays[name].dtype.kind in kinds:

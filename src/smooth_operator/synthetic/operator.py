@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.poses import WRIST_AXES, axes, to_ours
 from smooth_operator.synthetic.gestures import GESTURES, Programme
 from smooth_operator.synthetic.hand_anatomy import JOINTS, HandAnatomy, couple, draw_anatomy
 from smooth_operator.synthetic.human_kinematics import mirror, move, pose_hand
@@ -17,6 +18,7 @@ from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator.synthetic.wrist import WristMotion
 from smooth_operator.types import HandFrame, HandRecording, Side, as_side
 
+_WORLD_AXES = axes("z", "y", "-x")  # the flat hand lies palm down, and points forward
 _BLOCK = 256  # ticks made at a time, by record() and frames() alike, so that they agree to the bit
 
 
@@ -111,6 +113,8 @@ class SyntheticOperator:
             joined("valid"),
             joined("metacarpals"),
             joined("orientations"),
+            T_world_wrist=joined("T_world_wrist") if self.wrist else None,
+            world=blocks[0].world,
             name=f"synthetic-{self.side}-{self.seed}",
             meta={
                 "gesture": [label for block in blocks for label in block.meta["gesture"]],
@@ -156,8 +160,11 @@ class SyntheticOperator:
             poses = pose_hand(anatomy, angles)
             if self.side == "left":
                 poses = mirror(poses)
+            wrist = None
             if self.wrist:
                 poses = move(poses, *self.wrist.at(tick.stamps))
+                held = np.concatenate([poses.landmarks[:, 0], poses.orientations[:, 0]], axis=-1)
+                wrist = to_ours(held, _WORLD_AXES, WRIST_AXES["ours"])
             landmarks, metacarpals = poses.landmarks, poses.metacarpals
             if tick.noise is not None:
                 landmarks = landmarks + tick.noise[:, :21]
@@ -174,6 +181,8 @@ class SyntheticOperator:
                 ~tick.lost[kept],
                 metacarpals[kept],
                 poses.orientations[kept],
+                T_world_wrist=None if wrist is None else wrist[kept],
+                world=None if wrist is None else "synthetic",
                 meta={
                     "gesture": [labels[k] for k in kept],
                     "joint_angles": angles[kept],

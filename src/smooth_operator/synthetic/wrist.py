@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.synthetic.settings import check_range, check_seed
 
 _TERMS = 4
@@ -48,3 +49,8 @@ class WristMotion:
         sines = np.sin(2.0 * np.pi * frequency * times[:, None, None] + phase).sum(-1)
         sines *= np.sqrt(2.0 / _TERMS)
         return self.translation * sines[:, :3], self.rotation * sines[:, 3:]
+
+    def pose_at(self, time: float) -> Float[np.ndarray, "7"]:
+        """The same at one time [s], as a pose: x y z [m], quaternion w x y z."""
+        place, turn = self.at(np.array([time]))
+        return np.concatenate([place[0], from_rotation_vectors(turn[0])])

@@ -129,6 +129,7 @@ def with_holds(
         recording,
         landmarks=recording.landmarks[index], stamps=stamps, valid=longer(recording.valid),
         metacarpals=longer(recording.metacarpals), orientations=longer(recording.orientations),
+        T_world_wrist=longer(recording.T_world_wrist),
     )  # fmt: skip
     return made, moments
 

@@ -1,8 +1,9 @@
 """Hand, robot and joints as Foxglove's own messages, so that a log opens in its 3D panel.
 
 The schemas are those of https://github.com/foxglove/foxglove-sdk (``foxglove.SceneUpdate``,
-``foxglove.JointStates``, ``foxglove.FrameTransforms``), which a viewer knows by their names. They
-are written in addition to the project's own messages, at a bounded rate, and are not read back.
+``foxglove.JointStates``, ``foxglove.FrameTransforms``, ``foxglove.PoseInFrame``), which a viewer
+knows by their names. They are written in addition to the project's own messages, at a bounded rate,
+and are not read back.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.landmarks import BONES, LANDMARKS, WRIST
-from smooth_operator.teleop.recording.messages import points
+from smooth_operator.teleop.recording.messages import points, pose
+from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandFrame
 
 RATE_HZ: Final = 30.0
@@ -25,6 +27,9 @@ HAND_SCENE: Final = "/foxglove/hand"
 ROBOT_SCENE: Final = "/foxglove/robot"
 JOINTS: Final = "/foxglove/joints"
 FRAMES: Final = "/foxglove/frames"
+HUMAN_WRIST: Final = "/foxglove/human_wrist"
+WRIST_TARGET: Final = "/foxglove/wrist_target"
+"""The wrist of the operator in the tracker's world, that of the robot hand in the robot's base."""
 
 ROBOT_FRAME: Final = "robot"
 """The robot's palm; the root."""
@@ -69,6 +74,9 @@ class FoxgloveMessages:
             at: its time [ns].
         """
         assert frame.valid is not None  # filled in by HandFrame
+        wrist = frame.T_world_wrist
+        if wrist is not None and np.isfinite(wrist).all() and self._is_due(HUMAN_WRIST, at):
+            yield HUMAN_WRIST, _placed(wrist, frame.world or "world", at)
         if not frame.valid.any() or not self._is_due(HAND_SCENE, at):
             return
         if self._place is None and frame.valid[WRIST]:
@@ -79,6 +87,11 @@ class FoxgloveMessages:
             HAND_SCENE,
             _scene("human hand", TRACKER_FRAME, frame.landmarks, frame.valid, _HUMAN, at),
         )
+
+    def wrist(self, wrist: WristCommand, at: int) -> Iterable[Message]:
+        """The same for the commanded wrist."""
+        if self._is_due(WRIST_TARGET, at):
+            yield WRIST_TARGET, _placed(wrist.pose, wrist.world, at)
 
     def command(
         self, names: Sequence[str], positions: Float[np.ndarray, " n"], at: int
@@ -144,6 +157,10 @@ def _scene(
         "lines": [lines],
     }
     return {"deletions": [], "entities": [entity]}
+
+
+def _placed(found: Float[np.ndarray, "7"], frame: str, at: int) -> dict[str, Any]:
+    return {"timestamp": _time(at), "frame_id": frame, "pose": pose(found)}
 
 
 def _transform(translation: Float[np.ndarray, "3"], at: int) -> dict[str, Any]:
@@ -235,6 +252,7 @@ _STATE: Final = _object(
     acceleration=_NUMBER,
     effort=_NUMBER,
 )
+_PLACED: Final = _object("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE)
 _TRANSFORM: Final = _object(
     "foxglove.FrameTransform",
     timestamp=_TIME,
@@ -251,6 +269,8 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
         (HAND_SCENE, _SCENE),
         (ROBOT_SCENE, _SCENE),
         (JOINTS, _object("foxglove.JointStates", timestamp=_TIME, joints=_list(_STATE))),
+        (HUMAN_WRIST, _PLACED),
+        (WRIST_TARGET, _PLACED),
     )
 }
 """Topic -> (schema name, JSON schema)."""

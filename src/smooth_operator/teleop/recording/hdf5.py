@@ -9,12 +9,15 @@
         valid            (T, 21) bool
         metacarpals      (T, 4, 3) float64, units m, index to pinky; if tracked
         orientations     (T, 21, 4) float64, units "quaternion wxyz"; if tracked
+        T_world_wrist    (T, 7) float64, units "m, quaternion wxyz", attribute world; if tracked
     /commands
         joint_positions  (C, n) float64, units rad
         joint_names      (n,) text
         stamps           (C,) float64, units s: of the frames that are answered
         latency_ms       (C,) float64, units ms
         status           (C,) int8; attribute status_names: the name of code i at index i
+        wrist            (C, 7) float64, units "m, quaternion wxyz", attribute world; if
+                         commanded, with wrist_engaged and wrist_valid (C,) bool
         stages_ms/NAME   (C,) float64, units ms; if the loop's stages were timed
     /state               the robot hand as it was measured; if it was
         joint_positions  (S, n) float64, units rad; NaN where unknown
@@ -48,6 +51,7 @@ from smooth_operator.formats.checks import (
 from smooth_operator.formats.commands import translate_status
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.wrist_track import BASE, WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
@@ -57,6 +61,9 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FORMAT: Final = "smooth-operator"
 VERSION: Final = 1
+
+_POSE_UNITS: Final = "m, quaternion wxyz"
+_OPTIONAL: Final = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
 
 _Group = Any  # of h5py, which comes without types
 
@@ -78,7 +85,10 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
         if episode.recording is not None:
             _write_hand(file.create_group("hand"), episode.recording, episode.meta)
         if episode.commands is not None:
-            _write_commands(file.create_group("commands"), episode.commands, episode.stages_ms)
+            group = file.create_group("commands")
+            _write_commands(group, episode.commands, episode.stages_ms)
+            if episode.wrist is not None:
+                _write_wrist(group, episode.wrist)
         if episode.states is not None:
             _write_states(file.create_group("state"), episode.states)
         if episode.config is not None:  # not an attribute, since these end at 64 KiB
@@ -120,9 +130,11 @@ def read_hdf5_episode(
         if top.attributes.get("format") != FORMAT:  # ours are in metres, others say nothing
             check_recording(recording, str(path))
     trajectory: CommandTrajectory | None = None
+    wrist: WristTrack | None = None
     stages: dict[str, np.ndarray] = {}
     if commands is not None:
         trajectory, stages = _read_commands(commands, tree.get("commands/stages_ms"), path)
+        wrist = _read_wrist(commands, len(trajectory), path)
     config = None
     if "configuration" in top.arrays:
         texts = top.arrays["configuration"].texts
@@ -130,7 +142,7 @@ def read_hdf5_episode(
     task = _text(top.attributes.get("task"))
     group = tree.get("state")
     states = None if group is None else _read_states(group, path)
-    return Episode(recording, trajectory, config, stages, task, name, notes, states)
+    return Episode(recording, trajectory, config, stages, task, name, notes, states, wrist)
 
 
 def read_hdf5_recording(
@@ -165,10 +177,13 @@ def _write_hand(group: _Group, recording: HandRecording, meta: dict[str, Any]) -
         ("valid", None),
         ("metacarpals", "m"),
         ("orientations", "quaternion wxyz"),
+        ("T_world_wrist", _POSE_UNITS),
     ):
         value = getattr(recording, name)
         if value is not None:
             _write(group, name, value, units)
+    if recording.world is not None:
+        group.attrs["world"] = recording.world
 
 
 def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> None:
@@ -189,6 +204,23 @@ def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> 
         data = timed.create_dataset(key, data=np.asarray(times, np.float64))
         data.attrs["units"] = "ms"
         data.attrs["stage"] = stage
+
+
+def _write_wrist(group: _Group, wrist: WristTrack) -> None:
+    _write(group, "wrist", wrist.poses, _POSE_UNITS)
+    group["wrist"].attrs["world"] = wrist.world
+    _write(group, "wrist_engaged", np.asarray(wrist.engaged, bool), None)
+    _write(group, "wrist_valid", np.asarray(wrist.valid, bool), None)
+
+
+def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
+    if "wrist" not in group.arrays:
+        return None
+    poses = _numbers(group, "wrist", (count, 7), path)
+    engaged = _array(group, "wrist_engaged", (count,), "b", path)
+    valid = _array(group, "wrist_valid", (count,), "b", path)
+    world = _text(group.arrays["wrist"].attributes.get("world"))
+    return WristTrack(poses, engaged, valid, BASE if world is None else world)
 
 
 def _write_states(group: _Group, states: StateTrajectory) -> None:
@@ -243,8 +275,9 @@ def _read_hand(
     check_rate(stamps, rate, str(path))
     optional: dict[str, Any] = {
         key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
-        for key, shape in (("metacarpals", (4, 3)), ("orientations", (21, 4)))
+        for key, shape in _OPTIONAL.items()
     }
+    optional["world"] = _text(group.attributes.get("world"))
     valid = _array(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
     label = _text(group.attributes.get("side"))
     found, assumed = check_side([] if label is None else [label], side, str(path))

@@ -23,8 +23,11 @@ from typing import Any
 GROUPS = ("hand", "commands", "commands/stages_ms", "state")
 ARRAYS = {
     "/": ("configuration",),
-    "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations"),
-    "commands": ("joint_positions", "joint_names", "stamps", "latency_ms", "status"),
+    "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist"),
+    "commands": (
+        *("joint_positions", "joint_names", "stamps", "latency_ms", "status"),
+        *("wrist", "wrist_engaged", "wrist_valid"),
+    ),
     "state": ("joint_positions", "joint_names", "stamps", "actuator_names", "currents", "touch"),
 }
 """Of the groups; all arrays of ``stages_ms`` are read."""

@@ -42,8 +42,10 @@ from smooth_operator.teleop.recording.schemas import (
     STATUS,
     TIMING,
     VERSION,
+    WRIST,
 )
 from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
 _COMPRESSION = {
@@ -110,8 +112,7 @@ class LogWriter:
         self._whole_bytes = 0  # the file up to the last chunk that was written
         self._chunk_bytes = chunk_bytes
         self._flush_seconds = flush_seconds
-        self._pending_bytes = 0
-        self._pending_since = 0.0
+        self._pending_bytes, self._pending_since = 0, 0.0
         self._config: str | None = None
         self._config_written = False
         self._hand_stamp = -math.inf
@@ -131,7 +132,7 @@ class LogWriter:
             )
             self._writer.start(library="smooth-operator")
             for topic in SCHEMAS:
-                if topic not in (LOOP, STATE):  # which only the logs of a live loop have
+                if topic not in (LOOP, STATE, WRIST):  # which only the logs of a live loop have
                     self._register(topic)
             self._end_chunk()  # a log that is killed now is an empty log, not an empty file
 
@@ -165,6 +166,7 @@ class LogWriter:
         latency_ms: float,
         stages: Mapping[str, float] | None = None,
         loop: LoopState | None = None,
+        wrist: WristCommand | None = None,
     ) -> None:
         """Append a command and how long it took.
 
@@ -174,6 +176,7 @@ class LogWriter:
             latency_ms: from landmarks to command [ms].
             stages: parts of that time [ms] by name.
             loop: what the live loop did, where one sent it.
+            wrist: where the wrist of the hand was sent with it, if it was.
 
         Raises:
             RecordingError: the joints differ from those of the command before, their number from
@@ -202,15 +205,14 @@ class LogWriter:
         }
         status = Status(status)
         why = {"stamp": stamp, "status": int(status), "reason": status.reason}
-        message = {
-            "stamp": stamp,
-            "names": names,
-            "positions": [as_json.number(x) for x in positions.tolist()],
-        }
+        message = {"stamp": stamp, "names": names, "positions": as_json.numbers(positions)}
         # The command last, so that in a log that is cut off it never lacks its timing and status.
         beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
         if loop is not None:
             beside.append((LOOP, loop.message(stamp)))
+        if wrist is not None:
+            beside.append((WRIST, as_json.wrist_message(stamp, wrist)))
+            beside += self._foxglove.wrist(wrist, as_json.nanoseconds(stamp))
         beside += self._foxglove.command(names, positions, as_json.nanoseconds(stamp))
         self._append(*beside, (COMMAND, message))
         self._names = names
@@ -354,7 +356,7 @@ class LogWriter:
         if topic not in self._channels:
             self._register(topic)
         # What is said of a command has its number, by which the reader joins them.
-        number = self._sequence[COMMAND if topic in (TIMING, STATUS, LOOP) else topic]
+        number = self._sequence[COMMAND if topic in (TIMING, STATUS, LOOP, WRIST) else topic]
         self._writer.add_message(
             self._channels[topic], self._log_time, data, self._log_time, number
         )

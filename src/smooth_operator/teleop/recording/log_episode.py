@@ -11,6 +11,7 @@ from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.checks import check_rate, check_side
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
@@ -20,6 +21,7 @@ from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
 from smooth_operator.teleop.recording.staging import staged_file
 from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
@@ -46,7 +48,7 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
         notes += (f"{path}: mode and events of the live loop stay behind, in the log",)
     task = log.origin.get("task")
     return Episode(
-        recording, log.commands, log.config, log.stages_ms, task, name, notes, log.states
+        recording, log.commands, log.config, log.stages_ms, task, name, notes, log.states, log.wrist
     )
 
 
@@ -86,12 +88,20 @@ def write_log_episode(path: Path, episode: Episode) -> None:
                 Status(int(commands.status[i])),
                 float(commands.latency_ms[i]),
                 {name: float(values[i]) for name, values in episode.stages_ms.items()},
+                wrist=_wrist(episode.wrist, i),
             )
         if recording is not None:
             for frame in recording[written:]:
                 log.write_hand(frame)
         for state in states[shown:]:
             log.write_state(state)
+
+
+def _wrist(track: WristTrack | None, row: int) -> WristCommand | None:
+    if track is None or np.isnan(track.poses[row]).any():
+        return None
+    flags = bool(track.engaged[row]), bool(track.valid[row])
+    return WristCommand(track.poses[row], *flags, track.world)
 
 
 def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[HandState, ...]:

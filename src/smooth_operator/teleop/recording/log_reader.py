@@ -16,10 +16,17 @@ from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.registry import readable
 from smooth_operator.formats.sniff import file_kind
 from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.log_records import DamagedError, read_records, read_summary
 from smooth_operator.teleop.recording.log_states import decode_state, read_states
+from smooth_operator.teleop.recording.log_wrists import (
+    decode_pose,
+    decode_wrist,
+    read_wrist_track,
+    world_wrists,
+)
 from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track
 from smooth_operator.teleop.recording.mcap_library import Channel, Metadata
 from smooth_operator.teleop.recording.schemas import (
@@ -35,6 +42,7 @@ from smooth_operator.teleop.recording.schemas import (
     STATUS,
     TIMING,
     VERSION,
+    WRIST,
 )
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
@@ -82,6 +90,7 @@ class Log:
         origin: what the log says of where it came from: ``name``, ``task``, ``meta`` (JSON).
         loop: mode, events and more of each command, where a live loop wrote the log.
         states: the measured joints of the robot hand, where a live loop had them.
+        wrist: the commanded wrist, with each of the commands, where there was one.
         methods: what drove the hand, in order, where a live loop wrote the log; each until the
             next one's stamp.
     """
@@ -95,6 +104,7 @@ class Log:
     loop: LoopTrack | None = None
     methods: tuple[MethodUse, ...] = ()
     states: StateTrajectory | None = None
+    wrist: WristTrack | None = None
 
     def __repr__(self) -> str:
         end = "truncated" if self.truncated else "whole"
@@ -131,6 +141,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         loop = read_loop_track([n for n, _ in messages[COMMAND]], dict(messages[LOOP]))
         config = _object(messages[CONFIG][0][1]["configuration"]) if messages[CONFIG] else None
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
+        wrist = read_wrist_track([n for n, _ in messages[COMMAND]], dict(messages[WRIST]))
         states = read_states([message for _, message in messages[STATE]])
         methods = tuple(_method(texts) for name, texts in notes if name == METHOD)
     except RecordingError:
@@ -138,7 +149,9 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise _not_ours(path, error) from error
     origin = next((texts for name, texts in reversed(notes) if name == ORIGIN), {})
-    return Log(recording, trajectory, config, truncated, stages, origin, loop, methods, states)
+    return Log(
+        recording, trajectory, config, truncated, stages, origin, loop, methods, states, wrist
+    )
 
 
 def read_log_recording(
@@ -256,11 +269,15 @@ def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
                 if key in message:
                     message[key] = _points(message[key], key, count, axes)
             message["valid"] = _flags(message["valid"])
+            if "wrist" in message:
+                message["wrist"] = decode_pose(message["wrist"])
         elif topic == COMMAND:
             message["names"] = tuple(map(_text, message["names"]))
             message["positions"] = np.array(message["positions"], np.float64)
             if "status" in found:  # of version 1
                 message["status"] = found["status"]
+        elif topic == WRIST:
+            decode_wrist(message)
         elif topic == STATE:
             decode_state(message)
         elif topic == TIMING:
@@ -302,6 +319,7 @@ def _recording(messages: list[dict[str, Any]], path: Path, truncated: bool) -> H
         orientations=_optional(messages, "orientations"),
         name=path.stem,
         meta={"format": "log", "truncated": truncated, "side_assumed": False},
+        **world_wrists(messages),
     )
 
 

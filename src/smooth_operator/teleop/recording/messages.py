@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandFrame
 
 _MAX_LOG_TIME = 2**64 - 1
@@ -27,7 +28,30 @@ def hand_message(frame: HandFrame) -> dict[str, Any]:
         message["metacarpals"] = points(frame.metacarpals)
     if frame.orientations is not None:
         message["orientations"] = quaternions(frame.orientations)
+    if frame.T_world_wrist is not None:
+        message["wrist"] = pose(frame.T_world_wrist)
+        if frame.world is not None:
+            message["world"] = frame.world
     return message
+
+
+def wrist_message(stamp: float, wrist: WristCommand) -> dict[str, Any]:
+    """The commanded wrist as a message of ``/wrist``; ``stamp`` is that of the command [s]."""
+    return {
+        "stamp": stamp,
+        "pose": pose(wrist.pose),
+        "engaged": wrist.engaged,
+        "valid": wrist.valid,
+        "world": wrist.world,
+    }
+
+
+def pose(array: Float[np.ndarray, "7"]) -> dict[str, Any]:
+    """A pose as an object of position and orientation."""
+    return {
+        "position": points(array[None, :3])[0],
+        "orientation": quaternions(array[None, 3:])[0],
+    }
 
 
 def state_message(state: HandState) -> dict[str, Any]:

@@ -9,10 +9,13 @@ array                     shape               what it holds
 ``side``                  text                right or left
 ``metacarpals``           (T, 4, 3) float64   metacarpal bases [m], if tracked
 ``orientations``          (T, 21, 4) float64  quaternions wxyz, if tracked
+``T_world_wrist``         (T, 7) float64      wrist, x y z [m] and wxyz, if tracked; in ``world``
 ``joint_positions``       (C, n) float64      [rad], if there are commands
 ``joint_names``           (n,) text
 ``latency_ms``            (C,) float64
 ``status``                (C,) int8           indices of ``status_names``
+``wrist_poses``           (C, 7) float64      the robot's wrist, if commanded; in ``wrist_world``,
+                                              with ``wrist_engaged``, ``wrist_valid`` (C,) bool
 ``stages_ms``             (C, k) float64      times of the stages in ``stage_names``
 ``configuration``         text                JSON
 ``episode``               text                JSON: name, task, and what the source said
@@ -37,6 +40,7 @@ from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.commands import config_path, read_commands, written_result
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import LANDMARK_STAMPS, read_recording
+from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import Side, Status
@@ -78,6 +82,7 @@ def read_npz_episode(
         _stages(arrays, 0 if commands is None else len(commands)),
         None if stored.get("task") is None else str(stored["task"]),
         name,
+        wrist=_wrist(arrays),
     )
 
 
@@ -95,9 +100,9 @@ def write_npz_episode(path: Path, episode: Episode) -> None:
         arrays["timestamps"] = recording.stamps
         arrays["valid"] = recording.valid
         arrays["side"] = np.array(recording.side)
-        for name in ("metacarpals", "orientations"):
+        for name in ("metacarpals", "orientations", "T_world_wrist", "world"):
             if getattr(recording, name) is not None:
-                arrays[name] = getattr(recording, name)
+                arrays[name] = np.asarray(getattr(recording, name))
     if commands is not None:
         if recording is not None and not np.array_equal(recording.stamps, commands.stamps):
             arrays[LANDMARK_STAMPS] = recording.stamps
@@ -108,6 +113,9 @@ def write_npz_episode(path: Path, episode: Episode) -> None:
         arrays["status"] = np.asarray(commands.status, np.int8)
         names = {int(status): status.name for status in Status}
         arrays["status_names"] = np.array([names.get(i, "") for i in range(max(names) + 1)])
+    if episode.wrist is not None:
+        for name in ("poses", "engaged", "valid", "world"):
+            arrays[f"wrist_{name}"] = np.asarray(getattr(episode.wrist, name))
     if episode.stages_ms:
         arrays["stage_names"] = np.asarray(list(episode.stages_ms), np.str_)
         arrays["stages_ms"] = np.stack(list(episode.stages_ms.values()), axis=1)
@@ -150,6 +158,20 @@ def _beside(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return value if isinstance(value, dict) else None
+
+
+def _wrist(arrays: StoredArrays) -> WristTrack | None:
+    if not {"wrist_poses", "wrist_engaged", "wrist_valid", "wrist_world"} <= arrays.keys():
+        return None
+    try:
+        return WristTrack(
+            arrays["wrist_poses"].numbers(),
+            arrays["wrist_engaged"].load().astype(bool),
+            arrays["wrist_valid"].load().astype(bool),
+            arrays["wrist_world"].text(),
+        )
+    except RecordingError as error:
+        raise RecordingError(f"{arrays.path}: {error}") from error
 
 
 def _stages(arrays: StoredArrays, count: int) -> dict[str, np.ndarray]:

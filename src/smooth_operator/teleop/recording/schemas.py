@@ -26,6 +26,8 @@ LOOP: Final = "/loop"
 """Only in logs of a live loop; readers that do not know it pass over it."""
 STATE: Final = "/state"
 """Only in logs of a live loop whose hand is measured."""
+WRIST: Final = "/wrist"
+"""Only where the wrist of the robot hand was commanded, too."""
 CONFIG: Final = "/config"
 
 ORIGIN: Final = "smooth_operator.origin"
@@ -56,6 +58,7 @@ _POINT = _object("a position [m]; null where unknown", (), x=_NUMBER, y=_NUMBER,
 _QUATERNION = _object(
     "an orientation; null where unknown", (), w=_NUMBER, x=_NUMBER, y=_NUMBER, z=_NUMBER
 )
+_POSE = _object("a pose", (), position=_POINT, orientation=_QUATERNION)
 _STAGE = _object("a stage of the loop", (), name={"type": "string"}, ms=_NUMBER)
 
 SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
@@ -70,6 +73,8 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
             valid=_array({"type": "boolean"}, "21: false where the tracker lost the landmark"),
             metacarpals=_array(_POINT, "4 metacarpal bases, index to pinky; absent if untracked"),
             orientations=_array(_QUATERNION, "21, one per landmark; absent if untracked"),
+            wrist={**_POSE, "description": "in the world; null while lost, absent if untracked"},
+            world={"type": "string", "description": "name of the frame of the wrist"},
         ),
     ),
     COMMAND: (
@@ -133,6 +138,18 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
             currents=_array(_NUMBER, "of the actuators, mA or the driver's unit of force"),
             temperatures=_array(_NUMBER, "of the actuators [degrees Celsius]"),
             touch=_array(_NUMBER, "touch or force sensors, in the driver's unit"),
+        ),
+    ),
+    WRIST: (
+        "smooth_operator.Wrist",
+        _object(
+            "Where the wrist of the robot hand is sent with the command of the same stamp.",
+            ("stamp", "pose", "engaged", "valid", "world"),
+            stamp=_STAMP,
+            pose=_POSE,
+            engaged={"type": "boolean", "description": "whether the operator's wrist moves it"},
+            valid={"type": "boolean", "description": "whether the operator's wrist is known"},
+            world={"type": "string", "description": "name of the frame, the robot's base"},
         ),
     ),
     CONFIG: (

@@ -227,6 +227,7 @@ class _HandLog:
                 scale=tick.scale,
                 events=(*events, *tick.events),
             ),
+            tick.wrist,
         )
         self._pending = True
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.poses import is_valid
 from smooth_operator.teleop.recording.messages import numbers
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
@@ -84,7 +85,8 @@ class ZmqSink(ThreadedSink):
 
 def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
     """A command as the far side gets it; ``side`` is first, so that it can be filtered for."""
-    return {
+    frame, wrist = None if tick.arrival is None else tick.arrival.frame, tick.wrist
+    message: dict[str, Any] = {
         "side": tick.side,
         "type": "command",
         "format": FORMAT,
@@ -99,6 +101,17 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
         "unix_time": time.time(),
         "valid_for_s": valid_for_s,
     }
+    if wrist is not None:
+        message["wrist"] = {
+            "pose": _finite(wrist.pose.tolist()),
+            "engaged": wrist.engaged,
+            "valid": wrist.valid,
+            "world": wrist.world,
+        }
+    if frame is not None and frame.T_world_wrist is not None:
+        pose = numbers(frame.T_world_wrist) if is_valid(frame.T_world_wrist) else None
+        message["operator_wrist"] = {"pose": pose, "world": frame.world}
+    return message
 
 
 def state_message(state: HandState) -> dict[str, Any]:

@@ -9,7 +9,8 @@ A message is one of
 
 In place of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR), which are mapped; in place
 of a row x y z, an object, a row with a quaternion or a 4 x 4 matrix (``point_forms``). ``wrist`` is
-the pose of the wrist in the frame ``world``. Nothing here waits, keeps state or unpickles: bytes
+the pose of the wrist in the frame ``world``; 26 rows with quaternions hold one, in OpenXR's axes
+(y up), which is converted. Nothing here waits, keeps state or unpickles: bytes
 in, hand frames out, or an error that says why not.
 """
 
@@ -27,6 +28,7 @@ from smooth_operator.errors import ConfigError, DocumentError, RecordingError
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.io import documents
 from smooth_operator.io.anatomy import layout_order
+from smooth_operator.poses import to_ours
 from smooth_operator.teleop.sources.message_stamps import StampUnit, read_stamp
 from smooth_operator.teleop.sources.point_forms import (
     MatrixOrder,
@@ -47,6 +49,7 @@ _SHARED: Final = ("stamp", "timestamp", "session", "world")
 TRACKER_WORLD: Final = "tracker"
 """Name of the world frame of a wrist in a message that does not name it."""
 
+_OPENXR_WRIST: Final = schema.FROM_OPENXR_26[0]
 _WHERE: Final = "the message"
 
 
@@ -251,8 +254,10 @@ def _read_hand(
     )
     orientations = _beside(message, "orientations", (len(points), 4))
     stamp = read_stamp(message, forms.stamp_unit)
-    wrist = _beside(message, "wrist", (7,))
-    world = message.get("world")
+    tracked = read_wrist(message)
+    if not tracked and turned is not None and len(points) == 26:
+        joint = np.concatenate([points[_OPENXR_WRIST], turned[_OPENXR_WRIST]])
+        tracked = {"wrist": to_ours(joint), "world": _world(message)}
     frame = hand_frame(
         points,
         stamp=received if stamp is None else stamp,
@@ -261,10 +266,24 @@ def _read_hand(
         orientations=turned if orientations is None else orientations,
         metacarpals=_beside(message, "metacarpals", (4, 3)),
         layout=forms.layout,
-        wrist=wrist,
-        world=None if wrist is None else TRACKER_WORLD if world is None else str(world)[:64],
+        **tracked,
     )
     return Reading(frame, stamp is not None, read_session(message))
+
+
+def read_wrist(message: Mapping[str, Any]) -> dict[str, Any]:
+    """``wrist`` and ``world`` of a message, for ``hand_frame``; empty where there is no wrist.
+
+    Raises:
+        RecordingError: the wrist is not 7 numbers.
+    """
+    wrist = _beside(message, "wrist", (7,))
+    return {} if wrist is None else {"wrist": wrist, "world": _world(message)}
+
+
+def _world(message: Mapping[str, Any]) -> str:
+    world = message.get("world")
+    return TRACKER_WORLD if world is None else str(world)[:64]
 
 
 def _beside(message: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndarray | None:

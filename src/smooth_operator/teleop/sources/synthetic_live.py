@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
 
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.settings import check_range
 from smooth_operator.synthetic.tracker import TrackerModel
+from smooth_operator.synthetic.wrist import WristMotion
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.pacing import on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, Side
+
+WORLD: Final = "synthetic"
+_HANDS_AT: Final[dict[Side, np.ndarray]] = {
+    "right": np.array([0.4, -0.2, 1.0]),
+    "left": np.array([0.4, 0.2, 1.0]),
+}
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,8 @@ class SyntheticSource(ThreadedSource):
         landmark_loss: share of landmarks that are missing, in bursts.
         rate_jitter: standard deviation of a frame's time over the period.
         duration: how long it moves [s]; None for ever.
+        wrist: standard deviation of each coordinate of the wrist in the room [m], 1 m up and 0.4 m
+            ahead; 0 is a tracker without a wrist. The landmarks do not move with it.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -49,10 +61,12 @@ class SyntheticSource(ThreadedSource):
     landmark_loss: float = 0.0
     rate_jitter: float = 0.0
     duration: float | None = None
+    wrist: float = 0.05
 
     def __post_init__(self) -> None:
         sides_of(self.side)
         self._operators()  # which check the rest
+        check_range("wrist", self.wrist, 0.0, 0.3, "m")
         if self.duration is not None:
             check_range("duration", self.duration, 1.0 / self.rate, 1e9, "s")
 
@@ -66,13 +80,23 @@ class SyntheticSource(ThreadedSource):
         hands = " and ".join(sides_of(self.side))
         running.health = SourceHealth("running", f"{hands} hand at {self.rate:g} Hz")
         clock = running.mailbox.clock
+        wrists = self._wrists()
         for _, frame in on_time(self._due(), clock, running.stopping):
+            if self.wrist:
+                pose = wrists[frame.side].pose_at(frame.time)
+                pose[:3] += _HANDS_AT[frame.side]
+                frame = replace(frame, T_world_wrist=pose, world=WORLD)
             running.mailbox.post(frame)
 
     def _due(self) -> Iterator[tuple[float, HandFrame]]:
         streams = [operator.frames(self.duration) for operator in self._operators()]
         for frame in heapq.merge(*streams, key=lambda frame: frame.time):
             yield frame.time, frame
+
+    def _wrists(self) -> dict[Side, WristMotion]:
+        turn = 4.0 * self.wrist  # [rad] for [m]: 0.2 rad for 5 cm
+        sides = sides_of(self.side)
+        return {side: WristMotion(self.wrist, turn, self.seed + k) for k, side in enumerate(sides)}
 
     def _operators(self) -> list[SyntheticOperator]:
         names = tuple(self.gestures.split("+")) if self.gestures else GESTURES

@@ -25,6 +25,10 @@ What these can't hold, without loss:
 ``left_hand``           bool                   which hand: True for a left one
 ``metacarpals``         float64 (12,)          metacarpal bases [m], index to pinky
 ``orientations``        float64 (84,)          quaternions wxyz, one per landmark
+``human_wrist``         float64 (7,)           in its world: x y z [m], quaternion wxyz
+``wrist_command``       float64 (7,)           of the robot hand, in the robot's base, the same
+``wrist_engaged``       bool                   whether the operator's wrist moved it
+``wrist_valid``         bool                   whether the operator's wrist was known
 ``joint_positions``     float64 (n,)           as ``action``
 ``command_stamp``       float64                of the command [s]; NaN where there is none
 ``status``              int64                  code of the command's status; -1 where there is none
@@ -58,6 +62,7 @@ NO_COMMAND: Final = -1
 LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
 _METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
 _ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "wxyz")
+POSE_NAMES: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
@@ -71,6 +76,10 @@ UNITS: Final = {
     "left_hand": "which hand",
     "metacarpals": "m",
     "orientations": "quaternions wxyz",
+    "human_wrist": "m, quaternion wxyz, in its world",
+    "wrist_command": "m, quaternion wxyz, of the robot hand in the robot's base",
+    "wrist_engaged": "whether the operator's wrist moved the robot's",
+    "wrist_valid": "whether the operator's wrist was known",
     "joint_positions": "rad, as action, without loss",
     "command_stamp": "s, NaN in a frame without a command",
     "status": "why the command is what it is; -1 in a frame without a command",
@@ -93,6 +102,8 @@ class Layout:
         joints: names of the joints; None without commands.
         stages: names of the timed stages of the loop.
         measured: names of the joints that the robot hand measured; None without.
+        wrist: with the human wrist.
+        wrist_command: with the commanded one.
     """
 
     hand: bool
@@ -101,6 +112,8 @@ class Layout:
     joints: tuple[str, ...] | None
     stages: tuple[str, ...]
     measured: tuple[str, ...] | None = None
+    wrist: bool = False
+    wrist_command: bool = False
 
     @classmethod
     def of(cls, episode: Episode) -> Layout:
@@ -113,6 +126,8 @@ class Layout:
             None if commands is None else tuple(commands.joint_names),
             tuple(episode.stages_ms),
             None if episode.states is None else tuple(episode.states.names),
+            recording is not None and recording.T_world_wrist is not None,
+            episode.wrist is not None,
         )
 
     def widened(self, other: Layout, names: tuple[str, str]) -> Layout:
@@ -156,6 +171,8 @@ class Layout:
             self.joints,
             self.stages + more,
             self.measured,
+            self.wrist or other.wrist,
+            self.wrist_command or other.wrist_command,
         )
 
     def features(self) -> dict[str, dict[str, Any]]:
@@ -185,6 +202,12 @@ class Layout:
             add("metacarpals", "float64", _METACARPAL_NAMES)
         if self.orientations:
             add("orientations", "float64", _ORIENTATION_NAMES)
+        if self.wrist:
+            add("human_wrist", "float64", POSE_NAMES)
+        if self.wrist_command:
+            add("wrist_command", "float64", POSE_NAMES)
+            add("wrist_engaged", "bool")
+            add("wrist_valid", "bool")
         if self.joints is not None:
             add("joint_positions", "float64", self.joints)
             add("command_stamp", "float64")
@@ -231,8 +254,12 @@ def episode_columns(
         columns |= {"observation.state": flat, "landmarks": flat}
         columns["landmarks_valid"] = recording.valid
         columns["left_hand"] = np.full(count, recording.side == "left")
-        for name, width in (("metacarpals", 12), ("orientations", 84)):
-            value = getattr(recording, name)
+        for name, key, width in (
+            ("metacarpals", "metacarpals", 12),
+            ("orientations", "orientations", 84),
+            ("human_wrist", "T_world_wrist", 7),
+        ):
+            value = getattr(recording, key)
             columns[name] = np.full((count, width), np.nan)
             if value is not None:
                 columns[name] = value.reshape(count, -1)
@@ -255,6 +282,11 @@ def episode_columns(
             if stage in episode.stages_ms:
                 times[rows, i] = episode.stages_ms[stage]
         columns["stages_ms"] = times
+        wrist, none = episode.wrist, np.zeros(len(commands), bool)
+        poses = np.full((len(commands), 7), np.nan) if wrist is None else wrist.poses
+        columns["wrist_command"] = spread(poses, np.nan)
+        columns["wrist_engaged"] = spread(none if wrist is None else wrist.engaged, False)
+        columns["wrist_valid"] = spread(none if wrist is None else wrist.valid, False)
     if episode.states is not None:
         measured, when = episode.states.at(episode.stamps)
         columns |= {"observation.state": measured, "measured_positions": measured}

@@ -29,6 +29,7 @@ from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import check_anatomy
 from smooth_operator.formats.sniff import is_dataset
 from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.wrist_track import BASE, WristTrack
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.teleop.recording.lerobot.arrow import numbers, read_table
@@ -202,10 +203,13 @@ def read_dataset_episode(
     tasks = row.get("tasks")
     task = own["task"] if "task" in own else tasks[0] if isinstance(tasks, list) and tasks else None
     task = None if task is None else str(task)
+    wrist = None
+    if commands is not None and _has(own, "wrist_command", table):
+        wrist = _wrist(table, own, file)
     states = None
     if "measured_positions" in dataset.info["features"]:
         states = _states(table, dataset.info["features"], file)
-    return Episode(recording, commands, config, stages, task, name, notes, states)
+    return Episode(recording, commands, config, stages, task, name, notes, states, wrist)
 
 
 def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
@@ -310,6 +314,9 @@ def _recording(
         if own.get(key, key in table.column_names):
             values = numbers(table, key, shape[0] * shape[1], file)
             optional[key] = values.reshape(count, *shape).astype(np.float64)
+    if _has(own, "human_wrist", table):
+        optional["T_world_wrist"] = numbers(table, "human_wrist", 7, file).astype(np.float64)
+        optional["world"] = None if own.get("world") is None else str(own["world"])[:64]
     if "orientations" in optional:
         optional["orientations"] = optional["orientations"][:, picked]
     return HandRecording(
@@ -321,6 +328,21 @@ def _recording(
         meta=meta,
         **optional,
     )
+
+
+def _has(own: dict[str, Any], name: str, table: Any) -> bool:
+    """Whether a column is the episode's own; where nothing says so, the column itself decides."""
+    return bool(own.get(name, True)) and name in table.column_names
+
+
+def _wrist(table: Any, own: dict[str, Any], file: Path) -> WristTrack:
+    """The commanded wrist in the rows that have a command."""
+    there = numbers(table, "status", 1, file)[:, 0] != NO_COMMAND
+    engaged, valid = (
+        numbers(table, name, 1, file)[there, 0] != 0 for name in ("wrist_engaged", "wrist_valid")
+    )
+    poses = numbers(table, "wrist_command", 7, file)[there].astype(np.float64)
+    return WristTrack(poses, engaged, valid, str(own.get("wrist_world") or BASE)[:64])
 
 
 def _states(table: Any, features: dict[str, Any], file: Path) -> StateTrajectory:

@@ -32,6 +32,7 @@ from smooth_operator.teleop.sources.payload import (
     parse_json,
     read_session,
     read_side,
+    read_wrist,
 )
 from smooth_operator.teleop.sources.point_forms import read_numbers
 from smooth_operator.types import HandFrame, Side
@@ -113,7 +114,7 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
     """The hands of a message, each with what the message says of both."""
     hands: Any = message
     if isinstance(message, dict):
-        shared = {k: message[k] for k in ("stamp", "timestamp", "session") if k in message}
+        shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
         if "hands" in message or "gloves" in message:
             hands = message.get("hands", message.get("gloves"))
         elif found := [key for key in message if key.lower() in ("right", "left")]:
@@ -154,6 +155,7 @@ def read_glove(
         stamp=received if stamp is None else stamp,
         side=_side(message.get("side"), message.get("glove_id"), gloves, side),
         orientations=quaternions,
+        **read_wrist(message),
     )
     return Reading(frame, stamp is not None, read_session(message))
 

@@ -32,9 +32,10 @@ export class Hands {
    * @param {XRFrame} frame
    * @param {XRReferenceSpace} space
    * @param {number} stamp seconds
+   * @param {boolean} floor whether the space has its origin on the floor
    * @returns {Uint8Array} the message
    */
-  read(frame, space, stamp) {
+  read(frame, space, stamp, floor) {
     const sources = { left: null, right: null };
     for (const source of frame.session.inputSources) {
       if (source.hand && source.handedness in sources) sources[source.handedness] = source.hand;
@@ -53,7 +54,7 @@ export class Hands {
     this.header.setUint32(4, this.number++, true);
     this.header.setFloat64(8, stamp, true);
     this.header.setUint32(16, mask, true);
-    this.header.setUint32(20, 0, true);
+    this.header.setUint32(20, floor ? 1 : 0, true);
     return new Uint8Array(this.buffer, 0, HEADER + at * 4);
   }
 }

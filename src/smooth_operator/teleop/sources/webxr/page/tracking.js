@@ -42,7 +42,10 @@ export class Tracking extends EventTarget {
   async start(mode) {
     let session;
     try {
-      session = await navigator.xr.requestSession(mode, { requiredFeatures: ['hand-tracking'] });
+      session = await navigator.xr.requestSession(mode, {
+        requiredFeatures: ['hand-tracking'],
+        optionalFeatures: ['local-floor'],
+      });
     } catch (error) {
       throw new Trouble(`The headset gave no hands (${error.message || error.name}). Turn hand tracking on in its settings, allow it when the browser asks, and press Start again.`);
     }
@@ -53,7 +56,11 @@ export class Tracking extends EventTarget {
       this.scene = new Scene(gl);
       this.layer = new XRWebGLLayer(session, gl);
       session.updateRenderState({ baseLayer: this.layer });
-      this.space = await session.requestReferenceSpace('local');
+      this.floor = true;
+      this.space = await session.requestReferenceSpace('local-floor').catch(() => {
+        this.floor = false; // the headset does not know where the floor is
+        return session.requestReferenceSpace('local');
+      });
     } catch (error) {
       session.end().catch(() => {});
       throw error;
@@ -81,7 +88,7 @@ export class Tracking extends EventTarget {
 
   step(frame) {
     // Hands first: drawing must not make them late.
-    const message = this.hands.read(frame, this.space, performance.now() / 1000);
+    const message = this.hands.read(frame, this.space, performance.now() / 1000, this.floor);
     this.link.send(message);
     const seen = [this.hands.left, this.hands.right].filter(Boolean);
     if (seen.length) this.lastSeen = performance.now();

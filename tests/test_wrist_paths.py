@@ -1,0 +1,294 @@
+"""The wrist on its way: from each source to each file and message, and back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from ticks import make_tick
+
+from smooth_operator import load_hand, poses, read_recording
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.wrist_track import WristTrack
+from smooth_operator.human.palm_axes import FLAT_HAND
+from smooth_operator.lab.paper.degraded_recordings import led
+from smooth_operator.landmarks import FROM_OPENXR_26
+from smooth_operator.synthetic import SyntheticOperator, WristMotion
+from smooth_operator.teleop.recording.convert import read_episode
+from smooth_operator.teleop.recording.hdf5 import read_hdf5_episode, write_hdf5_episode
+from smooth_operator.teleop.recording.log_episode import read_log_episode, write_log_episode
+from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.teleop.recording.npz import read_npz_episode, write_npz_episode
+from smooth_operator.teleop.sinks.record import RecordSink
+from smooth_operator.teleop.sinks.tick import WristCommand
+from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
+from smooth_operator.teleop.sources.live import Arrival, Mailbox
+from smooth_operator.teleop.sources.manus.manus_message import read_manus, write_manus
+from smooth_operator.teleop.sources.payload import read_payload
+from smooth_operator.teleop.sources.replay import Replay
+from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
+from smooth_operator.teleop.sources.webxr.packet import HEADER, read_packet
+from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
+
+POSE = [0.3, -0.2, 1.1, 0.6, 0.0, 0.8, 0.0]
+
+
+def operator(side: str = "right", seconds: float = 0.4) -> HandRecording:
+    motion = WristMotion(0.1, 0.4, seed=3)
+    return SyntheticOperator(seed=1, side=side, wrist=motion).record(seconds)  # type: ignore[arg-type]
+
+
+def episode() -> Episode:
+    """A hand whose wrist is lost for a while, with commands for some frames."""
+    hand = operator()
+    wrists = np.array(hand.T_world_wrist)
+    wrists[5:9] = np.nan
+    hand = replace(hand, T_world_wrist=wrists, name="wrist", meta={})
+    count = len(hand) - 2
+    rng = np.random.default_rng(0)
+    commands = CommandTrajectory(
+        rng.normal(size=(count, 2)),
+        ("a", "b"),
+        hand.stamps[:count],
+        np.full(count, 1.0),
+        np.zeros(count, np.int8),
+    )
+    track = poses.from_rotation_vectors(rng.normal(size=(count, 3)))
+    placed = np.concatenate([rng.normal(size=(count, 3)), track], axis=1)
+    placed[0] = np.nan  # before the first wrist
+    flags = rng.random((2, count)) < 0.5
+    flags[:, 0] = False
+    wrist = WristTrack(placed, flags[0], flags[1], "table")
+    return Episode(hand, commands, {"method": "x"}, name="wrist", wrist=wrist)
+
+
+def same(back: Episode, sent: Episode) -> None:
+    assert back.recording is not None
+    assert sent.recording is not None
+    np.testing.assert_array_equal(back.recording.T_world_wrist, sent.recording.T_world_wrist)
+    assert back.recording.world == sent.recording.world == "synthetic"
+    assert back.wrist is not None
+    assert sent.wrist is not None
+    np.testing.assert_array_equal(back.wrist.poses, sent.wrist.poses)
+    np.testing.assert_array_equal(back.wrist.engaged, sent.wrist.engaged)
+    np.testing.assert_array_equal(back.wrist.valid, sent.wrist.valid)
+    assert back.wrist.world == "table"
+
+
+# -- sources ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_operator_knows_its_wrist(side: str) -> None:
+    hand = operator(side)
+    world = poses.points_to_ours(hand.landmarks, poses.axes("z", "y", "-x"))
+    found = poses.wrist_from_landmarks(world, hand.side)
+    apart = poses.separation(hand.T_world_wrist, found)
+    assert apart[:, 0].max() < 1e-12
+    assert apart[:, 1].max() < 0.06  # its own axes, and those of its knuckles
+    assert np.ptp(hand.T_world_wrist[:, :3], axis=0).max() > 0.005
+    plain = SyntheticOperator(seed=1, side=hand.side).record(0.4)
+    assert plain.T_world_wrist is None
+
+
+def test_the_live_operator_moves_its_wrist_and_not_its_landmarks() -> None:
+    boxes = [Mailbox(), Mailbox()]
+    seen: list[list[HandFrame]] = [[], []]
+    for box, frames, wrist in zip(boxes, seen, (0.05, 0.0), strict=True):
+        post = box.post
+
+        def keep(frame: HandFrame, frames: list = frames, post: Any = post, **more: Any) -> Arrival:
+            frames.append(frame)
+            return post(frame, **more)
+
+        box.post = keep  # type: ignore[method-assign]
+        source = SyntheticSource(duration=0.2, wrist=wrist)
+        source.start(box)
+        source._running._thread.join(5)  # type: ignore[attr-defined]
+        source.stop()
+    moved, still = seen
+    assert len(moved) == len(still) == 20
+    for a, b in zip(moved, still, strict=True):
+        np.testing.assert_array_equal(a.landmarks, b.landmarks)
+        assert poses.is_valid(a.T_world_wrist)
+        assert b.T_world_wrist is None
+    speed = np.diff([f.T_world_wrist[:3] for f in moved], axis=0) * 100  # type: ignore[index]
+    assert 0.001 < np.linalg.norm(speed, axis=1).max() < 1.0
+    assert moved[0].world == "synthetic"
+
+
+def test_a_replay_has_the_wrist_of_its_recording(tmp_path: Path) -> None:
+    sent = episode()
+    write_log_episode(tmp_path / "a.mcap", sent)
+    source, box, seen = Replay(tmp_path / "a.mcap", speed=100.0), Mailbox(), []
+    box.post = lambda frame, **_: seen.append(frame)  # type: ignore[method-assign,assignment]
+    source.start(box)
+    source._running._thread.join(5)  # type: ignore[attr-defined]
+    source.stop()
+    assert sent.recording is not None
+    np.testing.assert_array_equal([f.T_world_wrist for f in seen], sent.recording.T_world_wrist)
+
+
+def test_a_headset_sends_its_wrist_in_its_reference_space() -> None:
+    # Palm down, pointing ahead, 1.2 m up, 0.3 m to the right and 0.4 m ahead of the headset.
+    joints = np.full((25, 8), 0.01, np.float32)
+    joints[:, 0] = 0.01 * np.arange(25)
+    joints[0, :7] = 0.3, 1.2, -0.4, 0, 0, 0, 1
+    for space, world in ((0, "webxr/local"), (1, "webxr/local-floor"), (7, "webxr")):
+        message = HEADER.pack(b"XRH1", 0, 1.0, 2, space) + joints.tobytes()
+        (frame,) = read_packet(message).frames
+        np.testing.assert_allclose(frame.T_world_wrist, [0.4, -0.3, 1.2, 1, 0, 0, 0], atol=1e-6)
+        assert frame.world == world
+    joints[0, :7] = 0, 0, 0, 0, 2**-0.5, 0, 2**-0.5  # turned to the left, as seen from above
+    (frame,) = read_packet(HEADER.pack(b"XRH1", 0, 1.0, 2, 0) + joints.tobytes()).frames
+    turned = poses.rotate(frame.T_world_wrist[3:], np.array([1.0, 0, 0]))  # type: ignore[index]
+    np.testing.assert_allclose(turned, [0, 1, 0], atol=1e-6)
+    joints[0, 3:7] = np.nan
+    (frame,) = read_packet(HEADER.pack(b"XRH1", 0, 1.0, 2, 0) + joints.tobytes()).frames
+    assert np.isnan(frame.T_world_wrist).all()  # type: ignore[arg-type]
+    assert frame.valid is not None
+    assert frame.valid[0]
+
+
+def test_26_poses_of_openxr_hold_a_wrist() -> None:
+    rows = np.zeros((26, 7))
+    rows[list(FROM_OPENXR_26), :3] = FLAT_HAND
+    rows[:, 3] = 1.0
+    rows[:, :3] += [0.3, 1.2, -0.4]
+    (reading,) = read_payload(json.dumps(rows.tolist()).encode(), side="right", received=0.0)
+    np.testing.assert_allclose(reading.frame.T_world_wrist, [0.4, -0.3, 1.2, 1, 0, 0, 0])
+    given = json.dumps({"joints": rows.tolist(), "wrist": POSE, "world": "cell"}).encode()
+    (reading,) = read_payload(given, side="right", received=0.0)
+    np.testing.assert_allclose(reading.frame.T_world_wrist, POSE)
+    assert reading.frame.world == "cell"
+    points = json.dumps(rows[:, :3].tolist()).encode()
+    assert read_payload(points, side="right", received=0.0)[0].frame.T_world_wrist is None
+
+
+def test_a_bridge_may_add_a_trackers_wrist_to_a_glove() -> None:
+    nodes = json.loads(write_manus(HandFrame(FLAT_HAND, 0.0)))
+    message = json.dumps({"side": "right", "nodes": nodes, "wrist": POSE, "world": "vive"})
+    (reading,) = read_manus(message.encode(), gloves={}, side=None, received=0.0)
+    np.testing.assert_allclose(reading.frame.T_world_wrist, POSE)
+    assert reading.frame.world == "vive"
+    bare = json.dumps({"side": "right", "nodes": nodes}).encode()
+    (reading,) = read_manus(bare, gloves={}, side=None, received=0.0)
+    assert reading.frame.T_world_wrist is None
+
+
+# -- files ------------------------------------------------------------------------------------
+
+
+def test_an_npz_holds_both_wrists(tmp_path: Path) -> None:
+    sent = episode()
+    write_npz_episode(tmp_path / "a.npz", sent)
+    same(read_npz_episode(tmp_path / "a.npz"), sent)
+    plain = read_recording(tmp_path / "a.npz")
+    np.testing.assert_array_equal(plain.T_world_wrist, sent.recording.T_world_wrist)  # type: ignore[union-attr]
+    assert plain.world == "synthetic"
+
+
+def test_an_hdf5_file_holds_both_wrists(tmp_path: Path) -> None:
+    pytest.importorskip("h5py", reason="needs the extra hdf5")
+    sent = episode()
+    write_hdf5_episode(tmp_path / "a.h5", sent)
+    same(read_hdf5_episode(tmp_path / "a.h5"), sent)
+
+
+def test_a_log_holds_both_wrists(tmp_path: Path) -> None:
+    sent = episode()
+    write_log_episode(tmp_path / "a.mcap", sent)
+    same(read_log_episode(tmp_path / "a.mcap"), sent)
+    data = (tmp_path / "a.mcap").read_bytes()
+    assert b"foxglove.PoseInFrame" in data
+
+
+def test_a_lerobot_dataset_holds_both_wrists(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="needs the extra lerobot")
+    from smooth_operator.teleop.recording.lerobot.reader import open_dataset, read_dataset_episode
+    from smooth_operator.teleop.recording.lerobot.writer import write_dataset
+
+    sent = episode()
+    bare = replace(
+        sent, recording=replace(sent.recording, T_world_wrist=None, world=None), wrist=None
+    )
+    write_dataset(tmp_path / "set", [lambda: sent, lambda: bare])
+    dataset = open_dataset(tmp_path / "set")
+    same(read_dataset_episode(dataset, 0), sent)
+    features = dataset.info["features"]
+    assert features["wrist_command"]["names"] == ["x", "y", "z", "qw", "qx", "qy", "qz"]
+    back = read_dataset_episode(dataset, 1)
+    assert back.wrist is None
+    assert back.recording is not None
+    assert back.recording.T_world_wrist is None
+
+
+def test_parts_of_an_episode_and_of_a_recording_keep_the_wrist(tmp_path: Path) -> None:
+    sent = episode()
+    cut = sent.sliced(slice(3, 11))
+    assert cut.recording is not None
+    np.testing.assert_array_equal(cut.recording.T_world_wrist, sent.recording.T_world_wrist[3:11])  # type: ignore[index,union-attr]
+    np.testing.assert_array_equal(cut.wrist.poses, sent.wrist.poses[3:11])  # type: ignore[union-attr]
+    assert sent.recording is not None
+    longer = led(replace(sent.recording, meta={}))
+    assert len(longer.T_world_wrist) == len(longer)  # type: ignore[arg-type]
+    write_npz_episode(tmp_path / "c.npz", cut)
+    assert read_episode(tmp_path / "c.npz").wrist is not None
+
+
+# -- a live loop ------------------------------------------------------------------------------
+
+
+def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path: Path) -> None:
+    hand = load_hand("mimic_p050")
+    sink = RecordSink(tmp_path / "take.mcap")
+    sink.open({"right": hand}, {})
+    sent = []
+    for k in range(4):
+        tick = make_tick(hand, k, frame=k != 2)
+        command = WristCommand(np.add(POSE, [0.01 * k, 0, 0, 0, 0, 0, 0]), k > 0, k > 1)
+        if tick.arrival is not None:
+            pose = np.full(7, np.nan) if k == 1 else wrist_at(k)
+            frame = replace(tick.arrival.frame, T_world_wrist=pose, world="room")
+            tick = replace(tick, arrival=replace(tick.arrival, frame=frame))
+        sent.append(replace(tick, wrist=command))
+        sink.send(sent[-1])
+    sink.close()
+    log = read_log(tmp_path / "take.mcap")
+    assert log.wrist is not None
+    np.testing.assert_allclose(log.wrist.poses[:, 0], [0.3, 0.31, 0.32, 0.33])
+    assert log.wrist.engaged.tolist() == [False, True, True, True]
+    assert log.wrist.valid.tolist() == [False, False, True, True]
+    assert log.wrist.world == "base"
+    assert log.recording is not None
+    assert log.recording.world == "room"
+    assert poses.is_valid(log.recording.T_world_wrist).tolist() == [True, False, True]
+
+    messages = [json.loads(encode(command_message(tick, 0.2))) for tick in sent]
+    assert messages[0]["wrist"] == {"pose": POSE, "engaged": False, "valid": False, "world": "base"}
+    assert messages[0]["operator_wrist"] == {"pose": wrist_at(0).tolist(), "world": "room"}
+    assert messages[1]["operator_wrist"] == {"pose": None, "world": "room"}
+    assert "operator_wrist" not in messages[2]
+    bare = command_message(make_tick(hand), 0.2)
+    assert "wrist" not in bare
+    assert "operator_wrist" not in bare
+
+
+def test_the_wrist_and_the_fingers_of_a_row_have_one_stamp(tmp_path: Path) -> None:
+    sent = episode()
+    write_log_episode(tmp_path / "a.mcap", sent)
+    rows: dict[str, list[tuple[int, float]]] = {"/wrist": [], "/command": []}
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(topics=list(rows)):
+            stamp = json.loads(message.data)["stamp"]
+            rows[channel.topic].append((message.sequence, stamp))
+    assert set(rows["/wrist"]) == set(rows["/command"][1:])  # the first command had no wrist
+
+
+def wrist_at(k: int) -> np.ndarray:
+    return np.array([0.1 * k, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0])
