@@ -330,15 +330,66 @@ def test_rate_is_the_most_and_a_new_mode_is_never_left_out(hand: Hand, recorded:
     assert recorded.closed
 
 
+TABLE = """
+format = 1
+driver = "ros2"
+hand = "mimic_p050"
+side = "right"
+unit = "0-255"
+[[actuators]]
+name = "index"
+joint = "{index}"
+points = [[0.0, 255.0], [1.5, 0.0]]
+[[actuators]]
+name = "thumb"
+joint = "{thumb}"
+points = [[-1.0, 10.0], [0.0, 100.0], [1.0, 250.0]]
+ends = [20.0, 240.0]
+"""
+
+
+def test_a_table_gives_names_order_and_commands(
+    hand: Hand, recorded: Recorded, tmp_path: Path
+) -> None:
+    index, thumb = hand.joint_names[5], hand.joint_names[1]
+    file = tmp_path / "driver_right.toml"
+    file.write_text(TABLE.format(index=index, thumb=thumb), encoding="utf-8")
+    sink = build_sink(f"ros2:/x,rate=30,table={tmp_path}/driver_{{side}}.toml")
+    assert isinstance(sink, Ros2Sink)
+    link = sink.connect({"right": hand}, {})
+    tick = make_tick(hand)
+    for angle, command in {0.5: 170.0, 0.0: 255.0, 9.0: 0.0}.items():
+        q = np.zeros(len(hand.joint_names))
+        q[5], q[1] = angle, 2.0
+        moved = replace(
+            tick, command=replace(tick.command, positions=q), time=tick.time + angle + 1
+        )
+        link.deliver(moved)
+        sent = recorded.sent["/x"][-1]
+        assert (sent.name, sent.velocity) == (["index", "thumb"], [])
+        assert sent.position == pytest.approx([command, 240.0])
+        tick = moved
+    with pytest.raises(ConfigError, match=r"driver_right\.toml is of the right hand"):
+        Ros2Sink(table=str(file)).connect({"left": load_hand("mimic_p050", "left")}, {})
+    file.write_text(TABLE.format(index="no_such", thumb=thumb), encoding="utf-8")
+    with pytest.raises(UnknownNameError, match="no_such"):
+        Ros2Sink(table=str(file)).connect({"right": hand}, {})
+    with pytest.raises(ConfigError, match=r"there is no table nowhere_right\.toml"):
+        Ros2Sink(table="nowhere").connect({"right": hand}, {})
+    with pytest.raises(ConfigError, match="the table says names, order and unit"):
+        Ros2Sink(table="x", unit="deg")
+
+
 def test_no_wrist_no_message(hand: Hand, recorded: Recorded) -> None:
-    link = Ros2Sink("/x", tf=True, human_wrist="/h").connect({"right": hand}, {})
+    link = Ros2Sink("/x", tf=True, human_wrist="/h", velocity=False).connect({"right": hand}, {})
     tick = make_tick(hand)
     assert tick.arrival is not None
     lost = replace(tick.arrival.frame, T_world_wrist=np.full(7, np.nan), world="headset")
     link.deliver(replace(tick, arrival=replace(tick.arrival, frame=lost)))
     assert recorded.sent["/tf"] == recorded.sent["/h"] == []
     assert recorded.sent["/mimic_p050/right/wrist_pose"] == []
-    assert len(recorded.sent["/x"]) == 1
+    (sent,) = recorded.sent["/x"]
+    assert (len(sent.position), sent.velocity) == (len(hand.joint_names), [])
 
 
 def test_a_command_that_is_not_finite_is_not_sent(hand: Hand, recorded: Recorded) -> None:

@@ -5,19 +5,35 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import UnknownNameError
+from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.hardware.actuator_map import BoundMap
+from smooth_operator.teleop.hardware.table_file import find_table, read_table
 
 Unit: TypeAlias = Literal["rad", "deg"]
 """Of joint angles."""
 
 UNITS: Final[dict[Unit, float]] = {"rad": 1.0, "deg": 180.0 / math.pi}
 """How many of a unit make a radian."""
+
+
+class Layout(Protocol):
+    """Joints as a driver wants them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(k,) what the driver calls them."""
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) what is sent for joint positions [rad]."""
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) what is sent for joint velocities [rad/s]; empty for nothing."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +61,54 @@ class JointLayout:
         """(k,) what is sent for joint velocities [rad/s]."""
         picked: list[float] = (self.gain * velocities[list(self.indices)]).tolist()
         return picked
+
+
+@dataclass(frozen=True)
+class TableLayout:
+    """Actuators of a table, which maps joints to them one by one, within their ends.
+
+    Attributes:
+        table: for the joints of the hand.
+    """
+
+    table: BoundMap
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(k,) names of the actuators."""
+        return self.table.table.names
+
+    def values(self, positions: Float[np.ndarray, " n"]) -> list[float]:
+        """(k,) commands for joint positions [rad]."""
+        commands = self.table.commands(self.table.angles(positions))
+        within: list[float] = self.table.clip(commands).tolist()
+        return within
+
+    def rates(self, velocities: Float[np.ndarray, " n"]) -> list[float]:
+        """None: drivers with a unit of their own take ``velocity`` for something else."""
+        del velocities
+        return []
+
+
+def table_layout(hand: Hand, table: str) -> TableLayout:
+    """The layout of a table for a hand.
+
+    Args:
+        hand: the hand.
+        table: a file, ``{side}`` in its name stands for the side; or the name of a table.
+
+    Raises:
+        ConfigError: there is no such table, it is of the other side, or it can't be read.
+        UnknownNameError: the hand has no joint of a name in it.
+    """
+    side = hand.spec.side
+    found = read_table(find_table(table.replace("{side}", side), "ros2", side))
+    if found.side != side:
+        raise ConfigError(
+            f"ros2: {found.file} is of the {found.side} hand, and commands are for the {side} one; "
+            "put {side} into the name of the table"
+        )
+    return TableLayout(found.bind(hand))
 
 
 def joint_layout(

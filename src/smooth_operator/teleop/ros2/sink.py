@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, TypeAlias
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.ros2.backends import open_transport
-from smooth_operator.teleop.ros2.joints import UNITS, JointLayout, Unit, joint_layout
+from smooth_operator.teleop.ros2.joints import UNITS, Layout, Unit, joint_layout, table_layout
 from smooth_operator.teleop.ros2.messages import (
     Duration,
     Float64MultiArray,
@@ -64,10 +64,14 @@ class Ros2Sink(ThreadedSink):
         joints: ``all``, ``actuated``, or names of joints separated by blanks, in their order, with
             ``*`` for any letters. Default: all in a ``joint_state``, else the actuated ones, since
             controllers refuse joints that they do not have.
+        table: a table of actuators, as real hands have them: names, order, and a map from angle to
+            command for each; ``{side}`` stands for the side. In place of ``joints``, ``prefix``,
+            ``unit``, ``scale`` and ``offset``.
         prefix: put before each joint's name.
         unit: ``rad`` or ``deg``.
         scale: factor on each value, after the unit.
         offset: added to each value, after the scale.
+        velocity: send velocities in a ``joint_state``; never with a table.
         rate: most commands in a second [Hz]; 0 for as many as the loop gives.
         duration: time from start of the point of a ``trajectory`` [s].
         wrist: topic of the wrist's target, ``geometry_msgs/PoseStamped``, where the run has one;
@@ -89,10 +93,12 @@ class Ros2Sink(ThreadedSink):
     topic: str = "/{hand}/{side}/joint_commands"
     message: Kind = "joint_state"
     joints: str = "auto"
+    table: str | None = None
     prefix: str = ""
     unit: Unit = "rad"
     scale: float = 1.0
     offset: float = 0.0
+    velocity: bool = True
     rate: float = 0.0
     duration: float = 0.05
     wrist: str | None = "/{hand}/{side}/wrist_pose"
@@ -111,6 +117,12 @@ class Ros2Sink(ThreadedSink):
         self._endpoint()
         if not self.joints.strip():
             raise ConfigError("ros2: joints must be all, actuated or names of joints, not nothing")
+        given = (self.joints, self.prefix, self.unit, self.scale, self.offset)
+        if self.table is not None and given != ("auto", "", "rad", 1.0, 0.0):
+            raise ConfigError(
+                "ros2: the table says names, order and unit; leave out joints, prefix, unit, scale "
+                "and offset"
+            )
         for name, low, high in (("rate", 0.0, 10_000.0), ("duration", 0.0, 60.0)):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -149,7 +161,9 @@ class Ros2Sink(ThreadedSink):
             "the ros2 sink", SinkError, self.node, self.domain, self.network, self.backend
         )
 
-    def _layout(self, hand: Hand) -> JointLayout:
+    def _layout(self, hand: Hand) -> Layout:
+        if self.table is not None:
+            return table_layout(hand, self.table)
         joints = self.joints
         if joints == "auto":
             joints = "all" if self.message == "joint_state" else "actuated"
@@ -174,7 +188,7 @@ class _Publisher:
         sink: Ros2Sink,
         transport: Transport,
         topics: Mapping[Side, Mapping[str, str]],
-        layouts: Mapping[Side, JointLayout],
+        layouts: Mapping[Side, Layout],
     ) -> None:
         self._sink, self._transport, self._layouts = sink, transport, layouts
         self._frames = {side: each["frame"] for side, each in topics.items()}
@@ -230,7 +244,7 @@ class _Publisher:
             time = Time.of(round(sink.duration * 1e9))
             point = JointTrajectoryPoint(values, time_from_start=Duration(time.sec, time.nanosec))
             return JointTrajectory(Header(), list(layout.names), [point])
-        rates = layout.rates(tick.velocity)
+        rates = layout.rates(tick.velocity) if sink.velocity else []
         return JointState(Header(stamp), list(layout.names), values, rates)
 
     def _wrists(self, tick: Tick, stamp: Time) -> None:
