@@ -158,6 +158,9 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
             f"{where} does not say which hand it is: taken for a right one; say --side left if it "
             "is not"
         )
+    damaged = recording.meta.get("damaged_lines", 0)
+    if damaged:
+        notes.append(f"{where}: {damaged} lines are damaged and left out")
     odd = recording.meta.get("implausible_frames", 0)
     if odd:
         notes.append(

@@ -21,7 +21,10 @@ Commands carry the stamps of their frames, so they are equal; what is left for i
 held them as whole microseconds.
 """
 
-DERIVED_META: Final = ("format", "truncated", "side_assumed", "implausible_frames", "layout")
+DERIVED_META: Final = (
+    *("format", "truncated", "side_assumed", "implausible_frames", "layout"),
+    *("damaged_lines", "repeated_frames"),
+)
 """Entries of ``HandRecording.meta`` that every reader computes, and that no file keeps."""
 
 

@@ -115,6 +115,34 @@ HDF5: Final = Reader(
     (b"\x89HDF\r\n\x1a\n",),
     (".h5", ".hdf5"),
 )
+AVP: Final = Reader(
+    "a .jsonl of Tracking Streamer (Vision Pro)",
+    Entry("smooth_operator.headsets.recordings:read_avp_recording"),
+    tuple(
+        f'{{"{key}"'.encode()
+        for key in (
+            *("timestamp", "systemTime", "headMatrix", "leftHand", "rightHand"),
+            *("videoFrameIndex", "videoWidth", "videoHeight"),
+        )
+    ),
+    (".jsonl",),
+)
+HTS: Final = Reader(
+    "the lines of Hand Tracking Streamer (Quest)",
+    Entry("smooth_operator.headsets.recordings:read_hts_lines"),
+    tuple(
+        f"{start}{who}".encode()
+        for start in ("", "\n")
+        for who in ("Right wrist", "Left wrist", "Right landmarks", "Left landmarks", "Head pose")
+    ),
+    (".hts",),
+)
+HTS_JSON: Final = Reader(
+    "the .jsonl of hand-tracking-sdk",
+    Entry("smooth_operator.headsets.recordings:read_hts_json"),
+    (b'{"event_type"',),
+    (".jsonl",),
+)
 
 READERS: Final = Registry(
     "reader",
@@ -123,6 +151,9 @@ READERS: Final = Registry(
         "npz": Entry(f"{_HERE}:NPZ", NPZ.what),
         "log": Entry(f"{_HERE}:LOG", LOG.what),
         "hdf5": Entry(f"{_HERE}:HDF5", HDF5.what),
+        "avp": Entry(f"{_HERE}:AVP", AVP.what),
+        "hts": Entry(f"{_HERE}:HTS", HTS.what),
+        "hts_json": Entry(f"{_HERE}:HTS_JSON", HTS_JSON.what),
     },
     needs=("what", "recognises", "read_file", "count_frames"),
 )
@@ -155,6 +186,9 @@ def readable() -> str:
         "a .npy or .npz of landmarks (T, 21, 3) [m]",
         LOG.what,
         HDF5.what,
+        AVP.what,
+        HTS.what,
+        HTS_JSON.what,
         *(readers[name].what for name in READERS.plugins if name in readers),
     )
     return f"{', '.join(most)} and {last}"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.avp_messages import METHOD, MOST_BYTES, PORT, read_hands
+from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.teleop.sources.grpc_inbox import GrpcInbox
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.repeats import Repeats
 from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
 from smooth_operator.types import Side
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.headsets.pico_packets import PORT, Axes, read_packet, split_packets
+from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.one_sender import OneSender
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.repeats import Repeats
 from smooth_operator.teleop.sources.stream import Hands, Inbox, StreamSource, sides_of
 from smooth_operator.teleop.sources.tcp_inbox import TcpInbox
 from smooth_operator.types import Side

@@ -1,0 +1,255 @@
+"""Recordings that headset apps make, as recordings of one hand: ``READERS`` has them.
+
+- Tracking Streamer (Vision Pro) saves ``tracking.jsonl``, a JSON object a line: ``timestamp`` [s],
+  ``leftHand`` and ``rightHand`` with the wrist in ARKit's world and 24 joints in the wrist's axes,
+  each 16 numbers, column by column.
+- Hand Tracking Streamer's lines, as they came (``nc -lu 9000 > hands.hts``); their stamps are there
+  with the app's debug option, else they need a rate.
+- The JSON lines that the example ``log_to_jsonl.py`` of ``hand-tracking-sdk`` writes.
+
+Frames in which the app had nothing new of the hand are left out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import DocumentError, RecordingError, brief
+from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.headsets.avp_hands import JOINTS, avp_frame
+from smooth_operator.headsets.hts_lines import HtsHands, HtsLine, hts_frame, parse_line
+from smooth_operator.headsets.repeats import Repeats
+from smooth_operator.io import documents
+from smooth_operator.types import HandFrame, HandRecording, Side, as_side
+
+MOST_LINE: Final = 65_536
+"""Longest line of JSON that is read [bytes]; one of both hands has 8,000."""
+
+_SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand", "right"))
+_THUMB: Final = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
+_NAMES: Final = (
+    "wrist",
+    *(f"thumb{part}" for part in _THUMB),
+    *(
+        f"{finger}{part}"
+        for finger in ("index", "middle", "ring", "little")
+        for part in ("Metacarpal", *_THUMB)
+    ),
+)
+_LABEL: Final = re.compile(rb"(?=(?:Right|Left) (?:wrist|landmarks)|Head pose)")
+_WRIST: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+class _Collected:
+    """Frames of both hands in a file, and what could not be read."""
+
+    def __init__(self, path: Path, side: Side | None) -> None:
+        self._path, self._side = path, side
+        self._frames: dict[Side, list[HandFrame]] = {"left": [], "right": []}
+        self._repeats, self._repeated = Repeats(), 0
+        self._damaged = 0
+        self._reason = ""
+
+    def add(self, frame: HandFrame | None) -> None:
+        if frame is None or self._side not in (None, frame.side):
+            return
+        if self._repeats.is_new(frame):
+            self._frames[frame.side].append(frame)
+        else:
+            self._repeated += 1
+
+    def damaged(self, error: Exception) -> None:
+        self._damaged += 1
+        self._reason = str(error)
+
+    def recording(self, rate: float | None, form: str) -> HandRecording:
+        """The hand that was asked for, or the only one.
+
+        Raises:
+            RecordingError: there is none, or there are both and none was asked for.
+        """
+        where = str(self._path)
+        found = [side for side, frames in self._frames.items() if frames]
+        if len(found) > 1:
+            raise RecordingError(
+                f"{where}: it holds both hands; say --side right or --side left (in Python: "
+                "side='right')"
+            )
+        if not found:
+            which = "hand" if self._side is None else f"{self._side} hand"
+            why = f"; {self._damaged} lines can't be read: {self._reason}" if self._damaged else ""
+            raise RecordingError(f"{where}: there is no {which} in it{why}")
+        frames = self._frames[found[0]]
+        stamped = all(frame.stamp is not None for frame in frames)
+        stamps = (
+            np.array([frame.time for frame in frames])
+            if stamped
+            else stamps_from_rate(len(frames), rate, where)
+        )
+        meta: dict[str, Any] = {"format": form}
+        if self._repeated:
+            meta["repeated_frames"] = self._repeated
+        if self._damaged:
+            meta["damaged_lines"] = self._damaged
+        return HandRecording(
+            np.stack([frame.landmarks for frame in frames]),
+            stamps,
+            found[0],
+            valid=np.stack([frame.valid for frame in frames if frame.valid is not None]),
+            metacarpals=_stacked(frames, "metacarpals"),
+            orientations=_stacked(frames, "orientations"),
+            T_world_wrist=_stacked(frames, "T_world_wrist"),
+            world=frames[0].world,
+            name=self._path.stem,
+            meta=meta,
+        )
+
+
+def _stacked(frames: list[HandFrame], name: str) -> np.ndarray | None:
+    values = [getattr(frame, name) for frame in frames]
+    return None if any(value is None for value in values) else np.stack(values)
+
+
+def read_avp_recording(
+    path: Path, rate: float | None, side: Side | None, layout: str | None
+) -> HandRecording:
+    """A hand of Tracking Streamer's ``tracking.jsonl``; arguments as ``read_recording``.
+
+    Raises:
+        RecordingError: there is no such hand in it, or there are both and ``side`` is None.
+    """
+    found = _Collected(path, side)
+    for message in _objects(path, found):
+        try:
+            for key, hand_side in _SIDES:
+                if side in (None, hand_side):
+                    found.add(_avp_hand(message, key, hand_side))
+        except RecordingError as error:
+            found.damaged(error)
+    return found.recording(rate, "avp")
+
+
+def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None:
+    hand = message.get(key)
+    if hand is None:
+        return None
+    if not isinstance(hand, dict):
+        raise RecordingError(f"'{key}' must be an object, not {brief(hand)}")
+    stamp = message.get("timestamp")
+    if isinstance(stamp, bool) or not isinstance(stamp, (int, float)):
+        raise RecordingError(f"'timestamp' must be seconds, not {brief(stamp)}")
+    flat = np.full((JOINTS, 16), np.nan)
+    for row, name in zip(flat, _NAMES, strict=True):
+        if hand.get(name) is not None:
+            row[:] = _numbers(hand[name], 16, name)
+    matrices = np.swapaxes(flat.reshape(-1, 4, 4), 1, 2)
+    wrist = matrices[0].copy()
+    matrices[0] = np.eye(4)
+    return avp_frame(matrices, wrist, side, float(stamp))
+
+
+def read_hts_lines(
+    path: Path, rate: float | None, side: Side | None, layout: str | None
+) -> HandRecording:
+    """A hand of a file of Hand Tracking Streamer's lines; arguments as ``read_recording``.
+
+    Raises:
+        RecordingError: there is no such hand in it, or there are both and ``side`` is None.
+    """
+    found, hands = _Collected(path, side), HtsHands()
+    with path.open("rb") as stream:
+        for whole in stream:
+            # What netcat writes of datagrams has no line break between them.
+            for line in filter(bytes.strip, _LABEL.split(whole)):
+                try:
+                    found.add(hands.add(parse_line(line), 0.0))
+                except RecordingError as error:
+                    found.damaged(error)
+    return found.recording(rate, "hts")
+
+
+def read_hts_json(
+    path: Path, rate: float | None, side: Side | None, layout: str | None
+) -> HandRecording:
+    """A hand of the JSON lines of ``hand-tracking-sdk``; arguments as ``read_recording``.
+
+    Stamps are the headset's where it says, else the times of receipt.
+
+    Raises:
+        RecordingError: there is no such hand in it, or there are both and ``side`` is None.
+    """
+    frames, packets = _Collected(path, side), _Collected(path, side)
+    hands, whole = HtsHands(), False
+    for message in _objects(path, frames):
+        try:
+            if message.get("event_type") == "frame":
+                whole = True
+                frames.add(_sdk_frame(message.get("data")))
+            elif not whole:
+                packets.add(_sdk_packet(message, hands))
+        except (RecordingError, ValueError, TypeError, KeyError, AttributeError) as error:
+            frames.damaged(error)
+            packets.damaged(error)
+    return (frames if whole else packets).recording(rate, "hts_json")
+
+
+def _sdk_frame(data: Any) -> HandFrame | None:
+    if "head" in data:
+        return None
+    wrist = _numbers([data["wrist"][name] for name in _WRIST], 7, "wrist")
+    stamp = data.get("source_ts_ns")
+    if stamp is None:
+        stamp = data["recv_ts_ns"]
+    points = _points(data["landmarks"])
+    return hts_frame(points, wrist, as_side(data["side"]), int(stamp) / 1_000_000_000)
+
+
+def _sdk_packet(message: dict[str, Any], hands: HtsHands) -> HandFrame | None:
+    at = int(message["logged_at_unix_ns"]) / 1_000_000_000
+    data, kind, side = message["data"], message["packet_type"], as_side(message["side"])
+    if kind == "wrist":
+        values = _numbers([data[name] for name in _WRIST], 7, "wrist")
+        return hands.add(HtsLine("wrist", side, values, stamp=at), at)
+    if kind == "landmarks":
+        return hands.add(HtsLine("landmarks", side, _points(data).ravel(), stamp=at), at)
+    return None
+
+
+def _points(data: Any) -> Float[np.ndarray, "21 3"]:
+    return np.stack([_numbers(point, 3, "points") for point in _checked(data["points"], 21)])
+
+
+def _checked(rows: Any, count: int) -> list[Any]:
+    if not isinstance(rows, list) or len(rows) != count:
+        raise RecordingError(f"'points' must be {count} points, not {brief(rows)}")
+    return rows
+
+
+def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
+    good = isinstance(value, list) and len(value) == count
+    if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value):
+        raise RecordingError(f"'{what}' must be {count} numbers, not {brief(value)}")
+    return np.array([float(v) if abs(v) < 1e300 else np.nan for v in value])
+
+
+def _objects(path: Path, found: _Collected) -> Iterator[dict[str, Any]]:
+    """JSON objects of a file, one a line."""
+    with path.open("rb") as stream:
+        for line in stream:
+            if not line.strip():
+                continue
+            try:
+                message = documents.parse_json(line, most_bytes=MOST_LINE)
+            except DocumentError as error:
+                found.damaged(error)
+                continue
+            if isinstance(message, dict):
+                yield message
+            else:
+                found.damaged(RecordingError(f"a line must be an object, not {brief(message)}"))

@@ -1,0 +1,175 @@
+"""Recordings of headset apps, written by encoders of their own and read as any other."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import fuzzing
+import headset_apps as app
+import numpy as np
+import pytest
+
+from smooth_operator.cli.app import main
+from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.poses import separation
+from smooth_operator.types import HandRecording, Side
+
+FRAMES = 12
+JOINTS: dict[Side, np.ndarray] = {"right": app.hand("right"), "left": app.hand("left")}
+
+
+def pose(k: int) -> app.Pose:
+    return (0.4 + 0.01 * k, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)
+
+
+def avp_lines(sides: tuple[Side, ...] = ("right", "left")) -> Iterator[str]:
+    for k in range(FRAMES):
+        line: dict[str, Any] = {"videoWidth": 0, "timestamp": k / 60, "systemTime": 1.7e9 + k / 60}
+        line["headMatrix"] = np.eye(4).ravel().tolist()
+        for side, key in (("left", "leftHand"), ("right", "rightHand")):
+            wrist, joints = app.arkit_wrist(side, pose(k)), app.arkit_joints(side, JOINTS[side])
+            if side not in sides:
+                wrist, joints = np.eye(4), np.stack([np.eye(4)] * 27)
+            line[key] = app.avp_jsonl_hand(wrist, joints)
+        yield json.dumps(line, separators=(",", ":"))
+
+
+def hts_lines(stamped: bool, sides: tuple[Side, ...] = ("right",)) -> Iterator[bytes]:
+    for k in range(FRAMES):
+        meta = f" | f = {k} | t = {10**9 + 14_000_000 * k}" if stamped else ""
+        for side in sides:
+            yield app.hts_packet(side, pose(k), app.landmarks(JOINTS[side]), meta)
+        yield b"Head pose:, 0, 1.5, 0, 0, 0, 0, 1"
+
+
+def check(found: HandRecording, tolerance: float, world: str) -> None:
+    points = app.landmarks(JOINTS[found.side])
+    assert len(found) == FRAMES
+    np.testing.assert_allclose(found.landmarks, np.tile(points, (FRAMES, 1, 1)), atol=tolerance)
+    assert found.world == world
+    assert found.T_world_wrist is not None
+    apart = separation(found.T_world_wrist, np.array([pose(k) for k in range(FRAMES)]))
+    assert (apart < [2 * tolerance, 50 * tolerance]).all()
+    assert not found.meta.get("side_assumed")
+
+
+def test_a_recording_of_tracking_streamer(tmp_path: Path) -> None:
+    path = tmp_path / "tracking.jsonl"
+    path.write_text("\n".join(avp_lines()) + "\n")
+    for side in ("right", "left"):
+        found = read_recording(path, side=side)
+        assert (found.side, found.meta["format"]) == (side, "avp")
+        check(found, 1e-7, "avp")
+        np.testing.assert_allclose(found.stamps, np.arange(FRAMES) / 60)
+        assert found.metacarpals is not None
+    with pytest.raises(RecordingError, match="both hands; say --side right"):
+        read_recording(path)
+    path.write_text("\n".join(avp_lines(("left",))))
+    assert read_recording(path).side == "left"  # the right one was never seen
+    with pytest.raises(RecordingError, match="no right hand in it"):
+        read_recording(path, side="right")
+
+
+def test_what_was_not_new_or_is_damaged_is_left_out(tmp_path: Path) -> None:
+    lines = list(avp_lines(("right",)))
+    stale = json.loads(lines[-1])
+    lines += [json.dumps({**stale, "timestamp": 5.0 + k}) for k in range(3)]  # the hand is lost
+    lines += ["[1]", lines[-1][: len(lines[-1]) // 2]]
+    path = tmp_path / "tracking.jsonl"
+    path.write_text("\n".join(lines))
+    found = read_recording(path)
+    check(found, 1e-7, "avp")
+    assert (found.meta["repeated_frames"], found.meta["damaged_lines"]) == (3, 2)
+    assert "2 lines are damaged" in reading_notes(found, "x")[0]
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_a_recording_of_hts_lines(tmp_path: Path, joined: bool) -> None:
+    path = tmp_path / "hand.hts"
+    path.write_bytes((b"" if joined else b"\n").join(hts_lines(True)))
+    found = read_recording(path)
+    check(found, 1e-4, "hts")
+    np.testing.assert_allclose(found.stamps, 1.0 + 0.014 * np.arange(FRAMES))
+    path.write_bytes(b"\n".join(hts_lines(False, ("left", "right"))))
+    with pytest.raises(RecordingError, match="both hands"):
+        read_recording(path, rate=70)
+    with pytest.raises(RecordingError, match="--rate 100"):
+        read_recording(path, side="left")
+    found = read_recording(path, rate=70, side="left")
+    check(found, 1e-4, "hts")
+    assert found.rate_hz == pytest.approx(70)
+
+
+@pytest.mark.parametrize("events", ["frames", "packets"])
+def test_a_recording_of_the_sdk_by_the_sdk_itself(tmp_path: Path, events: str) -> None:
+    sdk = pytest.importorskip("hand_tracking_sdk", reason="hand-tracking-sdk is not installed")
+    assembler, rows = sdk.HandFrameAssembler(), []
+    for k, data in enumerate(hts_lines(True)):
+        for line in data.decode().split("\n"):
+            packet = sdk.parse_line(line)
+            at = 10**9 + 1_000_000 * k
+            if events == "frames":
+                frame = assembler.push_packet(packet, recv_ts_ns=at)
+                if frame is not None and k and packet.kind.value == "landmarks":
+                    rows.append({"event_type": "frame", "data": frame.to_dict()})
+            elif packet.kind.value != "pose":
+                kind, side = packet.kind.value, packet.side.value
+                row = {"event_type": "packet", "packet_type": kind, "side": side}
+                rows.append({**row, "logged_at_unix_ns": at, "data": packet.data.to_dict()})
+    path = tmp_path / "hts.jsonl"
+    path.write_text("\n".join(json.dumps(row, separators=(",", ":")) for row in rows))
+    found = read_recording(path)
+    assert (found.side, found.world, found.meta["format"]) == ("right", "hts", "hts_json")
+    assert len(found) == FRAMES - (events == "frames")
+    assert found.T_world_wrist is not None
+    at = np.array([pose(k) for k in range(FRAMES)])[-len(found) :]
+    assert (separation(found.T_world_wrist, at) < [2e-4, 5e-3]).all()
+    if events == "frames":
+        np.testing.assert_allclose(found.stamps, 1.0 + 0.014 * np.arange(1, FRAMES))
+
+
+def test_a_wrist_goes_through_convert(tmp_path: Path) -> None:
+    path, out = tmp_path / "tracking.jsonl", tmp_path / "hand.npz"
+    path.write_text("\n".join(avp_lines(("right",))))
+    assert main(["convert", str(path), "--output", str(out)]) == 0
+    found = read_recording(out)
+    assert found.side == "right"
+    np.testing.assert_allclose(found.stamps, np.arange(FRAMES) / 60)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "mutate"),
+    [
+        ("a.jsonl", lambda: "\n".join(avp_lines(("right",))).encode(), fuzzing.mutate_json),
+        ("a.jsonl", lambda: "\n".join(avp_lines(("right",))).encode(), fuzzing.mutate_bytes),
+        ("a.hts", lambda: b"\n".join(hts_lines(True)), fuzzing.mutate_bytes),
+    ],
+    ids=["avp, its JSON", "avp, its bytes", "hts"],
+)
+def test_damaged_files_are_read_or_refused(
+    tmp_path: Path,
+    name: str,
+    write: Callable[[], bytes],
+    mutate: Callable[[random.Random, bytes], bytes],
+) -> None:
+    rng, good, path = random.Random(8), write(), tmp_path / name
+    read, refused = 0, 0
+    with np.errstate(all="ignore"):
+        for _ in range(16):
+            path.write_bytes(mutate(rng, good))
+            try:
+                found = read_recording(path, rate=None)
+            except SmoothOperatorError as error:
+                refused += 1
+                assert len(str(error)) < 1500  # noqa: PT017
+            else:
+                read += 1
+                assert np.isfinite(found.landmarks[found.valid]).all()
+    assert read + refused == 16
+    assert read > 0
