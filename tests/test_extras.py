@@ -37,6 +37,7 @@ EXTRAS = [
     "fk",
     "hdf5",
     "inspire",
+    "isaac",
     "lerobot",
     "linker",
     "menagerie",
@@ -61,6 +62,7 @@ LIBRARIES = [
     "cyclonedds",
     "daqp",
     "h5py",
+    "isaacteleop",
     "mcap",
     "mediapipe",
     "matplotlib",
@@ -85,6 +87,7 @@ LIBRARIES = [
 """Modules of the extras."""
 AT_THE_TOP = (
     "teleop/arm/",
+    "teleop/isaac.py",
     "teleop/pages/",
     "teleop/recording/mcap_library.py",
     "teleop/ros2/cyclone_transport.py",
