@@ -18,6 +18,10 @@ from smooth_operator.teleop.hardware.device import Reading
 _CAUGHT_UP: Final = 0.03
 """How near to what is asked for a slow approach ends [rad]."""
 
+_STALLED: Final = 0.3
+"""Speed towards its command below which an actuator with a high current counts as blocked
+[rad/s]; a free one moves when it pulls as hard."""
+
 _MARGIN: Final = 0.1
 """How far beyond the measured position a command may stay that squeezes [rad]."""
 
@@ -79,7 +83,8 @@ class CommandGuard:
         self.contacts = 0
         self._bound = np.zeros(count)  # of the drive angle [rad], where an actuator squeezes
         self._touched = np.zeros(count)  # the measured angle then [rad]
-        self._loaded_s = np.zeros(count)  # how long the current has been high
+        self._loaded_s = np.zeros(count)  # how long the current has been high without motion
+        self._before: Float[np.ndarray, " a"] | None = None  # the measured angle a step ago
 
     def start(self, measured: Float[np.ndarray, " a"]) -> None:
         """Begin where the hand is, with a slow approach.
@@ -102,6 +107,7 @@ class CommandGuard:
         self.approaching[:] = True
         self.squeezing[:] = 0.0
         self._loaded_s[:] = 0.0
+        self._before = None
 
     def step(
         self, wanted: Float[np.ndarray, " n"], reading: Reading, seconds: float
@@ -142,9 +148,13 @@ class CommandGuard:
         if reading.currents is None or self._at is None:
             return
         measured = self._map.drive_angles(reading.positions)
-        loaded = np.abs(reading.currents) >= self._levels  # False where either is NaN
-        self._loaded_s = np.where(loaded, self._loaded_s + seconds, 0.0)
         ahead = self._at - measured
+        before, self._before = self._before, measured
+        if before is None or not seconds > 0.0:
+            return
+        loaded = np.abs(reading.currents) >= self._levels  # False where either is NaN
+        loaded &= np.sign(ahead) * (measured - before) / seconds < _STALLED
+        self._loaded_s = np.where(loaded, self._loaded_s + seconds, 0.0)
         began = (
             (self._loaded_s >= self._settings.contact_s)
             & (self.squeezing == 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -175,7 +176,7 @@ class HandWorker:
             while not self._ending:
                 try:
                     self._serve()
-                except (SinkError, OSError) as error:
+                except Exception as error:  # of any library
                     if not self._opened.is_set():
                         raise
                     self._lose(error)
@@ -184,14 +185,15 @@ class HandWorker:
         finally:
             self._opened.set()
             self.state = self.reading = None
-            self._device.close()
+            self._close()
 
     def _lose(self, error: Exception) -> None:
         """The device is gone: say so, and wait before it is opened again."""
         self.statistics.lost += 1
-        self.statistics.latest = self._trouble = str(error)
+        known = isinstance(error, SinkError)
+        self.statistics.latest = self._trouble = str(error if known else _described(error))
         self.state = self.reading = None
-        self._device.close()
+        self._close()
         with self._change:
             self._change.wait_for(lambda: self._ending, _RETRY_S)
 
@@ -276,6 +278,10 @@ class HandWorker:
             return self._map.table.on_silence
         self._resting = False
         return None
+
+    def _close(self) -> None:
+        with contextlib.suppress(Exception):  # of a device that is gone, and must not raise
+            self._device.close()
 
     def _rest(self, rest: Rest) -> None:
         self._call(self._device.hold if rest == "hold" else self._device.relax)

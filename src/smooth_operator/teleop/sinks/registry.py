@@ -26,6 +26,12 @@ SINKS: Final = Registry(
         ),
         "record": Entry(f"{_HERE}.record:RecordSink", "an MCAP log: record:FILE"),
         "table": Entry(f"{_HERE}.table:TableSink", "a table in the terminal"),
+        "dynamixel": Entry(
+            f"{_HANDS}.dynamixel:DynamixelSink",
+            "a hand of Dynamixel servos, by a table (extra dynamixel)",
+        ),
+        "leap": Entry(f"{_HANDS}.dynamixel:LeapSink", "the LEAP hand (extra dynamixel)"),
+        "orca": Entry(f"{_HANDS}.orca:OrcaSink", "the ORCA hand (extra orca)"),
         "inspire": Entry(f"{_HANDS}.inspire:InspireSink", "an Inspire RH56 hand (extra inspire)"),
         "linker": Entry(f"{_HANDS}.linker:LinkerSink", "a LinkerHand L10 or L20 (extra linker)"),
         "allegro": Entry(

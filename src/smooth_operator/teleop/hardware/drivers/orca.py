@@ -1,0 +1,191 @@
+"""Driver of the ORCA Hand, through its makers' library orca-core."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+
+_SETTINGS: Final = ("model_version", "model_name", "config_path")
+_CURRENTS_EVERY: Final = 5
+"""Cycles between two looks at the currents, which take another round on the bus."""
+_TEMPERATURES_EVERY: Final = 100
+
+
+@dataclass(frozen=True)
+class OrcaSink(HardwareSink):
+    """The ORCA Hand v2; orca-core finds port and motors, and must have calibrated the hand.
+
+    ``limit`` is the most current of every motor [mA]; None leaves it as orca-core configures it.
+
+    Attributes:
+        config: path of the hand's ``config.yaml``; empty for the model that the table names.
+        mock: move the hand that orca-core has in memory, without hardware.
+    """
+
+    driver: ClassVar[str] = "orca"
+
+    config: str = ""
+    mock: bool = False
+
+    def device(self, actuators: ActuatorMap) -> OrcaDevice:
+        """The hand, not yet connected."""
+        return OrcaDevice(actuators, self.port, self.config, self.mock)
+
+
+class OrcaDevice:
+    """A hand of orca-core, as ``HandDevice``. Commands are degrees, by joint name.
+
+    Args:
+        actuators: the table; its actuators are named as orca-core names joints.
+        port: serial port; empty to have orca-core find it.
+        config: path of a ``config.yaml``; empty for the table's model.
+        mock: without hardware.
+
+    Raises:
+        MissingExtraError: orca-core is not installed.
+        ConfigError: a setting is not known, or the model has no such joint.
+    """
+
+    def __init__(self, actuators: ActuatorMap, port: str, config: str, mock: bool) -> None:
+        try:
+            import orca_core
+        except ImportError as error:
+            raise MissingExtraError("the ORCA hand", "orca") from error
+        self._core: Any = orca_core
+        self._table, self._port = actuators, port
+        for name in actuators.settings:
+            if name not in _SETTINGS:
+                raise ConfigError(
+                    f"{actuators.file}: orca has no setting {name!r}; known: {', '.join(_SETTINGS)}"
+                )
+        given = dict(actuators.settings)
+        self._options = {"config_path": config} if config else given
+        self._mock = mock
+        self._hand: Any = None
+        self._powered = self._held = False
+        self._cycle = 0
+        self._motors: list[int] = []  # index of each actuator's motor in what the hand answers
+        self._currents: Float[np.ndarray, " a"] | None = None
+        self._temperatures: Float[np.ndarray, " a"] | None = None
+
+    def open(self) -> None:
+        """Connect; refuses a hand that is not calibrated, since calibrating moves it."""
+        with self._bus("connecting"):
+            hand = self._core.load_hand(mock=self._mock, **self._options)
+        names = hand.config.joint_ids
+        for name in self._table.names:
+            if name not in names:
+                raise ConfigError(
+                    f"{self._table.file}: this ORCA hand has no joint {name!r}; it has "
+                    f"{', '.join(names)}"
+                )
+        if self._port:
+            import dataclasses
+
+            hand.config = dataclasses.replace(hand.config, port=self._port)
+        with self._bus("connecting"):
+            connected, said = hand.connect(interactive=False)
+        if not connected:
+            raise SinkError(f"orca: {said}; check power and cable")
+        self._hand = hand
+        if not hand.calibrated:
+            self.close()
+            raise SinkError(
+                "orca: the hand is not calibrated, and that moves it: run orca-core's calibration "
+                "first, with the hand free on all sides"
+            )
+        with self._bus("starting"):
+            hand.init_joints(move_to_neutral=False)  # modes and currents; powers where it is
+            if np.isfinite(self._table.limits).all():
+                hand.set_max_current(float(self._table.limits.min()))
+            hand.disable_torque()
+        ids = list(hand.config.motor_ids)
+        wired = hand.config.joint_to_motor_map
+        self._motors = [ids.index(abs(wired[name])) for name in self._table.names]
+        self._powered = self._held = False
+        self._cycle = 0
+
+    def read(self) -> Reading:
+        """Joint positions; currents and temperatures in turns."""
+        hand = self._connected()
+        with self._bus("reading"):
+            found = hand.get_joint_position().as_dict()
+            fresh = hand.last_read_ok
+            if self._cycle % _CURRENTS_EVERY == 0:
+                self._currents = np.array(hand.get_motor_current(), float)[self._motors]
+            if self._cycle % _TEMPERATURES_EVERY == 0:
+                self._temperatures = np.array(hand.get_motor_temp(), float)[self._motors]
+        self._cycle += 1
+        if not fresh:
+            raise WrongAnswerError("orca: the motors do not answer")
+        positions = [found.get(name) for name in self._table.names]
+        return Reading(
+            np.array([np.nan if value is None else value for value in positions], float),
+            None,
+            self._currents,
+            self._temperatures,
+            tuple(f"{name}: its motor does not answer" for name in hand.absent_joints),
+        )
+
+    def write(self, commands: Float[np.ndarray, " a"]) -> None:
+        """Joint positions; the first ones switch the torque on."""
+        hand = self._connected()
+        pose = dict(zip(self._table.names, commands.tolist(), strict=True))
+        with self._bus("writing"):
+            if not self._powered:
+                silent = hand.enable_torque()
+                if silent:
+                    raise WrongAnswerError(f"orca: the motors {silent} do not switch on")
+            hand.set_joint_positions(pose)
+        self._powered, self._held = True, False
+
+    def hold(self) -> None:
+        """Stand where the joints are now; what is not powered stays so."""
+        if not self._held and self._powered:
+            hand = self._connected()
+            with self._bus("holding"):
+                here = hand.get_joint_position().as_dict()
+                kept = {name: here.get(name) for name in self._table.names}
+                hand.set_joint_positions({n: v for n, v in kept.items() if v is not None})
+        self._held = True
+
+    def relax(self) -> None:
+        """Torque off."""
+        if self._powered:
+            with self._bus("relaxing"):
+                self._connected().disable_torque()
+        self._powered = self._held = False
+
+    def close(self) -> None:
+        """Disconnect; orca-core switches the torque off."""
+        hand, self._hand = self._hand, None
+        if hand is not None:
+            with contextlib.suppress(Exception):  # the port may be gone
+                hand.disconnect()
+
+    def _connected(self) -> Any:
+        if self._hand is None:
+            raise DeviceLostError("orca: it is not connected")
+        return self._hand
+
+    @contextlib.contextmanager
+    def _bus(self, doing: str) -> Iterator[None]:
+        try:
+            yield
+        except SinkError:
+            raise
+        except Exception as error:  # orca-core raises errors of several libraries
+            said = f"{type(error).__name__}: {error}"
+            raise DeviceLostError(
+                f"orca: {doing} failed ({said}); check power and cable"
+            ) from error

@@ -1,0 +1,234 @@
+"""A bank of Dynamixel X servos on a pseudo-terminal: protocol 2.0 on the wire.
+
+Written from the published protocol, apart from the driver and from ROBOTIS' SDK: packets, stuffing
+and checksum are computed here. The servos move with a limited speed and force.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from dataclasses import dataclass, field
+
+MODEL = 1230  # XC330-M288
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 with polynomial 0x8005, not reflected, from 0."""
+    value = 0
+    for byte in data:
+        value ^= byte << 8
+        for _ in range(8):
+            value = ((value << 1) ^ 0x8005) & 0xFFFF if value & 0x8000 else (value << 1) & 0xFFFF
+    return value
+
+
+def packet(number: int, parameters: bytes, error: int = 0) -> bytes:
+    """A status packet."""
+    body = bytes([0x55, error]) + parameters
+    stuffed = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    head = b"\xff\xff\xfd\x00" + bytes([number]) + (len(stuffed) + 2).to_bytes(2, "little")
+    return head + stuffed + crc16(head + stuffed).to_bytes(2, "little")
+
+
+@dataclass
+class Servo:
+    """One servo: its control table, and a motor that follows it."""
+
+    number: int
+    position: float = 2048.0
+    stop: float = 1e9  # an object, beyond which it does not get [steps]
+    speed: float = 3000.0  # steps per second
+    error: int = 0
+    table: bytearray = field(default_factory=lambda: bytearray(160))
+    moved: float = field(default_factory=time.perf_counter)
+    heard: float = field(default_factory=time.perf_counter)
+
+    def __post_init__(self) -> None:
+        self.put(0, 2, MODEL)
+        self.put(7, 1, self.number)
+        self.put(11, 1, 3)  # position, as delivered
+        self.put(38, 2, 1750)
+        self.put(146, 1, 33)
+
+    def get(self, address: int, size: int) -> int:
+        return int.from_bytes(self.table[address : address + size], "little", signed=size > 1)
+
+    def put(self, address: int, size: int, value: int) -> None:
+        self.table[address : address + size] = int(value).to_bytes(size, "little", signed=value < 0)
+
+    @property
+    def torque(self) -> bool:
+        return bool(self.get(64, 1))
+
+    def move(self) -> None:
+        """Bring the motor to now."""
+        now = time.perf_counter()
+        seconds, self.moved = now - self.moved, now
+        watchdog = self.table[98]
+        if 0 < watchdog < 128 and now - self.heard > 0.02 * watchdog:
+            self.table[98] = 255
+        current = 0
+        if self.error:
+            self.put(64, 1, 0)
+        before = self.position
+        if self.torque and self.table[98] != 255:
+            ahead = self.get(116, 4) - self.position
+            step = max(-self.speed * seconds, min(self.speed * seconds, ahead))
+            self.position = min(self.position + step, self.stop)
+            left = self.get(116, 4) - self.position
+            limit = self.get(102, 2)
+            current = int(max(-limit, min(limit, 4.0 * left)))
+        self.put(126, 2, current)
+        self.put(128, 4, int((self.position - before) / max(seconds, 1e-6) / 15.63))
+        self.put(132, 4, round(self.position))
+        self.put(70, 1, self.error)
+
+    def write(self, address: int, data: bytes) -> int:
+        """What the servo answers to a write: 0, or an error."""
+        if address == 11 and self.torque:
+            return 7  # access
+        if self.table[98] == 255 and address in (102, 116):
+            return 4  # data range, until the watchdog is cleared
+        if address == 102 and int.from_bytes(data, "little", signed=True) > self.get(38, 2):
+            return 6  # data limit
+        self.table[address : address + len(data)] = data
+        if address == 64 and data[0]:
+            self.put(116, 4, round(self.position))
+        return 0
+
+
+class ServoBank:
+    """Servos on a pseudo-terminal; ``path`` is the port. Faults are switched on by attributes.
+
+    Attributes:
+        silent: ids that do not answer.
+        corrupt: status packets from now on whose checksum is wrong.
+        delay: of each answer [s].
+        fast: whether they know the fast sync read.
+        goals: (time, id -> goal) of every write of goal positions.
+    """
+
+    def __init__(self, numbers: list[int]) -> None:
+        self.servos = {number: Servo(number) for number in numbers}
+        self.silent: set[int] = set()
+        self.corrupt, self.delay, self.fast = 0, 0.0, True
+        self.goals: list[tuple[float, dict[int, int]]] = []
+        self.bad = 0  # instructions with a wrong checksum
+        self._buffer = b""
+        self._ending = False
+        self._master = -1
+        self.path = ""
+        self.plug()
+
+    def plug(self, path: str = "") -> None:
+        """Connect; with ``path``, a link there leads to the port, as a second plugging gives it."""
+        import tty
+
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        if path:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(path)
+            os.symlink(self.path, path)
+            self.path = path
+        self._slave, self._ending = slave, False
+        self._thread = threading.Thread(target=self._run, args=(self._master,), daemon=True)
+        self._thread.start()
+
+    def unplug(self) -> None:
+        """Pull the cable."""
+        self._ending = True
+        os.close(self._slave)
+        os.close(self._master)
+        self._thread.join(2)
+
+    def _run(self, master: int) -> None:
+        import select
+
+        with contextlib.suppress(OSError, ValueError):
+            while not self._ending:
+                if select.select([master], [], [], 0.05)[0]:
+                    self._buffer += os.read(master, 4096)
+                    self._take(master)
+                for servo in self.servos.values():
+                    servo.move()
+
+    def _take(self, master: int) -> None:
+        while (start := self._buffer.find(b"\xff\xff\xfd\x00")) >= 0:
+            rest = self._buffer[start:]
+            if len(rest) < 7 or len(rest) < 7 + int.from_bytes(rest[5:7], "little"):
+                return
+            length = 7 + int.from_bytes(rest[5:7], "little")
+            whole, self._buffer = rest[:length], rest[length:]
+            if crc16(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
+                self.bad += 1
+                continue
+            body = whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+            answer = self._answer(whole[4], body[0], body[1:])
+            if answer:
+                if self.delay:
+                    time.sleep(self.delay)
+                os.write(master, answer)
+
+    def _answer(self, number: int, instruction: int, data: bytes) -> bytes:
+        for servo in self.servos.values():
+            servo.move()
+            if number in (servo.number, 254):
+                servo.heard = time.perf_counter()
+        address, size = (int.from_bytes(data[k : k + 2], "little") for k in (0, 2))
+        if instruction in (0x82, 0x8A):
+            if instruction == 0x8A and not self.fast:
+                return b""
+            return self._sync_read(list(data[4:]), address, size, instruction == 0x8A)
+        if instruction == 0x83:
+            goals = {}
+            for k in range(4, len(data), size + 1):
+                value = data[k + 1 : k + 1 + size]
+                if data[k] in self.servos and data[k] not in self.silent:
+                    self.servos[data[k]].write(address, value)
+                    goals[data[k]] = int.from_bytes(value, "little", signed=True)
+            if address == 116:
+                self.goals.append((time.perf_counter(), goals))
+            return b""
+        if number not in self.servos or number in self.silent:
+            return b""
+        servo = self.servos[number]
+        alert = 0x80 if servo.error else 0
+        if instruction == 1:
+            return self._sent(packet(number, bytes([MODEL & 255, MODEL >> 8, 50]), alert))
+        if instruction == 2:
+            return self._sent(packet(number, bytes(servo.table[address : address + size]), alert))
+        if instruction == 3:
+            return self._sent(packet(number, b"", servo.write(address, data[2:]) | alert))
+        return self._sent(packet(number, b"", 2))
+
+    def _sync_read(self, numbers: list[int], address: int, size: int, fast: bool) -> bytes:
+        there = [n for n in numbers if n in self.servos and n not in self.silent]
+        if not fast:
+            rows = [(n, bytes(self.servos[n].table[address : address + size])) for n in there]
+            alerts = [0x80 if self.servos[n].error else 0 for n in there]
+            return b"".join(
+                self._sent(packet(n, row, alert))
+                for (n, row), alert in zip(rows, alerts, strict=True)
+            )
+        if there != numbers:
+            return b""
+        # One packet: (error, id, data, checksum so far) of each; the first error is the packet's.
+        parts = b""
+        for k, n in enumerate(there):
+            error = bytes([0x80 if self.servos[n].error else 0])
+            row = bytes([n]) + bytes(self.servos[n].table[address : address + size])
+            parts += (b"" if k == 0 else error) + row + b"\0\0"
+        body = bytes([0x55, 0]) + parts[:-2]
+        head = b"\xff\xff\xfd\x00\xfe" + (len(body) + 2).to_bytes(2, "little")
+        return self._sent(head + body + crc16(head + body).to_bytes(2, "little"))
+
+    def _sent(self, answer: bytes) -> bytes:
+        if self.corrupt:
+            self.corrupt -= 1
+            return answer[:-1] + bytes([answer[-1] ^ 0x5A])
+        return answer

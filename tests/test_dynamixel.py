@@ -1,0 +1,267 @@
+"""The Dynamixel driver against servos on a pseudo-terminal that speak protocol 2.0."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ticks import make_tick
+
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.types import JointCommand
+
+pytest.importorskip("dynamixel_sdk", reason="the extra dynamixel is not installed")
+if sys.platform == "win32":
+    pytest.skip("needs pseudo-terminals", allow_module_level=True)
+
+from dynamixel_bank import Servo, ServoBank, crc16, packet
+
+from smooth_operator.teleop.hardware.drivers.dynamixel import LeapSink
+
+IDS = list(range(16))
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("leap_hand")
+
+
+@pytest.fixture
+def bank() -> Iterator[ServoBank]:
+    bank = ServoBank(IDS)
+    yield bank
+    bank.unplug()
+
+
+@pytest.fixture(autouse=True)
+def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
+
+
+def until(done: Callable[[], object], seconds: float = 10.0) -> None:
+    end = time.perf_counter() + seconds
+    while not done():
+        assert time.perf_counter() < end, "it did not happen in time"
+        time.sleep(0.005)
+
+
+def tick_at(hand: Hand, share: float, mode: Mode = Mode.TRACKING) -> Tick:
+    """A command at a share of every joint's range."""
+    low, high = hand.limits.T
+    q = hand.full_configuration(low + share * (high - low))
+    return replace(make_tick(hand, mode=mode), command=JointCommand(q, hand.joint_names))
+
+
+class Run:
+    """A LEAP hand's sink on a bank, to which the same command goes until another one comes."""
+
+    def __init__(self, bank: ServoBank, hand: Hand, **settings: object) -> None:
+        settings = {"approach": 10.0, "speed": 20.0, "baud": 57600, **settings}
+        self.sink = LeapSink(port=bank.path, **settings)  # type: ignore[arg-type]
+        self.hand, self.bank = hand, bank
+        self.tick: Tick | None = None
+
+    def __enter__(self) -> Run:
+        self.sink.open({"right": self.hand}, {})
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.sink.close()
+
+    def until(self, done: Callable[[], object]) -> None:
+        until(lambda: (self.tick is not None and self.sink.send(self.tick)) or done())
+
+    def at(self, share: float) -> bool:
+        """Whether all servos are at a share of the joints' range."""
+        low, high = self.hand.limits.T
+        wanted = dict(zip(self.hand.actuated_names, low + share * (high - low), strict=True))
+        steps = {i: 2048 + wanted[str(i)] * 4096 / (2 * np.pi) for i in IDS}
+        return all(abs(self.bank.servos[i].position - steps[i]) < 12 for i in IDS)
+
+
+def test_checksum_and_packets_are_those_of_the_published_protocol() -> None:
+    # the examples of the protocol's description: ping of servo 1, and its answer
+    assert crc16(bytes.fromhex("fffffd0001030001")) == 0x4E19
+    assert packet(1, bytes([0x06, 0x04, 0x26])) == bytes.fromhex("fffffd000107005500060426655d")
+    assert b"\xff\xff\xfd\xfd" in packet(1, b"\xff\xff\xfd")
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_a_leap_hand_boots_approaches_and_is_read_back(
+    bank: ServoBank, hand: Hand, fast: bool
+) -> None:
+    bank.fast = fast
+    with Run(bank, hand) as run:
+        state = run.sink.state("right")
+        assert state is not None
+        assert state.positions == pytest.approx(0.0, abs=0.001)  # pi is open
+        assert not any(servo.torque for servo in bank.servos.values())  # nothing moves yet
+        servo = bank.servos[0]
+        assert servo.get(11, 1) == 5
+        assert [servo.get(102, 2), servo.get(84, 2), servo.get(80, 2)] == [350, 450, 150]
+        assert bank.servos[1].get(84, 2) == 600
+        run.tick = tick_at(hand, 0.5)
+        run.until(lambda: not run.sink.note and run.at(0.5))
+        first = bank.goals[0][1]
+        assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in first.values())
+        until(lambda: np.abs(_measured(run) - run.tick.command.positions).max() < 0.02)
+        assert servo.get(98, 1) == 25  # the servos' own watchdog: half a second
+        state = run.sink.state("right")
+        assert state is not None
+        assert state.temperatures is not None
+        assert set(state.temperatures.tolist()) == {33.0}
+    until(lambda: not any(servo.torque for servo in bank.servos.values()))
+    until(lambda: bank.servos[0].get(98, 1) == 0)
+    assert bank.bad == 0
+
+
+def _measured(run: Run) -> np.ndarray:
+    state = run.sink.state("right")
+    assert state is not None
+    return state.positions
+
+
+def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None:
+    with Run(bank, hand) as run:
+        beyond = np.full(len(hand.joint_names), 9.0)
+        run.tick = replace(tick_at(hand, 0.5), command=JointCommand(beyond, hand.joint_names))
+        run.until(lambda: run.at(1.0))
+        run.tick = replace(run.tick, command=JointCommand(-beyond, hand.joint_names))
+        run.until(lambda: run.at(0.0))
+    low = 2048 + hand.limits[:, 0].min() * 652 - 1
+    assert all(low < goal < 2048 + 2.443 * 652 + 1 for _, g in bank.goals for goal in g.values())
+
+
+def test_the_current_limit_is_the_lowest_of_table_run_and_servo(
+    bank: ServoBank, hand: Hand
+) -> None:
+    bank.servos[5].put(38, 2, 120)
+    with Run(bank, hand, limit=200.0):
+        assert bank.servos[4].get(102, 2) == 200
+        assert bank.servos[5].get(102, 2) == 120
+
+
+def test_contact_stops_a_squeezing_finger(bank: ServoBank, hand: Hand) -> None:
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.3)
+        run.until(lambda: run.at(0.3))
+        bank.servos[2].stop = bank.servos[2].position + 60
+        run.tick = tick_at(hand, 0.9)
+        run.until(lambda: "squeezes no further: index_pip" in run.sink.note)
+        run.until(lambda: bank.servos[2].get(116, 4) - bank.servos[2].position < 0.11 * 652)
+        assert abs(bank.servos[6].get(116, 4) - bank.servos[2].get(116, 4)) > 300
+
+
+def test_an_emergency_stop_stands_where_it_is(bank: ServoBank, hand: Hand) -> None:
+    for servo in bank.servos.values():
+        servo.speed = 200.0
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.9)
+        run.until(lambda: bank.servos[1].position > 2100)
+        run.tick = tick_at(hand, 0.9, Mode.STOPPED)
+        run.until(lambda: "emergency stop" in run.sink.note and run.bank.servos[1].torque)
+        goal = 0
+        run.until(lambda: abs(bank.servos[1].get(116, 4) - bank.servos[1].position) < 40)
+        goal, written = bank.servos[1].get(116, 4), len(bank.goals)
+        cycles = run.sink.figures["cycles"]
+        run.until(lambda: run.sink.figures["cycles"] > cycles + 5)
+        assert bank.servos[1].get(116, 4) == goal
+        assert len(bank.goals) == written
+
+
+def test_a_cable_pulled_in_motion_and_plugged_again(
+    bank: ServoBank, hand: Hand, tmp_path: Path
+) -> None:
+    bank.unplug()
+    bank.plug(str(tmp_path / "ttyUSB"))
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.6)
+        run.until(lambda: bank.servos[1].position > 2100)
+        bank.unplug()
+        run.until(lambda: "it is tried again every second" in run.sink.note)
+        assert "check cable and power" in run.sink.note
+        assert run.sink.state("right") is None
+        for servo in bank.servos.values():
+            servo.position = 2048.0  # it lost its power, too, and fell open
+            servo.put(64, 1, 0)
+        goals = len(bank.goals)
+        bank.plug(str(tmp_path / "ttyUSB"))
+        run.until(lambda: len(bank.goals) > goals)
+        assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in bank.goals[goals][1].values())
+        run.until(lambda: run.at(0.6))
+        assert run.sink.figures["device_lost"] >= 1
+
+
+def test_wrong_checksums_and_silence(bank: ServoBank, hand: Hand) -> None:
+    with Run(bank, hand, lost_s=0.2) as run:
+        run.tick = tick_at(hand, 0.4)
+        run.until(lambda: run.at(0.4))
+        bank.corrupt = 3
+        run.until(lambda: run.sink.figures["wrong_answers"] >= 1 and not bank.corrupt)
+        assert run.sink.figures["device_lost"] == 0
+        bank.silent.add(7)
+        run.until(lambda: run.sink.figures["device_lost"] >= 1)
+        run.until(lambda: "no answer from the servos 7 (middle_dip)" in run.sink.note)
+        bank.silent.clear()
+        run.until(lambda: run.at(0.4) and "tried again" not in run.sink.note)
+
+
+def test_a_servo_with_an_error_and_a_slow_bus_are_shown(bank: ServoBank, hand: Hand) -> None:
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.4)
+        bank.servos[3].error = 0x20
+        bank.servos[9].put(146, 1, 72)
+        run.until(lambda: "index_dip: overload; switch its power off and on" in run.sink.note)
+        run.until(lambda: "hot: ring_forward 72 °C" in run.sink.note)
+        bank.delay = 0.01
+        slow = run.sink.figures["slow_cycles"]
+        run.until(lambda: run.sink.figures["slow_cycles"] > slow)
+
+
+def test_the_servos_stop_when_the_host_dies(hand: Hand) -> None:
+    servo = Servo(1)
+    servo.put(64, 1, 1)
+    servo.put(98, 1, 1)
+    servo.put(116, 4, 3000)
+    servo.heard -= 1.0
+    servo.move()
+    here = servo.position
+    servo.moved -= 1.0
+    servo.move()
+    assert servo.position == here
+    assert servo.write(116, (0).to_bytes(4, "little")) == 4
+
+
+def test_what_can_not_be_opened(bank: ServoBank, hand: Hand, tmp_path: Path) -> None:
+    with pytest.raises(SinkError, match="there is no serial port"):
+        LeapSink(port="/dev/ttyNONE").open({"right": hand}, {})
+    bank.silent.update(IDS)
+    with pytest.raises(SinkError, match="no servo answers at 57600 baud"):
+        Run(bank, hand).__enter__()
+    bank.silent.clear()
+    with Run(bank, hand):
+        second = Run(bank, hand)
+        with pytest.raises(SinkError, match="in use by another run"):
+            second.__enter__()
+    text = 'format=1\ndriver="dynamixel"\nhand="leap_hand"\nside="right"\nunit="{}"\n{}\n'
+    row = '[[actuators]]\nname="a"\n{}joint="0"\npoints=[[0,0],[1,1]]\n'
+    for unit, head, each, said in (
+        ("furlong", "", "id=1\n", "the unit of servos"),
+        ("rad", "", "", "every servo needs an id"),
+        ("rad", "settings={baut=1}", "id=1\n", "no setting 'baut'"),
+        ("rad", "settings={watchdog=9}", "id=1\n", "watchdog must be"),
+    ):
+        path = tmp_path / "x.toml"
+        path.write_text(text.format(unit, head) + row.format(each))
+        sink = build_sink(f"dynamixel:{bank.path},table={path}")
+        with pytest.raises(ConfigError, match=said):
+            sink.open({"right": hand}, {})
