@@ -72,6 +72,7 @@ LIBRARIES = [
     "mink",
     "mujoco_menagerie",
     "optax",
+    "orca_core",
     "psycopg",
     "pyarrow",
     "pymodbus",
