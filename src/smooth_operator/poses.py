@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError, brief
-from smooth_operator.human.anatomical_axes import palm_axes
 from smooth_operator.types import Side, unit_poses
 
 IDENTITY: Final[Float[np.ndarray, "7"]] = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -128,6 +127,8 @@ def wrist_from_landmarks(
     Returns:
         (..., 7) poses; NaN where wrist, or index, middle or pinky MCP are missing or in line.
     """
+    from smooth_operator.human.anatomical_axes import palm_axes  # not where a source is named: JAX
+
     distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
     rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)
     flat = np.linalg.norm(palmar, axis=-1) < 0.5  # points in line have no palm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -103,9 +104,14 @@ class WristConfig:
                 raise ConfigError(f"wrist: {name} must be positive, not {getattr(self, name)}")
         if not math.isfinite(self.yaw):
             raise ConfigError(f"wrist: yaw must be an angle in radians, not {self.yaw}")
-        if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
-            raise ConfigError(f"wrist: low must be below high, not {self.low} and {self.high}")
-        if not abs(math.hypot(*self.home[3:]) - 1) < 1e-3 or not all(map(math.isfinite, self.home)):
+        if not (
+            len(self.low) == len(self.high) == 3 and all(map(operator.lt, self.low, self.high))
+        ):
+            raise ConfigError(
+                f"wrist: low and high must be x y z [m], low below high, not {self.low} and {self.high}"
+            )
+        unit = abs(math.hypot(*self.home[3:]) - 1) < 1e-3
+        if not (len(self.home) == 7 and unit and all(map(math.isfinite, self.home))):
             raise ConfigError(
                 f"wrist: home must be x y z [m] and a unit quaternion w x y z, not {self.home}"
             )

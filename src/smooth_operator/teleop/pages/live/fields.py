@@ -137,7 +137,7 @@ def _kind(hint: Any) -> Kind:
         return "optional" if one is float else "path" if one is Path else "shown"
     if get_origin(one) is Literal:
         return "choice"
-    if get_origin(one) is tuple and get_args(one) == (float, ...):
+    if get_origin(one) is tuple and {*get_args(one)} <= {float, ...}:
         return "numbers"
     return kinds.get(one, "shown")
 
@@ -152,6 +152,8 @@ def _range(
         lows = (-top if usual < 0 else 0, 1, usual // 4, usual // 2)
         low = next((x for x in lows if _possible(default, path, x)), usual)
         return float(low), float(high), 1.0
+    if path.endswith("yaw"):  # a direction: all the way round
+        return -3.2, 3.2, 0.05
     base = 1.0 if usual is None else abs(float(usual))
     nothing = _AROUND_NOTHING.get(unit, 1.0)
     # a share goes up to 1, whatever its default
