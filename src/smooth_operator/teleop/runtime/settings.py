@@ -104,11 +104,11 @@ class WristConfig:
                 raise ConfigError(f"wrist: {name} must be positive, not {getattr(self, name)}")
         if not math.isfinite(self.yaw):
             raise ConfigError(f"wrist: yaw must be an angle in radians, not {self.yaw}")
-        if not (
-            len(self.low) == len(self.high) == 3 and all(map(operator.lt, self.low, self.high))
-        ):
+        corners = len(self.low) == len(self.high) == 3
+        if not (corners and all(map(operator.lt, self.low, self.high))):
             raise ConfigError(
-                f"wrist: low and high must be x y z [m], low below high, not {self.low} and {self.high}"
+                "wrist: low and high must be x y z [m], low below high, not "
+                f"{self.low} and {self.high}"
             )
         unit = abs(math.hypot(*self.home[3:]) - 1) < 1e-3
         if not (len(self.home) == 7 and unit and all(map(math.isfinite, self.home))):
