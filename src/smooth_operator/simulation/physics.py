@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.simulation.physics_model import build_physics
 
 _RUNAWAY = 500.0
@@ -25,6 +26,7 @@ class HandPhysics:
         bandwidth: of the servos [Hz]; higher follows faster and pushes harder.
         gravity: pull along -z of the model's world.
         furnish: what is around the hand, see ``build_physics``.
+        carried: the arm that ``furnish`` has put the hand on; None for a fixture.
 
     Attributes:
         time: simulated time [s].
@@ -38,6 +40,7 @@ class HandPhysics:
         bandwidth: float = 20.0,
         gravity: bool = False,
         furnish: Callable[[mujoco.MjSpec], mujoco.MjSpec] | None = None,
+        carried: CarriedHand | None = None,
     ) -> None:
         if not (0.0 < timestep <= 0.005 and 0.0 < bandwidth <= 0.05 / timestep):
             raise ConfigError(
@@ -51,6 +54,9 @@ class HandPhysics:
             hand, timestep=timestep, bandwidth=bandwidth, gravity=gravity, furnish=furnish
         )
         self._data = mujoco.MjData(self._built.model)
+        self._arm = None if carried is None else carried.addresses(self._built.model)
+        self._home = np.zeros(0) if carried is None else carried.home
+        self._arm_target: Float[np.ndarray, " a"] = self._home
         self._due = 0.0
         self._actuated = list(hand.actuated)
         self._target: Float[np.ndarray, " m"] = hand.neutral.copy()
@@ -61,12 +67,18 @@ class HandPhysics:
         self.time = self._due = 0.0
         self.resets = 0
         self._target = self.hand.neutral.copy()
+        self._arm_target = self._home
         self._place(self._target)
 
     @property
     def positions(self) -> Float[np.ndarray, " n"]:
         """(n,) where the joints are [rad], in the order of ``hand.joint_names``."""
         return np.array(self._data.qpos[self._built.qpos])
+
+    @property
+    def arm_positions(self) -> Float[np.ndarray, " a"] | None:
+        """(a,) where the joints of the arm are [rad]; None without an arm."""
+        return None if self._arm is None else np.array(self._data.qpos[self._arm.qpos])
 
     @property
     def velocities(self) -> Float[np.ndarray, " n"]:
@@ -93,11 +105,25 @@ class HandPhysics:
         wanted = np.asarray(positions, float)[self._actuated]
         wanted = np.clip(wanted, self.hand.limits[:, 0], self.hand.limits[:, 1])
         self._target = np.where(np.isfinite(wanted), wanted, self._target)
-        self._data.ctrl[:] = self._target
+        self._data.ctrl[self._built.controls] = self._target
+
+    def command_arm(self, positions: Float[np.ndarray, " a"]) -> None:
+        """Set the targets of the arm's servos; nothing happens without an arm.
+
+        Args:
+            positions: (a,) of its joints [rad]; what is not finite stays as it is.
+        """
+        if self._arm is not None:
+            finite = np.isfinite(positions)
+            self._arm_target = np.where(finite, positions, self._arm_target)
+            self._data.ctrl[self._arm.controls] = self._arm_target
 
     def hold(self) -> None:
-        """Stay where the hand is now."""
+        """Stay where the hand is now, and the arm."""
         self.command(self.positions)
+        arm = self.arm_positions
+        if arm is not None:
+            self.command_arm(arm)
 
     def advance(self, seconds: float) -> bool:
         """Let time pass, in whole steps; what is left over counts next time.
@@ -130,5 +156,8 @@ class HandPhysics:
         """Put the hand at rest into a pose."""
         mujoco.mj_resetData(self._built.model, self._data)
         self._data.qpos[self._built.qpos] = self.hand.full_configuration(target)
-        self._data.ctrl[:] = target
+        self._data.ctrl[self._built.controls] = target
+        if self._arm is not None:
+            self._data.qpos[self._arm.qpos] = self._arm_target
+            self._data.ctrl[self._arm.controls] = self._arm_target
         mujoco.mj_forward(self._built.model, self._data)

@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.loading import load_spec
+from smooth_operator.simulation.arms.arm_model import add_servo
 
 ARMATURE: Final = 5e-4
 """Inertia of a finger motor's rotor behind its gears, at least [kg m^2]."""
@@ -47,14 +48,16 @@ class PhysicsModel:
     """A compiled hand with servos.
 
     Attributes:
-        model: the model; its actuators are in the order of ``Hand.actuated``.
+        model: the model.
         qpos: (n,) address of each joint of the hand among the model's positions.
         dofs: (n,) the same among its velocities.
+        controls: (m,) its servos among the controls.
     """
 
     model: mujoco.MjModel
     qpos: Int[np.ndarray, " n"]
     dofs: Int[np.ndarray, " n"]
+    controls: Int[np.ndarray, " m"]
 
 
 def build_physics(
@@ -97,7 +100,7 @@ def build_physics(
         most = np.minimum(most, TORQUE)
     torques = np.where(np.isfinite(hand.torques), hand.torques, most)
     for name, load, torque in zip(hand.actuated_names, inertia, torques, strict=True):
-        _add_servo(spec, name, float(load), float(torque), bandwidth)
+        add_servo(spec, name, float(load), float(torque), bandwidth)
     try:
         model = spec.compile() if furnish is None else furnish(spec).compile()
     except ValueError as error:
@@ -108,6 +111,7 @@ def build_physics(
         model,
         np.array([int(joint.qposadr[0]) for joint in joints]),
         np.array([int(joint.dofadr[0]) for joint in joints]),
+        np.array([int(model.actuator(prefix + name).id) for name in hand.actuated_names]),
     )
 
 
@@ -160,34 +164,6 @@ def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
     matrix = hand.coupling_matrix
     reduced = matrix.T @ full[np.ix_(dofs, dofs)] @ matrix
     return np.asarray(np.diag(reduced))
-
-
-def _add_servo(
-    spec: mujoco.MjSpec, joint: str, inertia: float, torque: float, bandwidth: float
-) -> None:
-    """A position servo with critical damping: torque = kp (target - q) - kv dq/dt, limited."""
-    omega = 2.0 * np.pi * bandwidth
-    kp, kv = inertia * omega**2, 2.0 * inertia * omega
-    actuator = spec.add_actuator()
-    actuator.name = actuator.target = joint
-    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm = _padded(actuator.gainprm, kp)
-    actuator.biasprm = _padded(actuator.biasprm, 0.0, -kp, -kv)
-    # What the model's defaults may say of its own actuators does not hold for ours.
-    actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
-    actuator.gear = _padded(actuator.gear, 1.0)
-    actuator.inheritrange = 0.0
-    actuator.ctrllimited = actuator.actlimited = False
-    actuator.forcelimited = True
-    actuator.forcerange = (-torque, torque)
-
-
-def _padded(like: np.ndarray, *values: float) -> np.ndarray:
-    out = np.zeros_like(np.asarray(like))
-    out[: len(values)] = values
-    return out
 
 
 def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.solids import shape_capsules
 from smooth_operator.simulation.arms.rigid import Matrix, inverse, rigid
-from smooth_operator.simulation.scenes.mount import hand_directions
+from smooth_operator.simulation.hand_directions import hand_directions
 
 
 @dataclass(frozen=True, eq=False)

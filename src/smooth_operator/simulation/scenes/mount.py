@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.palm_axes import human_palm_axes
+from smooth_operator.simulation.hand_directions import hand_directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +80,3 @@ def mount(hand: Hand, *, up: ArrayLike, forward: ArrayLike, wrist: ArrayLike = (
     mujoco.mju_mat2Quat(quaternion, rotation.ravel())
     frame = (palm - rotation @ data.xpos[body], quaternion)
     return Mount(turn @ axes.T, at, frame, (palm, turn))
-
-
-def hand_directions(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Rows: distal, radial and palmar in the palm frame, at right angles to each other."""
-    distal, radial, palmar = human_palm_axes(hand)
-    distal = np.asarray(distal) / np.linalg.norm(distal)
-    palmar = np.asarray(palmar) - (palmar @ distal) * distal
-    palmar /= np.linalg.norm(palmar)
-    side = np.cross(distal, palmar)
-    return np.stack([distal, side * np.sign(side @ radial), palmar])

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.physics_model import FURNISHED
 from smooth_operator.simulation.scenes.pads import soften_pads
@@ -31,6 +32,13 @@ _KINDS: Final = {
 }
 
 
+def in_front(carried: CarriedHand, scene: Scene) -> CarriedHand:
+    """The arm on the table, so that its hand starts above the place of the task's own fixture."""
+    wrist = WristKinematics(carried).wrist(carried.home)
+    place = scene.mount.wrist - wrist[:3]
+    return carried.standing((place[0], place[1], 0.0))
+
+
 class ScenePhysics(HandPhysics):
     """A hand and an object.
 
@@ -43,6 +51,7 @@ class ScenePhysics(HandPhysics):
         scene: what is around it.
         timestep: of the physics [s].
         bandwidth: of the servos [Hz].
+        carried: an arm that carries the hand and stands in front of the task; None for a fixture.
 
     Attributes:
         scene: what is around the hand.
@@ -50,12 +59,24 @@ class ScenePhysics(HandPhysics):
     """
 
     def __init__(
-        self, hand: Hand, scene: Scene, timestep: float = 0.002, bandwidth: float = 20.0
+        self,
+        hand: Hand,
+        scene: Scene,
+        timestep: float = 0.002,
+        bandwidth: float = 20.0,
+        carried: CarriedHand | None = None,
     ) -> None:
         self.scene = scene
         self._ghost = self._fixed = False  # until there is a model
         self.starts = 0
-        super().__init__(hand, timestep, bandwidth, furnish=scene.furnish)
+        placed = None if carried is None else in_front(carried, scene)
+        super().__init__(
+            hand,
+            timestep,
+            bandwidth,
+            furnish=lambda spec: scene.furnish(spec, placed),
+            carried=placed,
+        )
         model = self.model
         self._touching = Touching(hand, model)
         joint = model.joint(OBJECT)

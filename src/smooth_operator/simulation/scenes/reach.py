@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.scenes.mount import hand_directions
+from smooth_operator.simulation.hand_directions import hand_directions
 
 _POSES = 20_000
 

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.simulation.physics_model import FURNISHED
 from smooth_operator.simulation.scenes.mount import Mount
 
@@ -55,13 +56,21 @@ class Scene(ABC):
     def add_object(self, body: mujoco.MjsBody) -> None:
         """Give the object its shapes."""
 
-    def furnish(self, hand: mujoco.MjSpec) -> mujoco.MjSpec:
-        """The world with the hand in it; see ``physics_model``."""
+    def furnish(self, hand: mujoco.MjSpec, carried: CarriedHand | None = None) -> mujoco.MjSpec:
+        """The world with the hand in it; see ``physics_model``.
+
+        Args:
+            hand: the hand's model.
+            carried: the arm that carries it, on its place in the scene; None for a fixture.
+        """
         hand.option.gravity = (0.0, 0.0, -9.81)
         world = empty_world(hand)
-        position, quaternion = self.mount.frame
-        world.attach(hand, prefix=FURNISHED, frame=world.worldbody.add_frame(
-            pos=position, quat=quaternion))  # fmt: skip
+        if carried is None:
+            position, quaternion = self.mount.frame
+            world.attach(hand, prefix=FURNISHED, frame=world.worldbody.add_frame(
+                pos=position, quat=quaternion))  # fmt: skip
+        else:
+            carried.attach(world, hand, FURNISHED)
         self.add_platform(world)
         body = world.worldbody.add_body(name=OBJECT, pos=self.start[0], quat=self.start[1])
         body.add_freejoint(name=OBJECT)
