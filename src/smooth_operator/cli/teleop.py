@@ -7,7 +7,8 @@ import json
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.teleop_options import Teleop
 from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.run import PageSettings, teleoperate
+from smooth_operator.teleop.run import teleoperate
+from smooth_operator.teleop.run_page import PageSettings
 
 
 def teleop(options: Teleop) -> None:
@@ -45,6 +46,7 @@ def teleop(options: Teleop) -> None:
         blind=options.blind,
         task=options.task,
         trials=options.trials,
+        arm=options.arm,
         keys=True,
         reporter=Progressing(options.quiet),
     )

@@ -46,6 +46,7 @@ Examples:
   smooth-operator teleop --source replay:glove.npz,loop=true --sink mujoco record:take.mcap
   smooth-operator teleop --source webcam --hand allegro_hand --sink zmq:tcp://127.0.0.1:5556
   smooth-operator teleop --hand shadow_hand --model menagerie
+  smooth-operator teleop --arm panda --hand leap_hand --sink mujoco
   smooth-operator teleop --source synthetic --duration 10 --no-view --json
 """
 
@@ -59,6 +60,11 @@ Examples:
     """A task of the study, in a simulation around the hand: card pickup, vertical cube rotation,
     screwdriver pivot. Keys: g starts a trial, r puts the object back, d ends it. --control has
     messages for the same."""
+
+    arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
+    """An arm that carries the hand and follows the operator's wrist (extra arm): panda, ur5e,
+    xarm7 or iiwa14. Settings: adapter=0.02 [m], roll=90 [degrees], spacing=1.0 between two arms,
+    table=0.0 [m], no_table=true, collisions=false (docs/robots/arms.md)."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Keep a record of every trial of the task here."""

@@ -8,19 +8,19 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from smooth_operator.compilation.building import build_retargeter
+from smooth_operator.errors import require
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import RetargetRequest, live_configuration, make_request, resolve
+from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter
@@ -28,6 +28,7 @@ from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
 from smooth_operator.teleop.control.signals import ended_by_signals
 from smooth_operator.teleop.control.summary import summarise
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
+from smooth_operator.teleop.run_page import PageSettings, begun_page, show_page
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -40,39 +41,20 @@ from smooth_operator.teleop.runtime.settings import (
 )
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource
 from smooth_operator.teleop.sources.registry import build_source
 from smooth_operator.types import Side
-from smooth_operator.web.browser import open_page
 
 if TYPE_CHECKING:
-    from smooth_operator.teleop.pages.live.live_page import LivePage
+    from smooth_operator.teleop.arm.rig import ArmOfHand
 
 Task: TypeAlias = Literal["card", "cube", "screwdriver"]
 """A task of the study."""
 
 _ANNOUNCE_S: Final = 5.0
 """How long a source may take to say how it is reached [s]."""
-
-
-@dataclass(frozen=True)
-class PageSettings:
-    """Where the live page is served. Needs the extra ``teleop``.
-
-    Attributes:
-        host: address to listen at; other than this machine's, a token in the page's address is
-            needed to open it.
-        port: first port to try; 0 for any free one.
-        open_browser: open it in the browser.
-        model: the vendor's MJCF or URDF to draw in place of simple shapes, or ``menagerie``.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8080
-    open_browser: bool = True
-    model: Path | None = None
 
 
 def teleoperate(
@@ -98,6 +80,7 @@ def teleoperate(
     blind: bool = False,
     task: Task | None = None,
     trials: Path | None = None,
+    arm: str | ArmSettings | None = None,
     keys: bool = False,
     reporter: Reporter | None = None,
     started: Callable[[TeleopLoop], None] | None = None,
@@ -140,6 +123,8 @@ def teleoperate(
         blind: the method is named neither on the page nor in what is reported.
         task: a task of the study, in a simulation around the hand.
         trials: folder for a record of every trial of the task.
+        arm: that carries the hand and follows the operator's wrist: ``panda``, ``ur5e``, ``xarm7``
+            or ``iiwa14``, with settings such as ``panda:roll=90`` (extra ``arm``); None for none.
         keys: listen to the keyboard where there is a terminal: stop, release, pause, quit.
         reporter: takes lines for a person; None for the logger ``smooth_operator.teleop``.
         started: called with the running loop once everything is open, on the loop's thread, so
@@ -171,17 +156,23 @@ def teleoperate(
     )
     sides: tuple[Side, ...] = ("right", "left") if side == "both" else (side,)
     runner = SinkRunner(acting)
-    settled = _checked(asked, config, sides, source, runner, control, page)
-    with _begun_page(page, asked, sides, acting, blind) as begun:
+    carrier = read_arm(arm) if isinstance(arm, str) else arm
+    settled, arms = _checked(asked, config, sides, source, runner, control, page, carrier)
+    with begun_page(page, asked, sides, acting, blind, carrier) as begun:
         retargeters = _compiled(settled, asked, blind, said)
         pipelines = {
-            side: HandPipeline(made, config, driver=Driver(asked.method, asked.preset, made.config))
+            side: HandPipeline(
+                made,
+                config,
+                driver=Driver(asked.method, asked.preset, made.config),
+                arm=arms[side].controller if arms else None,
+            )
             for side, made in retargeters.items()
         }
         loop = TeleopLoop(pipelines, source, runner, config)
         switcher = MethodSwitcher(loop, asked)
         if begun is not None and page is not None:
-            _show_page(begun, page, loop, asked, acting, switcher, blind, said)
+            show_page(begun, page, loop, asked, acting, switcher, blind, said)
         recorded = live_configuration(
             "teleop",
             asked,
@@ -189,6 +180,7 @@ def teleoperate(
             source=source if dataclasses.is_dataclass(source) else source.label,
             sinks=[sink if isinstance(sink, str) else sink.label for sink in wanted],
             loop=config,
+            arm=carrier,
         )
 
         def record(side: Side, text: str) -> None:
@@ -250,8 +242,9 @@ def _checked(
     sinks: SinkRunner,
     control: str | None,
     page: PageSettings | None,
-) -> dict[Side, tuple[Hand, MethodConfig]]:
-    """The hands and their methods' settings, once all that a run needs is there.
+    carrier: ArmSettings | None,
+) -> tuple[dict[Side, tuple[Hand, MethodConfig]], dict[Side, ArmOfHand]]:
+    """The hands, their methods' settings and their arms, once all that a run needs is there.
 
     Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
     extras, files, models, addresses, ports. The source is open afterwards.
@@ -263,6 +256,13 @@ def _checked(
     hands = {side: hand for side, (hand, _) in settled.items()}
     for hand in hands.values():
         Limiter(hand, config.limits)
+    arms: dict[Side, ArmOfHand] = {}
+    if carrier is not None:
+        require("an arm", "arm", "mink", "daqp")
+        from smooth_operator.teleop.arm.rig import build_arms
+
+        arms = build_arms(carrier, hands)
+        sinks.use_arms({side: one.carried for side, one in arms.items()})
     sinks.check(hands)
     if control is not None:
         from smooth_operator.teleop.runtime.remote import check_address
@@ -276,7 +276,7 @@ def _checked(
             for hand in hands.values():
                 drawn_on(hand, page.model)  # the page's own process does it again
     source.prepare()
-    return settled
+    return settled, arms
 
 
 def _compiled(
@@ -294,60 +294,6 @@ def _compiled(
         with said.waiting(f"compiling {what} for {hand.name} {side}"):
             retargeters[side], _ = build_retargeter(hand, method, asked.seed)
     return retargeters
-
-
-@contextlib.contextmanager
-def _begun_page(
-    page: PageSettings | None,
-    asked: RetargetRequest,
-    sides: tuple[Side, ...],
-    acting: Sequence[Sink],
-    blind: bool,
-) -> Iterator[LivePage | None]:
-    """The page's process, which gets ready while the method is compiled; None if it is left out."""
-    if page is None:
-        yield None
-        return
-    from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
-
-    with temporary_spec(asked.hand) as hand:
-        setup = PageSetup(
-            hand,
-            sides,
-            asked.fingers,
-            page.host,
-            page.port,
-            simulated_hands(acting) is not None,
-            blind,
-            None if page.model is None else str(page.model),
-        )
-        with LivePage(setup) as begun:
-            yield begun
-
-
-def _show_page(
-    begun: LivePage,
-    page: PageSettings,
-    loop: TeleopLoop,
-    asked: RetargetRequest,
-    acting: Sequence[Sink],
-    switcher: MethodSwitcher,
-    blind: bool,
-    said: Reporter,
-) -> None:
-    """Have the page show a loop that is about to run, and open it.
-
-    Raises:
-        ConfigError: it can't be served there.
-    """
-    from smooth_operator.teleop.pages.live.live_session import LiveSession
-
-    session = LiveSession(loop, asked, acting, switcher=switcher, blind=blind)
-    loop.watch = session.watch
-    url = begun.serve(session)
-    said.note(f"page: {url}", matters=True)
-    if page.open_browser:
-        open_page(url)
 
 
 @contextlib.contextmanager

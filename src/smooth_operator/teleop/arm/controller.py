@@ -147,6 +147,11 @@ class ArmController:
         return self.limiter.q
 
     @property
+    def pose(self) -> Float[np.ndarray, "7"]:
+        """(7,) of the hand's wrist at the last command, in the base frame."""
+        return pose_of(self._wrist())
+
+    @property
     def clearance(self) -> float:
         """Smallest distance between parts, or to table and wall, at the last step [m]."""
         return self._clearance.nearest

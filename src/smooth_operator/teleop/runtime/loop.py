@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -62,7 +65,7 @@ class TeleopLoop:
         self.statistics = LoopStatistics(config.period)
         self.watch = watch
         for side, pipeline in self.pipelines.items():
-            pipeline.clutch.measured = functools.partial(sinks.measured_wrist, side)
+            pipeline.clutch.measured = functools.partial(self._measured_wrist, side)
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of
@@ -201,6 +204,8 @@ class TeleopLoop:
         state = self.sinks.state(side)
         if state is not None:
             tick = replace(tick, state=state)
+        if tick.arm is not None and (measured := self.sinks.measured_arm(side)) is not None:
+            tick = replace(tick, arm=replace(tick.arm, measured=measured))
         before = self.mailbox.clock()
         self.sinks.send(tick)
         sent = self._beat = self.mailbox.clock()
@@ -210,6 +215,11 @@ class TeleopLoop:
         self.statistics.add(tick, due, sent)
         if self.watch is not None:
             self.watch(tick)
+
+    def _measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
+        """Where the arm of a hand is: as a sink measures it, or as it was last commanded."""
+        measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
+        return arm.pose if measured is None and arm is not None else measured
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:

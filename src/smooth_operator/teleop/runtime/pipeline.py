@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from smooth_operator.teleop.runtime.supervisor import Supervisor
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import JointCommand, Result, Side, Status
+
+if TYPE_CHECKING:  # which needs the extra arm
+    from smooth_operator.teleop.arm.controller import ArmController
 
 SWITCHED: Final = "another method, or other settings"
 """Event of the first tick after a switch; which they are is in its driver, for the record alone."""
@@ -34,6 +37,7 @@ class HandPipeline:
         config: policies and limits.
         clock: measures the stages; the time of a step is given.
         driver: what the retargeter is, by name, for the record.
+        arm: controller of the arm that carries the hand; None without an arm.
 
     Attributes:
         supervisor: mode and policies.
@@ -48,8 +52,10 @@ class HandPipeline:
         config: LoopConfig,
         clock: Callable[[], float] = time.perf_counter,
         driver: Driver | None = None,
+        arm: ArmController | None = None,
     ) -> None:
         self.retargeter = retargeter
+        self.arm = arm
         self.driver = driver
         self.config = config
         self.supervisor = Supervisor(config.safety)
@@ -157,6 +163,16 @@ class HandPipeline:
         ready = self._clock()
         if result is not None:
             stages["limit"] = (ready - guarded) * 1e3
+        arm = None
+        if self.arm is not None:
+            arm = self.arm.step(
+                None if wrist is None else wrist.pose,
+                dt,
+                command.positions,
+                stop=mode is Mode.STOPPED,
+            )
+            if result is not None:
+                stages["arm"] = (self._clock() - ready) * 1e3
         tick = Tick(
             self.side,
             hand.name,
@@ -173,6 +189,7 @@ class HandPipeline:
             tuple(events),
             self.driver,
             wrist,
+            arm=arm,
         )
         # Times of commands, not of the frames that they answer: solving occasionally takes longer.
         self._last, self._number = guarded, self._number + 1

@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.carried import CarriedHand
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
@@ -83,6 +84,11 @@ class SinkRunner:
         self._opened: tuple[Mapping[Side, Hand], Mapping[str, Any]] | None = None
         self._changed = threading.Condition()
         self._mender: threading.Thread | None = None
+
+    def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
+        """Tell every sink which arms carry the hands."""
+        for entry in self._entries:
+            entry.sink.use_arms(arms)
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Find out what would keep a sink from opening, before anything slow is done.
@@ -162,6 +168,13 @@ class SinkRunner:
             if found[-1] is not None:
                 break
         return found[-1]
+
+    def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
+        """Where the joints of an arm are [rad]: by the first open sink that knows it."""
+        for entry in self._entries:
+            if entry.state == "open" and (found := entry.sink.measured_arm(side)) is not None:
+                return found
+        return None
 
     def add(self, sink: Sink) -> None:
         """Take in another sink; it is opened here and now if the others are open.

@@ -14,9 +14,11 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
 from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
+from smooth_operator.simulation.scenes.arm_physics import ArmPhysics
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Tick
@@ -31,12 +33,15 @@ _SLICE_S: Final = 0.01
 _BEHIND_S: Final = 0.1
 """Time that is given up, rather than made up for, when the machine is too slow [s]."""
 
+_Target = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " a"] | None]
+"""Joint positions of a hand and of its arm [rad]."""
+
 _NUMBERS: Final = itertools.count(1)
 
 
 @dataclass(frozen=True)
 class Simulation(Sink):
-    """Each hand on a fixture in MuJoCo, its joints driven by position servos, in real time.
+    """Each hand on a fixture, or on its arm, in MuJoCo, on position servos, in real time.
 
     The physics runs on its own thread. When commands stop, the hands stay where they are. The
     page draws ``state`` with the command.
@@ -59,6 +64,9 @@ class Simulation(Sink):
     _task: str | None = field(default=None, init=False, repr=False, compare=False)
     _swapping: threading.Lock = field(
         default_factory=threading.Lock, init=False, repr=False, compare=False
+    )
+    _arms: dict[Side, CarriedHand] = field(
+        default_factory=dict, init=False, repr=False, compare=False
     )
     _events: list[str] = field(default_factory=list, init=False, repr=False, compare=False)
 
@@ -102,7 +110,7 @@ class Simulation(Sink):
         if self._world is not None:
             raise SinkError("mujoco: it is open already")
         physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
-        self._set("_world", _World(physics, self._events))
+        self._set("_world", _World(physics, self._events, self._arms))
 
     def change_task(self, task: str) -> None:
         """Go on with another scene, or with none, once it is built; commands go on meanwhile.
@@ -125,7 +133,7 @@ class Simulation(Sink):
             if self._world is not before:
                 raise SinkError("mujoco: it was closed, or another task was asked for meanwhile")
             self._set("_task", task)
-            self._set("_world", _World(physics, self._events))
+            self._set("_world", _World(physics, self._events, self._arms))
         before.end()
 
     def send(self, tick: Tick) -> None:
@@ -136,7 +144,8 @@ class Simulation(Sink):
         """
         if self._world is None:
             raise SinkError("mujoco: it is not open")
-        self._world.command(tick.side, tick.command.positions)
+        arm = None if tick.arm is None else tick.arm.positions
+        self._world.command(tick.side, tick.command.positions, arm)
 
     def stalled(self, seconds: float) -> None:
         """Have the hands stay where they are."""
@@ -151,6 +160,22 @@ class Simulation(Sink):
         """
         world = self._world
         return None if world is None else world.seen.get(side)
+
+    def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
+        """The arms that carry the hands; see ``Sink``."""
+        self._arms.update(arms)
+
+    def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
+        """Where the joints of an arm are [rad]; see ``Sink``."""
+        world = self._world
+        return None if world is None else world.arms.get(side)
+
+    def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
+        """Where an arm has the wrist of a hand, in its base frame; see ``Sink``."""
+        world = self._world
+        if world is None or (arm := world.arms.get(side)) is None:
+            return None
+        return world.kinematics[side].wrist(arm)
 
     def scene_of(self, side: Side) -> Scene:
         """What is around a hand.
@@ -198,9 +223,12 @@ class Simulation(Sink):
         return self._world.reset_object(side, physics)
 
     def _built(self, hand: Hand, task: str) -> HandPhysics:
-        if task == "none":
-            return HandPhysics(hand, 1.0 / self.rate, self.bandwidth, self.gravity)
-        return ScenePhysics(hand, scene_for(task, hand), 1.0 / self.rate, self.bandwidth)
+        step, arm = 1.0 / self.rate, self._arms.get(hand.spec.side)
+        if task != "none":
+            return ScenePhysics(hand, scene_for(task, hand), step, self.bandwidth, arm)
+        if arm is not None:
+            return ArmPhysics(hand, arm, step, self.bandwidth)
+        return HandPhysics(hand, step, self.bandwidth, self.gravity)
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
@@ -227,8 +255,19 @@ class Simulation(Sink):
 class _World:
     """The thread that steps the physics of all hands."""
 
-    def __init__(self, physics: Mapping[Side, HandPhysics], events: list[str]) -> None:
+    def __init__(
+        self,
+        physics: Mapping[Side, HandPhysics],
+        events: list[str],
+        carried: Mapping[Side, CarriedHand],
+    ) -> None:
         now = time.perf_counter()
+        self.kinematics = {
+            side: WristKinematics(carried[side]) for side in physics if side in carried
+        }
+        self.arms = {
+            side: arm for side, p in physics.items() if (arm := p.arm_positions) is not None
+        }
         self.number = next(_NUMBERS)
         self.seen = {side: _measured(side, p, now) for side, p in physics.items()}
         self.physics, self._events = physics, events
@@ -237,18 +276,23 @@ class _World:
         }
         self._watchers: dict[Side, Watcher] = {}
         self._put_back: set[Side] = set()
-        self._targets: dict[Side, Float[np.ndarray, " n"] | None] = {}
+        self._targets: dict[Side, _Target | None] = {}
         self._changed = threading.Lock()
         self._error: Exception | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mujoco", daemon=True)
         self._thread.start()
 
-    def command(self, side: Side, positions: Float[np.ndarray, " n"]) -> None:
+    def command(
+        self,
+        side: Side,
+        positions: Float[np.ndarray, " n"],
+        arm: Float[np.ndarray, " a"] | None,
+    ) -> None:
         if self._error is not None:
             raise SinkError(f"mujoco: the simulation ended: {self._error}") from self._error
         with self._changed:
-            self._targets[side] = positions
+            self._targets[side] = positions, arm
 
     def hold(self) -> None:
         with self._changed:
@@ -291,7 +335,10 @@ class _World:
             targets, self._targets = self._targets, {}
         for side, target in targets.items():
             if target is not None:
-                self.physics[side].command(target)
+                positions, arm = target
+                self.physics[side].command(positions)
+                if arm is not None:
+                    self.physics[side].command_arm(arm)
                 held.discard(side)
             elif side not in held:  # once: a hand that is held again and again would creep
                 self.physics[side].hold()
@@ -304,6 +351,8 @@ class _World:
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
             self.seen[side] = _measured(side, physics, now)
+            if (arm := physics.arm_positions) is not None:
+                self.arms[side] = arm
             if isinstance(physics, ScenePhysics):
                 self._show(side, physics)
 

@@ -15,6 +15,7 @@ from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # the command line names sinks in its help, and that must not import JAX
     from smooth_operator.hands.hand import Hand
+    from smooth_operator.simulation.arms.carried import CarriedHand
     from smooth_operator.simulation.live import LiveSimulation
 
 
@@ -66,6 +67,20 @@ class Sink(ABC):
         """
         del side
         return None
+
+    def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
+        """Where the joints of the arm of a hand were, when they were last measured [rad].
+
+        In the order of ``ArmCommand.joint_names``; safe from any thread. None, as by default, if it
+        moves no arm or is not open.
+        """
+        del side
+        return None
+
+    def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
+        """Be told which arms carry the hands, before ``check`` and ``open``; by default nothing
+        happens, since ticks have the arms' commands."""
+        del arms
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Find out what would keep the sink from opening, before anything slow is done.

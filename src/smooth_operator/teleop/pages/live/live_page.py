@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from typing import IO, Any, Final
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
@@ -42,6 +43,7 @@ class PageSetup:
         blind: the operator is not to know the method: nothing shows or changes it.
         model: MJCF or URDF that is drawn, or ``menagerie``; our own shapes if None.
         details: with reflections, which a browser without a graphics card takes long to prepare.
+        arm: that carries the hands; None for none.
     """
 
     hand: str
@@ -53,6 +55,7 @@ class PageSetup:
     blind: bool = False
     model: str | None = None
     details: bool = True
+    arm: ArmSettings | None = None
 
 
 class LivePage:

@@ -1,0 +1,62 @@
+"""Settings of the arms, as the command line has them; light to import."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.teleop.components import build_component
+
+
+@dataclass(frozen=True)
+class ArmSettings:
+    """Which arm carries the hand, and how it stands.
+
+    Attributes:
+        name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.
+        adapter: thickness of the plate between flange and hand [m].
+        roll: of the hand about the flange's axis [degrees]; as suits the arm if left out.
+        spacing: between the bases of two arms [m]; each keeps to its side of the middle.
+        table: height of the table above the bases [m].
+        no_table: the arms stand free.
+        collisions: whether parts are kept apart.
+
+    Raises:
+        ConfigError: a setting is out of its range.
+    """
+
+    name: Literal["panda", "ur5e", "xarm7", "iiwa14"]
+    adapter: float = 0.02
+    roll: float | None = None
+    spacing: float = 1.0
+    table: float = 0.0
+    no_table: bool = False
+    collisions: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.adapter <= 0.3:
+            raise ConfigError(f"arm: adapter must be 0 to 0.3 m, not {self.adapter}")
+        if self.roll is not None and not math.isfinite(self.roll):
+            raise ConfigError(f"arm: roll must be an angle in degrees, not {self.roll}")
+        if not 0.4 <= self.spacing <= 3.0:
+            raise ConfigError(f"arm: spacing must be 0.4 to 3 m, not {self.spacing}")
+        if not -1.0 <= self.table <= 1.0:
+            raise ConfigError(f"arm: table must be -1 to 1 m, not {self.table}")
+
+
+_ARM: Final = Registry("arm", {"arm": Entry("smooth_operator.teleop.arm.settings:ArmSettings")})
+
+
+def read_arm(text: str) -> ArmSettings:
+    """The settings that a text asks for, such as ``panda`` or ``panda:roll=90,adapter=0.03``.
+
+    Raises:
+        ConfigError, UnknownNameError: a setting is unknown or can't be read.
+    """
+    name, _, rest = text.partition(":")
+    settings = build_component(_ARM, f"arm:{name}{',' * bool(rest)}{rest}")
+    assert isinstance(settings, ArmSettings)
+    return settings
