@@ -29,7 +29,7 @@ class AbilityHand:
         import tty
 
         lower, upper = [0.0] * 5 + [-100.0], [100.0] * 5 + [0.0]
-        self.servos = Servos([15.0] * 5 + [-15.0], speed=250.0, lower=lower, upper=upper,
+        self.servos = Servos([15.0] * 5 + [-15.0], speed=1200.0, lower=lower, upper=upper,
                              slack=0.01)  # fmt: skip
         self.address = address
         self.faults = Faults()

@@ -34,6 +34,7 @@ class AllegroHand:
         self.velocity = np.zeros(16)
         self.torque = np.zeros(16, int)
         self.largest_torque = 0
+        self.friction = 0.025
         self.servo_on = False
         self.switched: list[bool] = []
         self.period_s = 0.0
@@ -92,12 +93,12 @@ class AllegroHand:
             self._send(number, bytes([36, 37, 38, 39]))
 
     def _move(self, seconds: float) -> None:
-        """Inertia 3e-3 kg m^2 as the motor's rotor shows, friction 0.06 N m s."""
+        """Inertia 1e-3 kg m^2, and friction."""
         steps = max(1, int(seconds / 0.001))
         dt = min(seconds, 0.1) / steps
         for _ in range(steps):
             torque = self.torque * TORQUE[self.version] if self.servo_on else np.zeros(16)
-            self.velocity += (torque - 0.06 * self.velocity) / 3e-3 * dt
+            self.velocity += (torque - self.friction * self.velocity) / 1e-3 * dt
             for joint in self.stuck:
                 self.velocity[joint] = 0.0
             self.position += self.velocity * dt

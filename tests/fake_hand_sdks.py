@@ -22,7 +22,7 @@ class WujiWorld:
     """What hangs on USB; ``module`` is what ``import wujihandpy`` gives."""
 
     def __init__(self, handedness: int = 0) -> None:
-        self.servos = Servos([0.1] * 20, speed=6.0, lower=WUJI_LOWER, upper=WUJI_UPPER)
+        self.servos = Servos([0.1] * 20, speed=20.0, lower=WUJI_LOWER, upper=WUJI_UPPER)
         self.servos.powered = False
         self.faults = Faults()
         self.plugged_in = True
@@ -146,7 +146,7 @@ class StarkWorld:
     """What hangs on the serial line; ``main_mod`` is the module of that name in the package."""
 
     def __init__(self, left: bool = False) -> None:
-        self.servos = Servos([0.0] * 6, speed=2500.0, lower=0.0, upper=1000.0)
+        self.servos = Servos([0.0] * 6, speed=8000.0, lower=0.0, upper=1000.0)
         self.faults = Faults()
         self.plugged_in = True
         self.number = 0x7E if left else 0x7F

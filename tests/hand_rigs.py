@@ -41,7 +41,7 @@ class Rig:
     unit: float = 1.0
     reports = False
     """Whether the hand says by itself where it is, and is not asked."""
-    delay_s = 0.02
+    delay_s = 0.01
     """A delay that the driver must bear."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +57,7 @@ class Rig:
 
     def build(self, **settings: object) -> HardwareSink:
         """The sink, with fast motion unless told otherwise."""
-        values = {"approach": 20.0, "speed": 40.0, **settings}
+        values = {"approach": 50.0, "speed": 50.0, **settings}
         joint = "," if ":" in self.sink else ":"
         made = build_sink(
             self.sink + joint + ",".join(f"{name}={value}" for name, value in values.items())
@@ -81,6 +81,10 @@ class Rig:
     def stick(self, motor: int) -> None:
         """Block a motor."""
         self.hand.servos.stuck.add(motor)
+
+    def slow(self) -> None:
+        """Make the motors so slow that they can be stopped on their way."""
+        self.hand.servos.speed *= 0.1
 
     def start(self) -> None:
         """Put the hand on its wire."""
@@ -177,6 +181,9 @@ class Allegro(Rig):
 
     def stick(self, motor: int) -> None:
         self.hand.stuck.add(motor)
+
+    def slow(self) -> None:
+        self.hand.friction *= 4
 
     def lose(self) -> None:
         self.faults.mute = True

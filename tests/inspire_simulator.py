@@ -28,7 +28,7 @@ class InspireHand:
     """
 
     def __init__(self, start: float = 1000.0, unit: int = 1) -> None:
-        self.servos = Servos([start] * 6, speed=2000.0, lower=0.0, upper=1000.0)
+        self.servos = Servos([start] * 6, speed=8000.0, lower=0.0, upper=1000.0)
         self.unit = unit
         self.faults = Faults()
         self.errors, self.temperatures = [0] * 6, [31, 32, 33, 34, 35, 36]

@@ -30,7 +30,7 @@ class LinkerHand:
         self.model, self.identifier = model, identifier
         self.layout = LAYOUT[model]
         motors = 10 if model == "l10" else 16
-        self.servos = Servos([255.0] * motors, speed=400.0, lower=0.0, upper=255.0)
+        self.servos = Servos([255.0] * motors, speed=2500.0, lower=0.0, upper=255.0)
         self.faults = Faults()
         self.fault_codes = [0] * motors
         self.temperatures = list(range(30, 30 + motors))

@@ -86,12 +86,12 @@ def test_inspire_follows_a_run_of_teleop(capsys: pytest.CaptureFixture[str]) -> 
     try:
         sink = f"inspire:127.0.0.1:{server.port},approach=5"
         argv = ["teleop", "--hand", "inspire_hand", "--method", "joint_angle", "--source"]
-        assert main([*argv, "synthetic", "--sink", sink, "--no-view", "--duration", "1.5"]) == 0
+        assert main([*argv, "synthetic", "--sink", sink, "--no-view", "--duration", "0.8"]) == 0
     finally:
         server.close()
     targets = np.array(hand.servos.targets)
-    assert len(targets) > 30
-    assert np.ptp(targets, axis=0).max() > 100  # the operator's fingers move
+    assert len(targets) > 10
+    assert np.ptp(targets, axis=0).max() > 20  # the operator's fingers move
     assert np.abs(np.diff(targets, axis=0)).max() <= 5 * 1000 / 0.6 * 0.2  # and none jumps
     assert not hand.servos.outside
     assert "inspire" in capsys.readouterr().err

@@ -31,6 +31,9 @@ MOTORS: Final = 16
 _ON, _OFF, _TORQUE, _PERIOD = 0x40, 0x41, 0x60, 0x81
 _ANGLES, _HEAT, _INFORMATION, _SERIAL, _ERROR = 0x20, 0x38, 0x80, 0x88, 0xEE
 
+_OPENING_S: Final = 1.0
+"""How long the first angles may take [s]."""
+
 _STANDS: Final = 0.3
 """Slower than this a joint stands [rad/s]."""
 
@@ -232,7 +235,7 @@ class _Control:
         self._bus.send(_OFF << 2)
         self._bus.send(_PERIOD << 2, struct.pack("<3h", self._period, 0, 0))
         self._thread.start()
-        if not self._ready.wait(1.0):
+        if not self._ready.wait(_OPENING_S):
             self.raise_error()
             raise DeviceLostError("allegro: the hand reports no angles")
 
