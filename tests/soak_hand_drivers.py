@@ -1,6 +1,6 @@
 """A long run of real-hand drivers on their simulators, with faults.
 
-``python tests/soak_hand_drivers.py SECONDS RIG [RIG ...]`` prints one line of JSON for each; the exit
+``python tests/soak_hand_drivers.py SECONDS RIG [RIG ...]`` prints a line of JSON for each; the exit
 status is 1 if a limit was passed. Commands come at 100 Hz. Every ten seconds a fault lasts half a
 second: no answers, late answers, damaged answers, refused requests, or the device is gone.
 """
