@@ -90,7 +90,7 @@ class AbilityHand:
 
     def _reply(self, variant: int) -> None:
         where = np.rint(self.servos.positions() * DEGREE).astype(int)
-        amperes = np.clip(self.servos.load() / 60, -1.5, 1.5)
+        amperes = np.clip(self.servos.load() / 40, -1.5, 1.5)
         second = np.rint(amperes * AMPERE).astype(int)
         pairs = [value for both in zip(where, second, strict=True) for value in both]
         body = bytes([variant]) + struct.pack("<12h", *pairs)

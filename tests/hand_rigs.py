@@ -18,6 +18,7 @@ from fake_hand_sdks import StarkWorld, WujiWorld
 from hand_servos import Faults
 from inspire_simulator import InspireHand, RtuServer, TcpServer
 from linker_simulator import LinkerHand
+from revo2_simulator import Revo2Hand
 
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.sinks.registry import build_sink
@@ -245,6 +246,26 @@ class Revo2(Rig):
         self.hand.plugged_in = True
 
 
+class Revo2Real(Rig):
+    """With the maker's real package, on a line."""
+
+    driver, library = "revo2", "bc_stark_sdk"
+
+    def start(self) -> None:
+        self.hand = self.hand or Revo2Hand()
+        self.server = RtuServer(self.hand)
+        self.sink = f"revo2:{_linked(self.folder / 'ttyRevo2', self.server.port)}"
+
+    def lose(self) -> None:
+        self.server.close()
+
+    def back(self) -> None:
+        self.start()
+
+    def close(self) -> None:
+        self.server.close()
+
+
 def _linked(link: Path, port: str) -> Path:
     """A fixed name for a port that changes when the adapter is plugged in again, as udev's."""
     link.unlink(missing_ok=True)
@@ -255,11 +276,11 @@ def _linked(link: Path, port: str) -> Path:
 RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "inspire": InspireTcp, "inspire-rtu": InspireRtu, "linker-l20": Linker, "linker-l10": LinkerL10,
     "allegro-v5": Allegro, "allegro-v4": AllegroV4, "ability": Ability, "wuji": Wuji,
-    "revo2": Revo2,
+    "revo2": Revo2, "revo2-sdk": Revo2Real,
 }  # fmt: skip
 """Name -> a driver with its simulator."""
 
-ON_A_PTY: Final = ("inspire-rtu", "ability")
+ON_A_PTY: Final = ("inspire-rtu", "ability", "revo2-sdk")
 
 
 def missing(name: str) -> str:

@@ -11,6 +11,7 @@ import socket
 import struct
 import threading
 import time
+from typing import Protocol
 
 import numpy as np
 from hand_servos import Faults, Servos
@@ -159,10 +160,20 @@ def _exactly(connection: socket.socket, count: int) -> bytes:
     return data
 
 
-class RtuServer:
-    """The hand's Modbus RTU port: the far end of a pty."""
+class Slave(Protocol):
+    """A device on a Modbus RTU line."""
 
-    def __init__(self, hand: InspireHand) -> None:
+    unit: int
+    faults: Faults
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        """The answer to a request, both without frame; None for no answer."""
+
+
+class RtuServer:
+    """A hand's Modbus RTU port: the far end of a pty."""
+
+    def __init__(self, hand: Slave) -> None:
         import tty
 
         self.hand = hand

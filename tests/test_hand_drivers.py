@@ -273,3 +273,15 @@ def test_nothing_on_the_wire_is_one_sentence(rig: Rig) -> None:
     assert text.startswith(rig.driver)
     assert "check" in text
     assert "\n" not in text
+
+
+@pytest.mark.parametrize("rig", ["inspire", "allegro-v5", "ability"], indirect=True)
+def test_a_blocked_motor_squeezes_no_further(rig: Rig) -> None:
+    with Driven(rig) as driven:
+        before = driven.ask(0.5)
+        until(lambda: np.abs(rig.positions() - before).max() <= 2 * rig.unit, "the start")
+        rig.stick(1)
+        driven.ask(0.9)
+        name = driven.table.names[1]
+        until(lambda: f"squeezes no further: {name}" in driven.sink.note, "the contact guard")
+    assert rig.outside() == 0

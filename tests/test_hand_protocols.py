@@ -220,7 +220,7 @@ def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake() -> None:
         assert reading.touch is not None
         assert reading.currents is not None
         assert reading.touch.tolist() == hand.touch
-        assert reading.currents[2] == pytest.approx(750.0, abs=2.0)
+        assert reading.currents[2] == pytest.approx(1125.0, abs=2.0)
         assert reading.errors == ("middle: too hot", "thumb_rotator: too hot")
         device.relax()
         device.read()
