@@ -184,11 +184,11 @@ def readable() -> str:
     *most, last = (
         "a MANUS .npz",
         "a .npy or .npz of landmarks (T, 21, 3) [m]",
-        LOG.what,
-        HDF5.what,
         AVP.what,
         HTS.what,
         HTS_JSON.what,
+        LOG.what,
+        HDF5.what,
         *(readers[name].what for name in READERS.plugins if name in readers),
     )
     return f"{', '.join(most)} and {last}"
