@@ -51,7 +51,8 @@ _MANY: Final = 256  # samples that are taken in one go, so that a flood can't ke
 _NUMBERS: Final = {"int32": int32, "uint32": uint32, "float32": float32, "float64": float64}
 _CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Discovery>
 <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery><Internal><MaxSampleSize>128 kB
+</MaxSampleSize></Internal></Domain></CycloneDDS>"""
 # The loopback interface alone. Programs find each other by unicast to the first ports of the
 # domain, as those of ROS 2 do with localhost only.
 _GENERAL: Final[dict[Reach, str]] = {

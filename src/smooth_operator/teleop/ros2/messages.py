@@ -43,6 +43,11 @@ class Time(Message):
         """As one number [s]."""
         return self.sec + 1e-9 * self.nanosec
 
+    @property
+    def nanoseconds(self) -> int:
+        """As one whole number [ns]."""
+        return 1_000_000_000 * self.sec + self.nanosec
+
     @staticmethod
     def of(nanoseconds: int) -> Time:
         """The time so many nanoseconds after 1970."""

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any
+
+import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.ros2.backends import open_transport
+from smooth_operator.teleop.ros2.commands import KINDS, Kind, joint_message
 from smooth_operator.teleop.ros2.joints import UNITS, Layout, Unit, joint_layout, table_layout
 from smooth_operator.teleop.ros2.messages import (
-    Duration,
-    Float64MultiArray,
     Header,
     JointState,
-    JointTrajectory,
-    JointTrajectoryPoint,
     Message,
     PoseStamped,
     String,
@@ -33,19 +33,10 @@ from smooth_operator.teleop.ros2.transport import (
     Transport,
     topic_name,
 )
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
-
-Kind: TypeAlias = Literal["joint_state", "trajectory", "array"]
-"""The message: ``sensor_msgs/JointState``, ``trajectory_msgs/JointTrajectory`` or
-``std_msgs/Float64MultiArray``."""
-
-_KINDS: Final[dict[Kind, type[Message]]] = {
-    "joint_state": JointState,
-    "trajectory": JointTrajectory,
-    "array": Float64MultiArray,
-}
 
 
 @dataclass(frozen=True)
@@ -77,7 +68,12 @@ class Ros2Sink(ThreadedSink):
         wrist: topic of the wrist's target, ``geometry_msgs/PoseStamped``, where the run has one;
             ``none`` for no topic.
         human_wrist: topic of the operator's wrist, as tracked; ``none`` for no topic.
-        tf: send both as transforms on ``/tf``, too.
+        arm: topic of the joints of the arm that carries the hand, where the run has one; ``none``
+            for no topic.
+        arm_message: as ``message``.
+        measured: topic of the measured joints [rad], ``sensor_msgs/JointState``, where a sink
+            measures them; ``none`` for no topic.
+        tf: send both wrists as transforms on ``/tf``, too.
         base: name of the frame that the target is in; default: the one that the command names.
         frame: name of the frame of the target on ``/tf``.
         node: name of the node (rclpy).
@@ -103,6 +99,9 @@ class Ros2Sink(ThreadedSink):
     duration: float = 0.05
     wrist: str | None = "/{hand}/{side}/wrist_pose"
     human_wrist: str | None = None
+    arm: str | None = "/arm/{side}/joint_commands"
+    arm_message: Kind = "joint_state"
+    measured: str | None = "/{hand}/{side}/joint_states"
     tf: bool = False
     base: str | None = None
     frame: str = "{hand}_{side}_wrist"
@@ -172,7 +171,7 @@ class Ros2Sink(ThreadedSink):
 
     def _topics(self, hand: str, side: str) -> dict[str, str]:
         """Names of the topics, and of the frame of the wrist."""
-        names = ("topic", "wrist", "human_wrist", "frame")
+        names = ("topic", "wrist", "human_wrist", "frame", "arm", "measured")
         return {
             name: topic_name(template, "ros2", hand=hand, side=side)
             for name in names
@@ -194,13 +193,14 @@ class _Publisher:
         self._frames = {side: each["frame"] for side, each in topics.items()}
         self._modes: dict[Side, str] = {}
         self._due: dict[Side, float] = {}
+        self._states: dict[Side, HandState] = {}
         self._publish: dict[Side, dict[str, Callable[[Any], None]]] = {
             side: {
-                "topic": transport.publisher(_KINDS[sink.message], each["topic"]),
+                "topic": transport.publisher(KINDS[sink.message], each["topic"]),
                 "mode": transport.publisher(String, f"{each['topic']}_mode"),
                 **{
-                    name: transport.publisher(PoseStamped, each[name])
-                    for name in ("wrist", "human_wrist")
+                    name: transport.publisher(kind, each[name])
+                    for name, kind in self._kinds().items()
                     if name in each
                 },
             }
@@ -208,12 +208,26 @@ class _Publisher:
         }
         self._tf = transport.publisher(TFMessage, "/tf", TF_DEPTH) if sink.tf else None
 
+    def _kinds(self) -> dict[str, type[Message]]:
+        """Messages of the topics that may be left out."""
+        arm = KINDS[self._sink.arm_message]
+        return {
+            "wrist": PoseStamped,
+            "human_wrist": PoseStamped,
+            "arm": arm,
+            "measured": JointState,
+        }
+
     def deliver(self, tick: Tick) -> None:
-        """Publish a command, and the mode if it is new."""
-        if not self._say(tick.side, tick.mode.value) and not self._is_due(tick):
-            return
+        """Publish a command, the mode if it is new, and the measured joints if they are."""
+        new_mode = self._say(tick.side, tick.mode.value)
         stamp = self._transport.now()
+        self._state(tick, stamp)
+        due = self._is_due(tick)
+        if not due and not new_mode:
+            return
         self._publish[tick.side]["topic"](self._command(tick, stamp))
+        self._arm(tick, stamp)
         self._wrists(tick, stamp)
 
     def stalled(self, seconds: float) -> None:
@@ -234,18 +248,31 @@ class _Publisher:
     def _command(self, tick: Tick, stamp: Time) -> Message:
         layout, sink = self._layouts[tick.side], self._sink
         values = layout.values(tick.command.positions)
-        if not all(map(math.isfinite, values)):
-            raise SinkError(f"ros2: a command that is not finite is not sent: {values}")
-        if sink.message == "array":
-            return Float64MultiArray(data=values)
-        if sink.message == "trajectory":
-            # No stamp: it begins when it comes, by the controller's clock. No velocity: some
-            # controllers refuse a last point that moves.
-            time = Time.of(round(sink.duration * 1e9))
-            point = JointTrajectoryPoint(values, time_from_start=Duration(time.sec, time.nanosec))
-            return JointTrajectory(Header(), list(layout.names), [point])
         rates = layout.rates(tick.velocity) if sink.velocity else []
-        return JointState(Header(stamp), list(layout.names), values, rates)
+        return joint_message(sink.message, stamp, layout.names, values, rates, sink.duration)
+
+    def _arm(self, tick: Tick, stamp: Time) -> None:
+        """Publish the arm's command, where there is one."""
+        publish = self._publish[tick.side].get("arm")
+        if tick.arm is not None and publish:
+            positions, rates = tick.arm.positions.tolist(), tick.arm.velocity.tolist()
+            names, sink = tick.arm.joint_names, self._sink
+            rates = rates if sink.velocity else []
+            publish(joint_message(sink.arm_message, stamp, names, positions, rates, sink.duration))
+
+    def _state(self, tick: Tick, stamp: Time) -> None:
+        """Publish the measured joints, where they are new; by the time of the measurement."""
+        publish, state = self._publish[tick.side].get("measured"), tick.state
+        if state is None or publish is None or state is self._states.get(tick.side):
+            return
+        self._states[tick.side] = state
+        age = max(0, round((time.perf_counter() - state.stamp) * 1e9))
+        known = np.isfinite(state.positions)
+        names = [name for name, good in zip(state.names, known, strict=True) if good]
+        rates = None if state.velocities is None else state.velocities[known]
+        sent = [] if rates is None or not np.isfinite(rates).all() else rates.tolist()
+        header = Header(Time.of(max(0, stamp.nanoseconds - age)))
+        publish(JointState(header, names, state.positions[known].tolist(), sent))
 
     def _wrists(self, tick: Tick, stamp: Time) -> None:
         """Publish the wrist's target and the operator's wrist, as far as there are."""
@@ -268,11 +295,12 @@ class _Publisher:
     def _is_due(self, tick: Tick) -> bool:
         if not self._sink.rate:
             return True
-        due = self._due.get(tick.side, -math.inf)
+        due = self._due.get(tick.side, tick.time)
         if tick.time < due:
             return False
         period = 1.0 / self._sink.rate
-        self._due[tick.side] = max(due + period, tick.time)
+        on_time = tick.time - due < period  # then late ticks do not lower the mean rate
+        self._due[tick.side] = period + (due if on_time else tick.time)
         return True
 
     def _say(self, side: Side, mode: str) -> bool:
