@@ -247,9 +247,14 @@ def test_a_stream_of_both_hands_repeats_itself_ends_and_comes_back() -> None:
     with started(headset.port) as (source, mailbox):
         first, second = both(), both(0.001)
         second["left"] = first["left"]  # lost: what was known of it is sent again
-        headset.send(app.avp_update(first), app.avp_update(second), b"\x0b")
+        third = both(0.001)
+        third["left"] = first["left"]
+        third["right"][1][9, 0, 3] += 0.001  # the index tip moves; the wrist is lost
+        headset.send(*map(app.avp_update, (first, second, third)), b"\x0b")
         until(lambda: "could not be read" in source.health().detail)
-        assert mailbox.received_of == {"left": 1, "right": 2}
+        assert mailbox.received_of == {"left": 1, "right": 3}
+        assert mailbox.all[3].frame.valid.all()
+        assert np.isnan(mailbox.all[3].frame.T_world_wrist).all()
         check(mailbox.all[0].frame, LEVEL)
         check(mailbox.all[1].frame, POSE)
         assert mailbox.all[0].stamp == mailbox.all[0].received
@@ -258,8 +263,8 @@ def test_a_stream_of_both_hands_repeats_itself_ends_and_comes_back() -> None:
         until(lambda: source.health().state == "waiting")
         again = Headset(headset.port)
         again.send(app.avp_update(both(0.002)))
-        until(lambda: mailbox.received_of["right"] == 3, 20.0)
-        assert [a.session for a in mailbox.all if a.frame.side == "right"] == [0, 0, 1]
+        until(lambda: mailbox.received_of["right"] == 4, 20.0)
+        assert [a.session for a in mailbox.all if a.frame.side == "right"] == [0, 0, 0, 1]
         again.stop()
 
 

@@ -49,20 +49,21 @@ _WRIST: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 class _Collected:
     """Frames of both hands in a file, and what could not be read."""
 
-    def __init__(self, path: Path, side: Side | None) -> None:
+    def __init__(self, path: Path, side: Side | None, wrist: bool = False) -> None:
         self._path, self._side = path, side
         self._frames: dict[Side, list[HandFrame]] = {"left": [], "right": []}
-        self._repeats, self._repeated = Repeats(), 0
+        self._repeats, self._repeated = Repeats(wrist), 0
         self._damaged = 0
         self._reason = ""
 
     def add(self, frame: HandFrame | None) -> None:
         if frame is None or self._side not in (None, frame.side):
             return
-        if self._repeats.is_new(frame):
-            self._frames[frame.side].append(frame)
-        else:
+        new = self._repeats.new(frame)
+        if new is None:
             self._repeated += 1
+        else:
+            self._frames[frame.side].append(new)
 
     def damaged(self, error: Exception) -> None:
         self._damaged += 1
@@ -124,7 +125,7 @@ def read_avp_recording(
     Raises:
         RecordingError: there is no such hand in it, or there are both and ``side`` is None.
     """
-    found = _Collected(path, side)
+    found = _Collected(path, side, wrist=True)
     for message in _objects(path, found):
         try:
             for key, hand_side in _SIDES:

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from smooth_operator.types import HandFrame, Side
 
 
 class Repeats:
-    """Tells a new measurement from the last one, sent again.
+    """Keeps what is new of hands that are sent at an app's own rate.
 
-    Some apps send what they know at a rate of their own, also where the headset has lost the hand.
-    Of a hand that is seen, no two measurements are the same to the last bit.
+    Some apps send what they know also where the headset has lost the hand. Of a hand that is seen,
+    no two measurements are the same to the last bit.
+
+    Args:
+        wrist: whether a wrist that stands still to the last bit while the fingers move is lost; not
+            for an app that rounds it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, wrist: bool = False) -> None:
+        self._wrist = wrist
         self._last: dict[Side, HandFrame] = {}
 
-    def is_new(self, frame: HandFrame) -> bool:
-        """Whether a hand differs from the last one of its side."""
+    def new(self, frame: HandFrame) -> HandFrame | None:
+        """The frame, its wrist not valid where that is lost; None if it is the last one again."""
         last = self._last.get(frame.side)
         self._last[frame.side] = frame
-        return last is None or not (
-            np.array_equal(frame.landmarks, last.landmarks, equal_nan=True)
-            and _same(frame.T_world_wrist, last.T_world_wrist)
-        )
+        if last is None or not _same(frame.T_world_wrist, last.T_world_wrist):
+            return frame
+        if _same(frame.landmarks, last.landmarks):
+            return None
+        if self._wrist and frame.T_world_wrist is not None:
+            return dataclasses.replace(frame, T_world_wrist=np.full(7, np.nan))
+        return frame
 
 
 def _same(one: np.ndarray | None, other: np.ndarray | None) -> bool:

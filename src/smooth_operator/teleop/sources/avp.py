@@ -22,7 +22,8 @@ class AvpSource(StreamSource):
 
     This program connects to the headset, and again when the headset was asleep. The app says
     neither when a hand was measured nor whether it is seen: a stamp is the time of receipt, and a
-    hand that is sent again unchanged is no new frame, so that a lost hand falls silent.
+    hand that is sent again unchanged is no new frame, so that a lost hand falls silent. A wrist
+    that is sent again unchanged while the fingers move is not valid.
 
     Attributes:
         address: of the headset, as the app shows it.
@@ -56,7 +57,7 @@ class AvpSource(StreamSource):
 
     def connect(self) -> Inbox:
         """Begin to connect; the headset need not be there yet."""
-        object.__setattr__(self, "_repeats", Repeats())
+        object.__setattr__(self, "_repeats", Repeats(wrist=True))
         host = f"[{self.address}]" if ":" in self.address else self.address
         return GrpcInbox("the source 'avp'", "avp", f"{host}:{self.port}", METHOD, MOST_BYTES)
 
@@ -70,6 +71,6 @@ class AvpSource(StreamSource):
         repeats: Repeats = getattr(self, "_repeats")  # noqa: B009  (set in connect())
         return [
             Reading(dataclasses.replace(frame, stamp=received), session=connection.decode())
-            for frame in read_hands(data)
-            if repeats.is_new(frame)
+            for frame in map(repeats.new, read_hands(data))
+            if frame is not None
         ]

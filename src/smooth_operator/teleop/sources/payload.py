@@ -16,6 +16,7 @@ in, hand frames out, or an error that says why not.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -29,7 +30,7 @@ from smooth_operator.formats.checks import check_palm
 from smooth_operator.io import documents
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.poses import to_ours
-from smooth_operator.teleop.sources.message_stamps import StampUnit, read_stamp
+from smooth_operator.teleop.sources.message_stamps import StampPace, StampUnit, read_stamp
 from smooth_operator.teleop.sources.point_forms import (
     MatrixOrder,
     QuaternionOrder,
@@ -83,6 +84,33 @@ class Forms:
     stamp_unit: StampUnit = "s"
     quaternion: QuaternionOrder = "wxyz"
     matrix: MatrixOrder = "auto"
+
+
+class PayloadReader:
+    """Reads the messages of one stream.
+
+    Args:
+        side: as ``read_payload``.
+        forms: what the messages can't say.
+    """
+
+    def __init__(self, side: Side | None, forms: Forms) -> None:
+        self._side, self._forms = side, forms
+        self._pace = StampPace(forms.stamp_unit)
+
+    def read(self, data: bytes, received: float) -> tuple[Reading, ...]:
+        """The hands of the next message.
+
+        Raises:
+            RecordingError: as ``read_payload``, or the stamps are in another unit by their pace.
+        """
+        readings = read_payload(
+            data, side=self._side, received=received, **dataclasses.asdict(self._forms)
+        )
+        for reading in readings:
+            if reading.stamped:
+                self._pace.check(reading.frame.side, reading.frame.time, received)
+        return readings
 
 
 def read_payload(

@@ -76,7 +76,7 @@ class PicoSource(StreamSource):
         repeats: Repeats = getattr(self, "_repeats")  # noqa: B009
         sender.check(host, received)
         found = read_packet(data, self.axes)
-        frames = tuple(frame for frame in found.frames if repeats.is_new(frame))
+        frames = tuple(frame for frame in map(repeats.new, found.frames) if frame is not None)
         if found.stamp is None:
             frames = tuple(dataclasses.replace(frame, stamp=received) for frame in frames)
         session = f"{host.decode()} {connection.decode()}"

@@ -12,7 +12,7 @@ from smooth_operator.errors import ConfigError, SourceError
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.message_stamps import StampUnit
-from smooth_operator.teleop.sources.payload import MAX_BYTES, Reading, read_payload
+from smooth_operator.teleop.sources.payload import MAX_BYTES, Forms, PayloadReader, Reading
 from smooth_operator.teleop.sources.point_forms import MatrixOrder, QuaternionOrder
 from smooth_operator.teleop.sources.stream import KEPT, Hands, StreamSource, only_side, sides_of
 from smooth_operator.types import Side
@@ -70,19 +70,17 @@ class UdpSource(StreamSource):
 
     def connect(self) -> UdpInbox:
         """Take the port."""
+        object.__setattr__(self, "_reader", self._new_reader())
         return UdpInbox(self.host, self.port)
 
     def read(self, message: Message, received: float) -> Sequence[Reading]:
         """The hands of a datagram."""
-        return read_payload(
-            message[0],
-            side=only_side(self.side),
-            received=received,
-            layout=self.layout,
-            stamp_unit=self.stamp_unit,
-            quaternion=self.quaternion,
-            matrix=self.matrix,
-        )
+        reader: PayloadReader | None = getattr(self, "_reader", None)
+        return (reader or self._new_reader()).read(message[0], received)
+
+    def _new_reader(self) -> PayloadReader:
+        forms = Forms(self.layout, self.stamp_unit, self.quaternion, self.matrix)
+        return PayloadReader(only_side(self.side), forms)
 
 
 class UdpInbox:

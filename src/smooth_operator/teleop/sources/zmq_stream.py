@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.sources.message_receiver import Message
 from smooth_operator.teleop.sources.message_stamps import StampUnit
-from smooth_operator.teleop.sources.payload import Reading, read_payload
+from smooth_operator.teleop.sources.payload import Forms, PayloadReader, Reading
 from smooth_operator.teleop.sources.point_forms import MatrixOrder, QuaternionOrder
 from smooth_operator.teleop.sources.stream import Hands, StreamSource, only_side, sides_of
 from smooth_operator.teleop.sources.zmq_inbox import Pattern, ZmqInbox
@@ -66,6 +66,7 @@ class ZmqSource(StreamSource):
 
     def connect(self) -> ZmqInbox:
         """Open the socket."""
+        object.__setattr__(self, "_reader", self._new_reader())
         return ZmqInbox(
             "the source 'zmq'",
             self.address,
@@ -79,12 +80,9 @@ class ZmqSource(StreamSource):
         data = message[-1]
         if len(message) == 1 and self.topic:
             data = data.removeprefix(self.topic.encode()).lstrip(b" ")
-        return read_payload(
-            data,
-            side=only_side(self.side),
-            received=received,
-            layout=self.layout,
-            stamp_unit=self.stamp_unit,
-            quaternion=self.quaternion,
-            matrix=self.matrix,
-        )
+        reader: PayloadReader | None = getattr(self, "_reader", None)
+        return (reader or self._new_reader()).read(data, received)
+
+    def _new_reader(self) -> PayloadReader:
+        forms = Forms(self.layout, self.stamp_unit, self.quaternion, self.matrix)
+        return PayloadReader(only_side(self.side), forms)
