@@ -35,8 +35,11 @@ is back it returns smoothly. Joint ranges, velocities and accelerations are limi
 whatever the method asks for.
 
 Keys in the terminal: space, Esc and x always stop the robot, and no other key does; u
-releases an emergency stop, p pauses and resumes, q ends. They are the same on the page. Ctrl-C
-ends too; the recording is complete.
+releases an emergency stop, p pauses and resumes, c releases and engages the wrist alone, q ends.
+They are the same on the page. Ctrl-C ends too; the recording is complete.
+
+The clutch: with a tracker that has a wrist, the robot's wrist moves as the operator's has moved
+since it was engaged. Pause, move back, resume: the reach has no end, and nothing jumps.
 
 Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't be opened,
 130 stopped by Ctrl-C.

@@ -12,7 +12,9 @@ from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")
 """Each always stops, whatever the robot does; no other key does."""
-WORDS: Final = "space, Esc or x: EMERGENCY STOP   u: release it   p: pause / resume   q: end"
+WORDS: Final = (
+    "space, Esc or x: EMERGENCY STOP   u: release it   p: pause / resume   c: wrist   q: end"
+)
 
 
 def actions(
@@ -52,7 +54,18 @@ def actions(
             controls.pause()
             say("paused; p resumes")
 
-    own = {**dict.fromkeys(STOP_KEYS, stop), "u": release, "p": pause, "q": controls.quit}
+    def follow() -> None:
+        released = any(pipeline.clutch.released for pipeline in loop.pipelines.values())
+        controls.follow(released)
+        say("wrist: engages" if released else "wrist released; c engages it, the fingers go on")
+
+    own = {
+        "c": follow,
+        **dict.fromkeys(STOP_KEYS, stop),
+        "u": release,
+        "p": pause,
+        "q": controls.quit,
+    }
     assert not set(own) & set(more)
     return {**more, **own}
 

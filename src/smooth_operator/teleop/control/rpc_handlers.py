@@ -10,6 +10,9 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         {"ok": true, "method": ..., "preset": ..., "side": "right", "hand": "mimic_p050"}.
     {"do": "rate", "rate": 30}
         commands a second from now on, until the run ends: {"ok": true, "rate": 30.0}.
+    {"do": "wrist", "engage": false}
+        releases the clutch of the wrist while the fingers go on; true takes it: {"ok": true,
+        "engage": false}.
     {"do": "task", "task": "card"}
         the scene of a task, by its name or the paper's (A, B, C); without a task the hand alone:
         {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}.
@@ -81,6 +84,7 @@ class RpcHandlers:
             "method": self._method,
             "calibration": self._calibration,
             "rate": self._rate,
+            "wrist": self._wrist,
             "task": self._task,
             "trial": self._trial,
             "reset": self._reset,
@@ -136,6 +140,13 @@ class RpcHandlers:
             raise ConfigError(f"rate: expected commands a second, not {rate!r}")
         self._loop.pace(float(rate))
         return {"rate": self._loop.config.rate}
+
+    def _wrist(self, fields: Mapping[str, Any]) -> dict[str, Any]:
+        engage = fields.get("engage")
+        if not isinstance(engage, bool):
+            raise ConfigError(f"engage: expected true or false, not {engage!r}")
+        self._loop.controls.follow(engage)
+        return {"engage": engage}
 
     def _task(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         loaded = self._open_runner().change(_text(fields, "task"))

@@ -86,6 +86,10 @@ class Clutch:
         """Whether the operator's wrist moves that of the robot; safe from any thread."""
         return self._engaged
 
+    def follow(self, on: bool) -> None:
+        """Let the operator's wrist move the robot's, or hold that while the fingers go on."""
+        self.released = not on
+
     def configure(self, config: LoopConfig) -> None:
         """Go on with other limits, from the last command; with another scale from a new latch."""
         old, new = self.config.wrist, config.wrist

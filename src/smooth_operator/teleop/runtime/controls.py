@@ -39,6 +39,10 @@ class Controls:
         """Take the clutch: the robot goes over to where the operator's hand is now."""
         self.change(lambda hand: hand.supervisor.resume())
 
+    def follow(self, on: bool) -> None:
+        """Take the clutch of the wrist, or release it: fingers go on, the wrist holds."""
+        self.change(lambda hand: hand.clutch.follow(on))
+
     def stop(self) -> None:
         """Emergency stop: the robot stands until a ``release`` that comes later."""
         self._stops += 1

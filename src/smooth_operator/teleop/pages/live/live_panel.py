@@ -74,7 +74,7 @@ class LivePanel:
         self._pictures = True  # of the camera: whether they are wanted
         self._picture: dict[str, Any] = {"number": 0}
         self._operators: Mapping[str, Any] | None = None
-        self._stopped = self._paused = False
+        self._stopped = self._paused = self._released = False
         gui = server.gui
         hand = next(iter(hands.values()))
         self._fingers = hand.fingers
@@ -103,6 +103,8 @@ class LivePanel:
             delay: how late the slowest browser shows it [s].
         """
         self._modes.content = live_texts.modes(seen["hands"])
+        wrists = [hand.get("wrist") for hand in seen["hands"].values()]
+        self._released = any(wrist is not None and wrist["released"] for wrist in wrists)
         self._show_calibration(seen["calibration"])
         self._show_camera(seen.get("camera"))
         if "status" in seen:
@@ -146,6 +148,9 @@ class LivePanel:
         gui.add_command("Release the stop", hotkey="U").on_trigger(asked(lambda _: do("release")))
         gui.add_command("Pause / resume", hotkey="P").on_trigger(
             asked(lambda _: self._toggle_pause())
+        )
+        gui.add_command("Wrist: release / engage", hotkey="C").on_trigger(
+            asked(lambda _: do("follow", self._released))
         )
         gui.add_command("Record / end the recording", hotkey="R").on_trigger(
             asked(lambda _: do("record"))

@@ -26,6 +26,7 @@ from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
+from smooth_operator.teleop.pages.live.wrist_map import WristMaps
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, upright
 from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
 from smooth_operator.types import Side
@@ -86,6 +87,7 @@ class LiveScene:
         """Give each hand its place; where the picture's middle is, and half its size [m]."""
         low = np.min([view.low for view in self._sides.values()], axis=0)
         high = np.max([view.high for view in self._sides.values()], axis=0)
+        low[1] -= max(view.wrists.height for view in self._sides.values())
         size = high - low
         # One hand: human next to robot. Two: each human above its robot.
         columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
@@ -108,6 +110,12 @@ class LiveScene:
         self._floor.position = ground @ _VIEW
         return middle @ _VIEW, half
 
+    def _aim(self) -> None:
+        """Give the hands their places again, and have every browser look at them."""
+        self.aiming.centre, self.aiming.half = self._arrange()
+        for client in self._server.get_clients().values():
+            self.aiming.aim(client)
+
     @property
     def has_task(self) -> bool:
         """Whether a hand works on the object of a task."""
@@ -121,9 +129,9 @@ class LiveScene:
     def draw_lines(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the human hands, keyvectors and fingertips, which a browser has in its next picture
         but one."""
-        for side, view in self._sides.items():
-            if side in hands:
-                view.draw_lines(hands[side])
+        moved = [v.draw_lines(hands[side]) for side, v in self._sides.items() if side in hands]
+        if any(moved):
+            self._aim()
 
     def draw_bodies(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
         """Show the robots' bodies, which a browser has in its next picture."""
@@ -138,10 +146,8 @@ class LiveScene:
             for side, view in self._sides.items():
                 view.scenery.show(seen["parts"].get(side, ()))
                 view.face(seen["views"].get(side), seen["poses"].get(side))
-            self.aiming.centre, self.aiming.half = self._arrange()
             self._floor.visible = not self.has_task  # which stands on its own floor
-            for client in self._server.get_clients().values():
-                self.aiming.aim(client)
+            self._aim()
         for side, view in self._sides.items():
             view.scenery.draw(seen["poses"].get(side))
 
@@ -209,6 +215,7 @@ class _SideView:
         self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
         self._tips = tips
         self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
+        self.wrists = WristMaps(scene, side)
         none = np.zeros(len(tips) - 1, bool)
         self._lines = {
             name: scene.add_line_segments(
@@ -241,6 +248,8 @@ class _SideView:
         """Where the two stand when they don't stand in each other: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
+        middle = np.array([(self.low[0] + self.high[0]) / 2, self.low[1] - self.wrists.height / 2])
+        self.wrists.put(*(place + np.array([*middle, 0.0]) @ _VIEW for place in (here, there)))
         self.set_overlay(self._overlaid)
 
     def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
@@ -258,7 +267,8 @@ class _SideView:
         if self._simulated is not None and other is not None:
             self._simulated.draw(self._qpos(other))
 
-    def draw_lines(self, state: Mapping[str, Any]) -> None:
+    def draw_lines(self, state: Mapping[str, Any]) -> bool:
+        """Show them; whether the hands need other places then."""
         hand = self._hand
         every, _ = self._poses(state)
         latched = np.array([finger in (state["latched"] or ()) for finger in hand.fingers[1:]])
@@ -270,6 +280,7 @@ class _SideView:
         for name, points in (("human", landmarks[self._tips]), ("robot", robot_tips)):
             self._lines[name].points = thumb_lines(points)
             self._lines[name].colors = colors
+        return self.wrists.draw(state.get("wrist"))
 
     def set_overlay(self, overlay: bool) -> None:
         self._overlaid = overlay

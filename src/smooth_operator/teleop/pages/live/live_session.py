@@ -14,6 +14,7 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
+from smooth_operator.poses import is_valid
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher, checked
 from smooth_operator.teleop.pages.live.calibration_wizard import CalibrationWizard
 from smooth_operator.teleop.pages.live.camera import CameraFeed
@@ -84,6 +85,7 @@ class LiveSession:
             "release": loop.controls.release,
             "pause": loop.controls.pause,
             "resume": loop.controls.resume,
+            "follow": loop.controls.follow,
             "record": self.recordings.toggle,
             "method": self._choose,
             "set": self._set,
@@ -189,6 +191,7 @@ class LiveSession:
             # a method without latches has None, and so has one that is not to be known
             "latched": None if self.blind else pipeline.latched,
             "scale": pipeline.retargeter.config.alignment.scale,
+            "wrist": None if arrival is None else _wrist(arrival, tick, pipeline.clutch.released),
         }
 
     def _status(self, now: float) -> dict[str, Any]:
@@ -284,6 +287,21 @@ class LiveSession:
             if self._events and self._events[-1][1] == line:
                 self._events.pop()  # the same again: the newest time counts
             self._events.append((tick.time, line))
+
+
+def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | None:
+    """The wrists of a hand; None with a tracker that has none."""
+    found, command = arrival.frame.T_world_wrist, tick.wrist
+    if found is None or command is None:
+        return None
+    return {
+        "operator": _numbers(found) if command.valid and is_valid(found) else None,
+        "world": arrival.frame.world or "its world",
+        "target": _numbers(command.pose),
+        "base": command.world,
+        "engaged": command.engaged,
+        "released": released,
+    }
 
 
 def _trusted(arrival: Arrival) -> np.ndarray:

@@ -44,9 +44,25 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
             f"<b>{sign} {side}: {words}</b>"
             + ("" if latched is None else "<br><span data-latched>pinch latches: "
                f"{html.escape(', '.join(latched) or 'none')}</span>")
-            + "</div>"
+            + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span></div>"
         )  # fmt: skip
     return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
+
+
+def _wrist(seen: Mapping[str, Any] | None) -> str:
+    """Whether the tracker has a wrist, and whether that moves the robot's."""
+    if seen is None:
+        return "wrist: not tracked"
+    what = (
+        "moves the robot's"
+        if seen["engaged"]
+        else "released (C)"
+        if seen["released"]
+        else "lost: the robot's is held"
+        if seen["operator"] is None
+        else "the robot's is held"
+    )
+    return f"wrist in {html.escape(seen['world'])}: {what}"
 
 
 def summary(status: Mapping[str, Any]) -> str:
