@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from smooth_operator.poses import from_rotation_vectors, multiply
 
-HEIGHT: Final = 0.15
+HEIGHT: Final = 0.11
 """Of a map, with its label [m]."""
-_SCALE: Final = 0.05  # size of the map over that of the room
+_SCALE: Final = 0.035  # size of the map over that of the room
 _REACH: Final = 1.0  # from the origin to the edge of the map [m]
 _AXIS: Final = 0.022  # length of the axes of a wrist [m]
 _ORIGIN: Final = 0.014  # and of the world's
@@ -47,7 +47,7 @@ class WristMap:
         self._label = scene.add_label(
             f"{root}/label",
             word,
-            position=(0.0, 0.0, -0.4 * HEIGHT),
+            position=(0.0, 0.0, -0.35 * HEIGHT),
             anchor="center-center",
             font_screen_scale=_FONT,
         )
