@@ -108,14 +108,14 @@ class ServoBank:
         corrupt: status packets from now on whose checksum is wrong.
         delay: of each answer [s].
         fast: whether they know the fast sync read.
-        goals: (time, id -> goal) of every write of goal positions.
+        goals: (time, id -> goal, how far from the servos) of every write of goals [steps].
     """
 
     def __init__(self, numbers: list[int]) -> None:
         self.servos = {number: Servo(number) for number in numbers}
         self.silent: set[int] = set()
         self.corrupt, self.delay, self.fast = 0, 0.0, True
-        self.goals: list[tuple[float, dict[int, int]]] = []
+        self.goals: list[tuple[float, dict[int, int], float]] = []
         self.bad = 0  # instructions with a wrong checksum
         self._buffer = b""
         self._ending = False
@@ -185,14 +185,15 @@ class ServoBank:
                 return b""
             return self._sync_read(list(data[4:]), address, size, instruction == 0x8A)
         if instruction == 0x83:
-            goals = {}
+            goals, ahead = {}, 0.0
             for k in range(4, len(data), size + 1):
                 value = data[k + 1 : k + 1 + size]
                 if data[k] in self.servos and data[k] not in self.silent:
                     self.servos[data[k]].write(address, value)
                     goals[data[k]] = int.from_bytes(value, "little", signed=True)
+                    ahead = max(ahead, abs(goals[data[k]] - self.servos[data[k]].position))
             if address == 116:
-                self.goals.append((time.perf_counter(), goals))
+                self.goals.append((time.perf_counter(), goals, ahead))
             return b""
         if number not in self.servos or number in self.silent:
             return b""

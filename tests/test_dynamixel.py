@@ -138,7 +138,7 @@ def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None
         run.tick = replace(run.tick, command=JointCommand(-beyond, hand.joint_names))
         run.until(lambda: run.at(0.0))
     low = 2048 + hand.limits[:, 0].min() * 652 - 1
-    assert all(low < goal < 2048 + 2.443 * 652 + 1 for _, g in bank.goals for goal in g.values())
+    assert all(low < goal < 2048 + 2.443 * 652 + 1 for _, g, _ in bank.goals for goal in g.values())
 
 
 def test_the_current_limit_is_the_lowest_of_table_run_and_servo(

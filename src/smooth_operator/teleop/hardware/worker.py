@@ -216,7 +216,8 @@ class HandWorker:
             try:
                 rest = self._at_rest(newest, cycle)
                 if rest is None and newest is not None:
-                    if not moving:
+                    # A bus that stood still as long as a silence is a return, too.
+                    if not moving or cycle - last > self._settings.silence_s:
                         self._guard.start(reading.positions)
                         last = cycle - self._settings.period
                     moving = True
