@@ -17,6 +17,7 @@ from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.grammar import check_words
 from smooth_operator.cli.hands_options import Hands
+from smooth_operator.cli.hardware_options import Hardware
 from smooth_operator.cli.help_text import document, wrapped_output
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.cli.retarget_options import Retarget
@@ -57,6 +58,8 @@ _EXAMPLES = """Examples:
       a moving hand as a MANUS glove sends it, for teleop --source manus
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
+  smooth-operator hardware list
+      real hands: drivers, tables, ports; hardware check writes a hand's table
   smooth-operator study analyze trials.csv tlx.csv --output out
       a user study: models, corrected p-values, a report
 
@@ -72,6 +75,7 @@ Command: TypeAlias = (
     | Demo
     | GloveSimulate
     | Hands
+    | Hardware
     | Latency
     | Paper
     | Retarget
@@ -97,6 +101,7 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "train": Train,
     "tune": Tune,
     "hands": Hands,
+    "hardware": Hardware,
     "calibrate": Calibrate,
     "glove-simulator": GloveSimulate,
     "study": Study,

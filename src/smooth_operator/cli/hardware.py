@@ -1,0 +1,184 @@
+"""``smooth-operator hardware list`` and ``monitor``: what there is, and where a hand is."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from smooth_operator.cli.console import output_console, plain_table
+from smooth_operator.cli.hardware_options import List, Monitor
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.serial_port import serial_ports
+from smooth_operator.teleop.hardware.table_file import (
+    list_tables,
+    read_table,
+    user_tables_folder,
+)
+from smooth_operator.teleop.recording.messages import numbers
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.registry import SINKS, build_sink
+from smooth_operator.types import Side
+
+_REDRAW_S: Final = 0.2
+
+
+def list_hardware(options: List) -> None:
+    """Prints drivers, tables and serial ports."""
+    drivers = {}
+    for name, entry in SINKS.items():
+        try:
+            kind = entry.load()
+        except SmoothOperatorError:
+            continue  # of a plugin that is broken, or needs an extra to be looked at
+        if isinstance(kind, type) and issubclass(kind, HardwareSink):
+            drivers[name] = entry.summary
+    tables, broken = [], []
+    for path in list_tables():
+        try:
+            tables.append((path, read_table(path)))
+        except ConfigError as error:
+            broken.append(str(error))
+    ports, folder = serial_ports(), user_tables_folder()
+    if options.json:
+        found: dict[str, Any] = {
+            "drivers": drivers,
+            "tables": {
+                path.name.removesuffix(".toml"): {
+                    "file": str(path),
+                    "driver": table.driver,
+                    "hand": table.hand,
+                    "side": table.side,
+                    "actuators": len(table.actuators),
+                    "unit": table.unit,
+                }
+                for path, table in tables
+            },
+            "unreadable": broken,
+            "ports": ports,
+            "folder": str(folder),
+        }
+        print(json.dumps(found))
+        return
+    console = output_console()
+    console.print(_rows(("driver", "hand"), list(drivers.items())))
+    rows = [
+        (
+            path.name.removesuffix(".toml"),
+            t.driver,
+            f"{t.hand} {t.side}",
+            f"{len(t.actuators)}",
+            t.unit,
+            "yours" if path.is_relative_to(folder) else "",
+        )
+        for path, t in tables
+    ]
+    console.print(_rows(("table", "driver", "hand", "actuators", "unit", ""), rows))
+    for line in [
+        *broken,
+        f"tables of your own: {folder}",
+        "serial ports: " + (", ".join(f"{p} ({d})" for p, d in ports.items()) or "none"),
+    ]:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def monitor_hardware(options: Monitor) -> None:
+    """Shows a hand until the time is over or Ctrl-C.
+
+    Raises:
+        SmoothOperatorError: it can't be opened.
+    """
+    sink, _, hand = opened(options.device, options.side, options.hand)
+    sink.open({options.side: hand}, {})
+    end = None if options.seconds is None else time.monotonic() + options.seconds
+    try:
+        if options.json:
+            _print_lines(sink, options.side, end)
+        else:
+            with Live(console=output_console(), auto_refresh=False) as live:
+                while end is None or time.monotonic() < end:
+                    live.update(_picture(sink, sink.state(options.side)), refresh=True)
+                    time.sleep(_REDRAW_S)
+    finally:
+        sink.close()
+
+
+def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, ActuatorMap, Hand]:
+    """A real hand's sink, not yet open, its table and its model.
+
+    Raises:
+        ConfigError: it is no real hand, or its table can't be used.
+        SmoothOperatorError: there is no such sink, hand or setting.
+    """
+    sink = build_sink(device)
+    if not isinstance(sink, HardwareSink):
+        raise ConfigError(
+            f"{device!r} is no real hand; smooth-operator hardware list names the drivers"
+        )
+    table = sink.actuators(side)
+    return sink, table, load_hand(hand or table.hand, side)
+
+
+def _print_lines(sink: HardwareSink, side: Side, end: float | None) -> None:
+    shown: HandState | None = None
+    while end is None or time.monotonic() < end:
+        state = sink.state(side)
+        if state is None or state is shown:
+            time.sleep(0.002)
+            continue
+        shown = state
+        message: dict[str, Any] = {
+            "time": state.stamp,
+            "joints": dict(zip(state.names, numbers(state.positions), strict=True)),
+            "note": sink.note,
+        }
+        for name in ("currents", "temperatures", "touch"):
+            values = getattr(state, name)
+            if values is not None:
+                message[name] = numbers(values)
+        print(json.dumps(message), flush=True)
+
+
+def _picture(sink: HardwareSink, state: HandState | None) -> Table:
+    table = plain_table(title=Text(f"{sink.label}: {sink.note or 'ready'}"))
+    for header in ("joint", "measured [rad]", "[°]"):
+        table.add_column(header, justify="left" if header == "joint" else "right")
+    for header in ("actuator", "current", "°C"):
+        table.add_column(header, justify="left" if header == "actuator" else "right")
+    if state is None:
+        return table
+    joints = [(n, q) for n, q in zip(state.names, state.positions, strict=True) if np.isfinite(q)]
+    for row in range(max(len(joints), len(state.actuators))):
+        cells = ["", "", ""]
+        if row < len(joints):
+            name, q = joints[row]
+            cells = [name, f"{q:+.3f}", f"{np.rad2deg(q):+.1f}"]
+        more = ["", "", ""]
+        if row < len(state.actuators):
+            currents, hot = state.currents, state.temperatures
+            more = [
+                state.actuators[row],
+                "" if currents is None else f"{currents[row]:.0f}",
+                "" if hot is None else f"{hot[row]:.0f}",
+            ]
+        table.add_row(*(Text(cell) for cell in (*cells, *more)))
+    return table
+
+
+def _rows(headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
+    table = plain_table()
+    for header in headers:
+        table.add_column(header, no_wrap=True)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table

@@ -1,0 +1,79 @@
+"""``smooth-operator hardware check``: a dialogue that ends with the table of a real hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from smooth_operator.cli.hardware import opened
+from smooth_operator.cli.hardware_options import Check
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
+from smooth_operator.teleop.hardware.bus_lock import BusLock
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.table_check import HELP, TableCheck, blank_table
+from smooth_operator.teleop.hardware.table_file import user_tables_folder, write_table
+from smooth_operator.teleop.sinks.registry import build_sink
+from smooth_operator.terminal import printable
+
+
+def check_hardware(options: Check) -> None:
+    """Goes through the actuators of a hand, and writes what was found.
+
+    Raises:
+        SmoothOperatorError: it can't be opened, or was lost on the way; nothing is written.
+        KeyboardInterrupt: Ctrl-C; the hand is relaxed and nothing is written.
+    """
+    table: ActuatorMap
+    if options.ids is None:
+        sink, table, hand = opened(options.device, options.side, options.hand)
+    else:
+        found = build_sink(options.device)
+        if not isinstance(found, HardwareSink) or options.hand is None:
+            raise ConfigError("--ids is for a real hand without a table; say its model with --hand")
+        sink, hand = found, load_hand(options.hand, options.side)
+        ids, low, high = _ids(options.ids), *options.ends
+        if not low < high:
+            raise ConfigError(f"--ends must be the least command, then the greatest, not {low:g}")
+        table = blank_table(sink.driver, hand, ids, options.unit, (low, high), sink.limit)
+    table.bind(hand)
+    output = options.output or user_tables_folder() / f"{sink.driver}_{options.side}.toml"
+    lock = BusLock(sink.bus)
+    try:
+        print(HELP + "\n", flush=True)
+        with ActuatorMover(sink.device(table), table) as mover:
+            made = TableCheck(mover, hand, _ask, print).run(table)
+    finally:
+        lock.release()
+    if made is None:
+        print("nothing was confirmed, so no table is written")
+        return
+    write_table(made, output, f"Written by smooth-operator hardware check {options.device}")
+    print(printable(f"\n{output}"))
+    if options.output is not None:
+        print(printable(f"use it: teleop --sink {options.device},table={_absolute(output)}"))
+
+
+def _ask(question: str) -> str:
+    try:
+        return input(question)
+    except EOFError:  # nobody there: as the answer to end
+        return "q"
+
+
+def _ids(text: str) -> list[int]:
+    try:
+        found: list[int] = []
+        for part in text.split(","):
+            first, _, last = part.partition("-")
+            found += range(int(first), int(last or first) + 1)
+    except ValueError:
+        found = []
+    if not 0 < len(found) <= 100:
+        raise ConfigError(f"--ids must be numbers such as 1-12 or 0,3,5, not {text!r}")
+    return found
+
+
+def _absolute(path: Path) -> str:
+    return str(path.absolute())

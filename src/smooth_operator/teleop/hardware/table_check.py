@@ -1,0 +1,193 @@
+"""The dialogue that finds out how a real hand's actuators move, and makes its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
+from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
+
+_STEPS: Final = 20
+"""Steps over an actuator's range on the way to an end."""
+
+HELP: Final = """One actuator after the other moves a little and back. Say what you see; a second
+terminal with `smooth-operator hands show NAME` shows each joint, and which way its slider moves it.
+Keep the hand free on all sides, and a hand on its power switch. Ctrl-C relaxes it."""
+
+
+class TableCheck:
+    """Asks a person about each actuator, and gathers the answers in a table.
+
+    Args:
+        mover: the hand.
+        hand: its model, whose joints the actuators move.
+        ask: shows a question, gives the answer; as ``input``.
+        say: shows a line.
+    """
+
+    def __init__(
+        self,
+        mover: ActuatorMover,
+        hand: Hand,
+        ask: Callable[[str], str],
+        say: Callable[[str], None],
+    ) -> None:
+        self._mover, self._hand, self._ask, self._say = mover, hand, ask, say
+
+    def run(self, table: ActuatorMap) -> ActuatorMap | None:
+        """Go through the actuators of a table.
+
+        Returns:
+            The table with what was found; None if nothing was changed or confirmed. Actuators that
+            were skipped stay as they were.
+
+        Raises:
+            SinkError: the device was lost.
+        """
+        found, confirmed = list(table.actuators), 0
+        for index, actuator in enumerate(table.actuators):
+            self._say(f"\n{index + 1} of {len(found)}: {actuator.name}" + _numbered(actuator))
+            answer = self._one(index, actuator, table.unit)
+            if answer == "quit":
+                break
+            if isinstance(answer, Actuator):
+                found[index] = answer
+                confirmed += 1
+        if not confirmed:
+            return None
+        source = f"smooth-operator hardware check: {confirmed} of {len(found)} actuators"
+        return replace(table, actuators=tuple(found), source=source)
+
+    def _one(self, index: int, actuator: Actuator, unit: str) -> Actuator | str:
+        start = self._mover.position(index)
+        joints = self._joints(index, actuator, start)
+        if isinstance(joints, str):
+            return joints
+        low = self._end(index, actuator, start, -1, unit)
+        high = None if low is None else self._end(index, actuator, start, +1, unit)
+        self._mover.move(index, start)
+        if low is None or high is None:
+            return "quit"
+        if not low < high:
+            self._say(f"the ends {low:g} and {high:g} are no range: left as it was")
+            return "skip"
+        points = self._angles(actuator, low, high, unit)
+        return replace(actuator, joints=joints, points=points, ends=(low, high))
+
+    def _joints(self, index: int, actuator: Actuator, start: float) -> dict[str, float] | str:
+        """Which joint it moves."""
+        low, high = actuator.ends
+        step = 0.12 * (high - low) * (1 if start < (low + high) / 2 else -1)
+        now = " + ".join(f"{w:g} {j}" if w != 1 else j for j, w in actuator.joints.items())
+        while True:
+            self._mover.move(index, start + step)
+            self._mover.move(index, start)
+            answer = self._ask(
+                f"It moved. Which joint? Enter for {now}, a joint's name, a to see it again, "
+                "s to skip, q to end: "
+            ).strip()
+            if answer == "":
+                return dict(actuator.joints)
+            if answer in ("s", "q"):
+                return "skip" if answer == "s" else "quit"
+            if answer in self._hand.joint_names:
+                return {answer: 1.0}
+            if answer != "a":
+                self._say(f"joints of {self._hand.name}: {', '.join(self._hand.joint_names)}")
+
+    def _end(
+        self, index: int, actuator: Actuator, start: float, way: int, unit: str
+    ) -> float | None:
+        """How far it may go one way; None to end."""
+        low, high = actuator.ends
+        step, stated = way * (high - low) / _STEPS, high if way > 0 else low
+        side = "greatest" if way > 0 else "least"
+        self._mover.move(index, start)
+        while True:
+            at = self._mover.position(index)
+            answer = self._ask(
+                f"Towards its {side} command, now {at:.6g} {unit}. Enter for a step, a number of "
+                f"steps, e if this is the end, k to keep {stated:g}, q to end: "
+            ).strip()
+            if answer == "q":
+                return None
+            if answer == "k":
+                return float(stated)
+            if answer == "e":
+                return float(at)
+            count = int(answer) if answer.isdigit() else 1
+            if not self._mover.move(index, at + count * step):
+                at = self._mover.position(index)
+                self._say(f"something blocks it at {at:.6g}: taken as the end")
+                return float(at - 0.5 * step)
+
+    def _angles(
+        self, actuator: Actuator, low: float, high: float, unit: str
+    ) -> tuple[tuple[float, float], ...]:
+        """The joint's angle at both ends."""
+        while True:
+            pairs = []
+            for command in (low, high):
+                stated = np.rad2deg(actuator.angle(command))
+                answer = self._ask(
+                    f"The joint's angle in the model at {command:.6g} {unit}, in degrees; Enter "
+                    f"for {stated:.1f}: "
+                ).strip()
+                try:
+                    degrees = float(answer) if answer else stated
+                except ValueError:
+                    self._say(f"{answer!r} is no number")
+                    break
+                pairs.append((float(np.deg2rad(degrees)), command))
+            if len(pairs) < 2:
+                continue
+            points = tuple(sorted(pairs))
+            try:
+                replace(actuator, points=points, ends=(low, high))
+            except ConfigError as error:
+                self._say(str(error))
+                continue
+            return points
+
+
+def blank_table(
+    driver: str,
+    hand: Hand,
+    ids: list[int],
+    unit: str,
+    ends: tuple[float, float],
+    limit: float | None = None,
+) -> ActuatorMap:
+    """A table for a hand that has none: every id with the first joint of the model, to be checked.
+
+    Args:
+        driver: name of the driver.
+        hand: the hand's model.
+        ids: of the actuators.
+        unit: of the commands.
+        ends: from where to where an actuator may be tried.
+        limit: most current or force, in the driver's unit; None for the device's own.
+    """
+    joint = hand.actuated_names[0]
+    return ActuatorMap(
+        driver=driver,
+        hand=hand.name,
+        side=hand.spec.side,
+        unit=unit,
+        limit=limit,
+        actuators=tuple(
+            Actuator(f"actuator {number}", {joint: 1.0}, ((-1.0, ends[0]), (1.0, ends[1])), ends,
+                     number)
+            for number in ids
+        ),
+    )  # fmt: skip
+
+
+def _numbered(actuator: Actuator) -> str:
+    return "" if actuator.id is None else f" (id {actuator.id})"

@@ -1,0 +1,191 @@
+"""``smooth-operator hardware``: list, monitor, and the dialogue that writes a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_hand import FakeHand, FakeHandSink, write_fake_table
+
+from smooth_operator.cli import main
+from smooth_operator.errors import SinkError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
+from smooth_operator.teleop.hardware.table_check import TableCheck, blank_table
+from smooth_operator.teleop.hardware.table_file import read_table
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+@pytest.fixture
+def table(tmp_path: Path, hand: Hand) -> ActuatorMap:
+    path = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names[:2], "rate = 500\n")
+    return read_table(path)
+
+
+def answers(*given: str) -> tuple[Callable[[str], str], list[str]]:
+    """A person who answers in turn, and what was asked."""
+    waiting, asked = list(given), []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return waiting.pop(0)
+
+    return ask, asked
+
+
+def test_the_dialogue_finds_joint_ends_and_sense(table: ActuatorMap, hand: Hand) -> None:
+    fake = FakeHand(table)
+    fake.blocked[0] = 215.0
+    other = hand.actuated_names[5]
+    ask, asked = answers(
+        *("a", "elbow", other),  # see it again, a name that is none, the right one
+        *("4", "e"),  # the least command: four steps of 6 degrees, and that is the end
+        *("3", "", "", ""),  # the greatest: blocked at 215 in the sixth step
+        *("40", "-30"),  # its angles there: it runs the other way
+        *("", "k", "k", "", "", ""),
+    )
+    said: list[str] = []
+    with ActuatorMover(fake, table, seconds=0.05) as mover:
+        made = TableCheck(mover, hand, ask, said.append).run(table)
+    assert made is not None
+    first, second = made.actuators
+    assert first.joints == {other: 1.0}
+    assert first.ends[0] == pytest.approx(156.0)
+    assert first.ends[1] == pytest.approx(212.0)  # half a step before the obstacle
+    assert first.command(np.deg2rad(40.0)) == pytest.approx(156.0)
+    assert first.command(np.deg2rad(-30.0)) == pytest.approx(212.0)
+    assert second == table.actuators[1]
+    assert any("something blocks it" in line for line in said)
+    assert any(line.startswith("joints of mimic_p050") for line in said)
+    assert "2 of 2" in made.source
+    assert fake.calls[-2][0] == "relax"
+    moved = fake.commands()
+    assert (np.abs(np.diff(moved, axis=0)).max(axis=1) <= 120.0 / 0.05 / 500 + 1e-9).all()
+    assert ((np.abs(np.diff(moved, axis=0)) > 1e-9).sum(axis=1) <= 1).all()  # one at a time
+    assert not any("Ctrl" in question for question in asked)
+
+
+@pytest.mark.parametrize("given", [("q",), ("s", "s"), ("", "q"), ("", "k", "q")])
+def test_nothing_confirmed_is_no_table(
+    table: ActuatorMap, hand: Hand, given: tuple[str, ...]
+) -> None:
+    ask, _ = answers(*given)
+    with ActuatorMover(FakeHand(table), table, seconds=0.05) as mover:
+        assert TableCheck(mover, hand, ask, lambda _: None).run(table) is None
+
+
+def test_ctrl_c_and_a_lost_hand_relax_and_close(table: ActuatorMap, hand: Hand) -> None:
+    fake = FakeHand(table)
+
+    def interrupted(_: str) -> str:
+        raise KeyboardInterrupt
+
+    with (
+        pytest.raises(KeyboardInterrupt),
+        ActuatorMover(fake, table, seconds=0.05) as mover,
+    ):
+        TableCheck(mover, hand, interrupted, lambda _: None).run(table)
+    assert [what for what, _ in fake.calls[-2:]] == ["relax", "close"]
+    fake.gone.set()
+    with pytest.raises(SinkError, match="the cable was pulled"):
+        ActuatorMover(fake, table)
+    fake.gone.clear()
+    with ActuatorMover(fake, table, seconds=0.05) as mover:
+        fake.gone.set()
+        with pytest.raises(SinkError, match="the hand was lost: the cable was pulled"):
+            mover.move(0, 200.0)
+
+
+def test_a_blank_table_has_the_ids(hand: Hand) -> None:
+    made = blank_table("dynamixel", hand, [3, 5], "step", (1000.0, 3000.0), 200.0)
+    assert [a.id for a in made.actuators] == [3, 5]
+    assert made.limits.tolist() == [200.0, 200.0]
+
+
+@pytest.fixture
+def device(
+    tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> tuple[str, list[FakeHand]]:
+    """A sink as a user names it, and the hands that it made."""
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path / "hands"))
+    path = write_fake_table(tmp_path / "t.toml", hand.actuated_names, "rate = 500\n")
+    made: list[FakeHand] = []
+    real = FakeHandSink.device
+
+    def kept(self: FakeHandSink, actuators: ActuatorMap) -> FakeHand:
+        made.append(real(self, actuators))
+        return made[-1]
+
+    monkeypatch.setattr(FakeHandSink, "device", kept)
+    return f"fake_hand:FakeHandSink,table={path},port={tmp_path}/p", made
+
+
+def test_the_list_names_drivers_tables_and_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", str(tmp_path))
+    (tmp_path / "hardware").mkdir()
+    (tmp_path / "hardware" / "odd_right.toml").write_text("format = 1\n")
+    assert main(["hardware", "list", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"leap", "orca", "dynamixel"} <= found["drivers"].keys()
+    assert found["tables"]["leap_right"]["actuators"] == 16
+    assert "odd_right.toml" in found["unreadable"][0]
+    assert main(["hardware", "list"]) == 0
+    assert "orca_left" in capsys.readouterr().out
+
+
+def test_the_monitor_shows_the_hand_and_moves_nothing(
+    capsys: pytest.CaptureFixture[str], device: tuple[str, list[FakeHand]], hand: Hand
+) -> None:
+    name, made = device
+    common = ["hardware", "monitor", name, "--hand", "mimic_p050", "--seconds"]
+    assert main([*common, "0.1", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines
+    assert set(lines[0]["joints"]) == set(hand.joint_names)
+    assert len({line["time"] for line in lines}) == len(lines)
+    assert main([*common, "0.05"]) == 0
+    assert "waits for the first command" in capsys.readouterr().out
+    assert not any(fake.count("write") for fake in made)
+    assert main(["hardware", "monitor", "mujoco"]) == 2
+    assert "is no real hand" in capsys.readouterr().err
+
+
+def test_the_check_writes_the_users_table(
+    capsys: pytest.CaptureFixture[str],
+    device: tuple[str, list[FakeHand]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    name, _ = device
+    replies = iter(["", "k", "k", "", "", "q"])
+
+    def reply(_: str) -> str:
+        return next(replies)
+
+    monkeypatch.setattr("builtins.input", reply)
+    quick: Any = ActuatorMover.__init__
+    monkeypatch.setattr(
+        ActuatorMover, "__init__", lambda self, d, t: quick(self, d, t, seconds=0.05)
+    )
+    assert main(["hardware", "check", name, "--hand", "mimic_p050"]) == 0
+    written = tmp_path / "hands" / "hardware" / "fake_right.toml"
+    assert str(written) in capsys.readouterr().out.replace("\n", "")
+    assert read_table(written).source.startswith("smooth-operator hardware check: 1 of 16")
+    monkeypatch.setattr("builtins.input", lambda _: "q")
+    output = tmp_path / "new.toml"
+    assert main(["hardware", "check", name, "--hand", "mimic_p050", "--output", str(output)]) == 0
+    assert not output.exists()
+    assert main(["hardware", "check", "leap", "--ids", "x", "--hand", "leap_hand"]) == 2
+    assert "--ids must be numbers" in capsys.readouterr().err
