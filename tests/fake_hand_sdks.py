@@ -31,6 +31,9 @@ class WujiWorld:
         self.codes = np.zeros((5, 4), np.uint32)
         self.switched: list[bool] = []
         self.module = types.ModuleType("wujihandpy")
+        self.module.logging = types.SimpleNamespace(  # type: ignore[attr-defined]
+            set_log_to_console=lambda value: None
+        )
         self.module.filter = types.SimpleNamespace(LowPass=WujiLowPass)  # type: ignore[attr-defined]
         world = self
 

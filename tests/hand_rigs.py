@@ -222,6 +222,7 @@ class Wuji(Rig):
 
     def start(self) -> None:
         self.hand = self.hand or WujiWorld()
+        self.sink = f"wuji:{self.folder.name}-{os.getpid()}"  # a serial number of its own
         self.monkeypatch.setitem(sys.modules, "wujihandpy", self.hand.module)
 
     def lose(self) -> None:
@@ -236,6 +237,7 @@ class Revo2(Rig):
 
     def start(self) -> None:
         self.hand = self.hand or StarkWorld()
+        self.sink = f"revo2:{self.folder / 'ttyRevo2'}"
         self.monkeypatch.setitem(sys.modules, "bc_stark_sdk", self.hand.package)
         self.monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", self.hand.main_mod)
 

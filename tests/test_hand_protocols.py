@@ -341,6 +341,7 @@ def test_the_stand_in_of_wujihandpy_is_like_the_real_one() -> None:
             for parameter in parameters:
                 assert f"{parameter}:" in text, f"{name} of the real one takes no {parameter}"
     assert "serial_number" in (wujihandpy.Hand.__init__.__doc__ or "serial_number")
+    wujihandpy.logging.set_log_to_console(False)
     wujihandpy.filter.LowPass(cutoff_freq=10.0)
     with pytest.raises(OSError):  # noqa: PT011 - what the driver turns into a sentence
         wujihandpy.Hand(serial_number="none-of-this-number")

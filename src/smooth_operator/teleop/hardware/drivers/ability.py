@@ -68,6 +68,7 @@ class AbilitySink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> AbilityDevice:
         """The hand, not yet open; see ``HardwareSink``."""
+        require("an Ability Hand", "ability", "serial")
         return AbilityDevice(actuators, self.port, self.baud, self.address)
 
 
@@ -99,7 +100,6 @@ class AbilityDevice:
 
     def open(self) -> None:
         """Open the port and ask where the fingers are; see ``HandDevice``."""
-        require("an Ability Hand", "ability", "serial")
         import serial
 
         try:

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import DeviceLostError, Reading
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
@@ -91,6 +91,7 @@ class AllegroSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> AllegroDevice:
         """The hand, not yet open; see ``HardwareSink``."""
+        require("an Allegro Hand", "allegro", "can")
         return AllegroDevice(actuators, self.port)
 
 
@@ -139,7 +140,7 @@ class AllegroDevice:
     def open(self) -> None:
         """Open the bus, and wait for angles of all fingers; the motors stay off. See
         ``HandDevice``."""
-        bus = CanBus(self._port, "allegro", "allegro")
+        bus = CanBus(self._port, "allegro")
         self._control = _Control(bus, VERSIONS[self._version].angle, self._law, self._period)
         try:
             self._control.begin()
@@ -293,7 +294,8 @@ class _Control:
                 frame = self._bus.receive(0.02)
                 if frame is not None:
                     self._take(frame[0] >> 2, frame[1])
-                stamp = self._stamp
+                    continue
+                stamp = self._stamp  # old only if nothing waits: this thread may have slept, too
                 if stamp is not None and time.perf_counter() - stamp > _STALE_S:
                     self._stop()
                     raise DeviceLostError(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any, Final
 
-from smooth_operator.errors import SinkError, require
+from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.device import DeviceLostError
 
 BITRATE: Final = 1_000_000
@@ -16,28 +17,26 @@ _INTERFACES: Final = {"linux": "socketcan", "win32": "pcan", "darwin": "slcan"}
 
 
 class CanBus:
-    """One CAN bus at 1 Mbit/s, with 11-bit identifiers.
+    """One CAN bus at 1 Mbit/s, with 11-bit identifiers; several threads may send.
 
     Args:
         port: a channel such as ``can0``, or ``INTERFACE:CHANNEL`` with an interface of python-can:
             ``pcan:PCAN_USBBUS1``, ``slcan:/dev/ttyACM0``. Without an interface: socketcan on Linux,
             pcan on Windows, slcan on macOS.
         driver: name of the driver, for messages.
-        extra: the extra that brings python-can.
 
     Raises:
-        MissingExtraError: python-can is not installed.
         SinkError: the bus can't be opened.
     """
 
-    def __init__(self, port: str, driver: str, extra: str) -> None:
-        require(f"a hand on a CAN bus ({driver})", extra, "can")
+    def __init__(self, port: str, driver: str) -> None:
         import can
 
         interface, colon, channel = port.partition(":")
         if not colon:
             interface, channel = _INTERFACES.get(sys.platform, "socketcan"), port
         self._can, self._driver, self._port = can, driver, port
+        self._sending = threading.Lock()  # frames of two threads must not mix on a serial adapter
         try:
             self._bus: Any = can.Bus(interface=interface, channel=channel, bitrate=BITRATE)
         except (can.CanError, OSError, ValueError, ImportError, NotImplementedError) as error:
@@ -61,7 +60,8 @@ class CanBus:
             arbitration_id=identifier, data=data, is_extended_id=False, is_remote_frame=remote
         )
         try:
-            self._bus.send(message, timeout=0.05)
+            with self._sending:
+                self._bus.send(message, timeout=0.05)
         except (self._can.CanError, OSError) as error:
             raise self._lost(error) from error
 

@@ -67,6 +67,7 @@ class InspireSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> InspireDevice:
         """The hand, not yet open; see ``HardwareSink``."""
+        require("an Inspire hand", "inspire", "pymodbus", "serial")
         return InspireDevice(actuators, self.port)
 
 
@@ -91,6 +92,9 @@ class InspireDevice:
                 f"{table.file}: an Inspire hand has {MOTORS} actuators, not {len(table.actuators)}"
             )
         self._table, self._port = table, port
+        number = port.partition(":")[2]
+        if not self.serial and number and not (number.isdigit() and int(number) < 65536):
+            raise ConfigError(f"inspire: {port!r} is not ADDRESS, ADDRESS:PORT or a serial port")
         self._device_id = _whole(table, "device_id", 1, 1, 254)
         self._speed = _whole(table, "speed", 1000, 0, 1000)
         self._force = _whole(table, "force", 500, 0, 3000)
@@ -106,20 +110,16 @@ class InspireDevice:
 
     def open(self) -> None:
         """Connect, check that the hand answers, and set its limits; see ``HandDevice``."""
-        require("an Inspire hand", "inspire", "pymodbus")
         from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
         # Without a handler of its own, each lost answer would be a line in the user's terminal.
         logging.getLogger("pymodbus").addHandler(logging.NullHandler())
         if self.serial:
-            require("an Inspire hand on a serial line", "inspire", "serial")
             self._client = ModbusSerialClient(
                 self._port, baudrate=BAUD, timeout=_TIMEOUT, retries=0
             )
         else:
             host, _, number = self._port.partition(":")
-            if number and not number.isdigit():
-                raise ConfigError(f"inspire: {self._port!r} is not ADDRESS or ADDRESS:PORT")
             self._client = ModbusTcpClient(
                 host, port=int(number or PORT), timeout=_TIMEOUT, retries=0
             )

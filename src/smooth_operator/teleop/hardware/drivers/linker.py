@@ -18,7 +18,7 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
@@ -83,6 +83,7 @@ class LinkerSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""
+        require("a LinkerHand", "linker", "can")
         return LinkerDevice(actuators, self.port, self.model)
 
 
@@ -127,7 +128,7 @@ class LinkerDevice:
 
     def open(self) -> None:
         """Open the bus, check that every motor answers, set limits; see ``HandDevice``."""
-        self._bus = CanBus(self._port, "linker", "linker")
+        self._bus = CanBus(self._port, "linker")
         self._answers, self._turn, self._resting = {}, 0, False
         try:
             self.read()
@@ -160,6 +161,8 @@ class LinkerDevice:
             if time.perf_counter() >= deadline:
                 break
         if missing:
+            for kind in self._model.positions:  # what came belongs to this moment only
+                self._answers.pop(kind, None)
             raise WrongAnswerError(
                 f"linker: the hand did not answer frame 0x{missing[0]:02X} within {_TIMEOUT:g} s"
             )

@@ -27,6 +27,7 @@ _BAUDS: Final = (19200, 57600, 115200, 460800, 1_000_000, 2_000_000, 5_000_000)
 _TIMEOUT: Final = 0.2
 """How long an answer may take [s]."""
 _OPENING: Final = 5.0
+_CLOSING: Final = 0.05
 
 _T = TypeVar("_T")
 
@@ -55,6 +56,7 @@ class Revo2Sink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> Revo2Device:
         """The hand, not yet open; see ``HardwareSink``."""
+        require("a BrainCo Revo2", "revo2", "bc_stark_sdk")
         return Revo2Device(actuators, self.port, self.baud)
 
 
@@ -93,7 +95,6 @@ class Revo2Device:
 
     def open(self) -> None:
         """Open the port, check the hand's side, set the unit; see ``HandDevice``."""
-        require("a BrainCo Revo2", "revo2", "bc_stark_sdk")
         from bc_stark_sdk import main_mod
 
         self._sdk, self._resting = main_mod, False
@@ -172,6 +173,8 @@ class Revo2Device:
         try:
             if context is not None:
                 loop.run_until_complete(asyncio.wait_for(_awaited(context.close), 1.0))
+                # The package's own threads must be through before a program ends, or it aborts.
+                loop.run_until_complete(asyncio.sleep(_CLOSING))
         except Exception:
             pass  # the port is gone, or hangs; the package gives it back with the process
         finally:

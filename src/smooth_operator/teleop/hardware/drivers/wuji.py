@@ -49,6 +49,7 @@ class WujiSink(HardwareSink):
 
     def device(self, actuators: ActuatorMap) -> WujiDevice:
         """The hand, not yet open; see ``HardwareSink``."""
+        require("a Wuji Hand", "wuji", "wujihandpy")
         return WujiDevice(actuators, self.port, self.cutoff)
 
 
@@ -79,9 +80,9 @@ class WujiDevice:
 
     def open(self) -> None:
         """Find the hand, check its side and its limits; the motors stay off. See ``HandDevice``."""
-        require("a Wuji Hand", "wuji", "wujihandpy")
         import wujihandpy
 
+        wujihandpy.logging.set_log_to_console(False)
         self._held, self._cycle, self._temperatures = None, 0, None
         try:
             self._hand = wujihandpy.Hand(serial_number=self._port or None)
