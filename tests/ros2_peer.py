@@ -24,10 +24,15 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-# Settings of rmw_cyclonedds_cpp (Humble) where ROS_LOCALHOST_ONLY is 1.
+# Settings of rmw_cyclonedds_cpp (Humble) where ROS_LOCALHOST_ONLY is 1. Elsewhere than on Linux
+# the loopback interface may have no multicast, and programs find each other by unicast.
+UNICAST = (
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+)
 CONFIG = (
     '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface address="127.0.0.1"/>'
-    "</Interfaces></General></Domain></CycloneDDS>"
+    f"</Interfaces></General>{'' if sys.platform == 'linux' else UNICAST}</Domain></CycloneDDS>"
 )
 
 

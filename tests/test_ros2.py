@@ -6,6 +6,7 @@ import dataclasses
 import enum
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -379,6 +380,47 @@ def test_a_table_gives_names_order_and_commands(
         Ros2Sink(table="nowhere").connect({"right": hand}, {})
     with pytest.raises(ConfigError, match="the table says names, order and unit"):
         Ros2Sink(table="x", unit="deg")
+
+
+def test_the_drivers_of_the_page_get_their_joints_in_their_order(recorded: Recorded) -> None:
+    page = Path(__file__).parents[1] / "docs" / "how-to" / "ros2.md"
+    commands = re.findall(r"`--hand (\w+) --sink (.*?)`", page.read_text(encoding="utf-8"))
+    sent = {}
+    for name, text in commands:
+        hand = load_hand(name)
+        sink = build_sink(text.strip('"'))
+        assert isinstance(sink, Ros2Sink)
+        link = sink.connect({"right": hand}, {})
+        link.deliver(make_tick(hand))
+        topic = sink.topic.format(hand=name, side="right")
+        sent[topic] = recorded.sent[topic][-1]
+    assert len(sent) == len(commands) == 6
+    wuji, linker, tesollo, trajectory, group, allegro = sent.values()
+    # Names and order as the makers' configuration files have them.
+    fingers = [f"finger{i}_joint{k}" for i in range(1, 6) for k in range(1, 5)]
+    assert wuji.name == [f"right_{name}" for name in fingers]
+    assert tesollo.joint_names == [f"rj_dg_{i}_{k}" for i in range(1, 6) for k in range(1, 5)]
+    assert trajectory.joint_names[:2] == [
+        f"right_thumb_{w}_joint" for w in ("metacarpal", "proximal")
+    ]
+    assert len(trajectory.joint_names) == len(group.data) == 6
+    assert group.data[:2] == trajectory.points[0].positions[1::-1]  # thumb proximal first
+    assert group.data[2:] == trajectory.points[0].positions[2:]
+    assert (len(allegro.data), len(linker.position), linker.velocity) == (16, 10, [])
+    assert all(0.0 <= value <= 255.0 for value in linker.position)
+    first = [word.split("_")[0] for word in linker.name]
+    assert first == [
+        "thumb",
+        "thumb",
+        "index",
+        "middle",
+        "ring",
+        "little",
+        "index",
+        "ring",
+        "little",
+        "thumb",
+    ]
 
 
 def test_no_wrist_no_message(hand: Hand, recorded: Recorded) -> None:

@@ -41,13 +41,12 @@ from smooth_operator.teleop.ros2.messages import (
     from_foreign,
     to_foreign,
 )
-from smooth_operator.teleop.ros2.transport import DEPTH, Endpoint, Received, describe
+from smooth_operator.teleop.ros2.transport import DEPTH, MANY, Endpoint, Received, describe
 
 Reach: TypeAlias = Literal["localhost", "subnet", "own"]
 """``own``: what the user's file of settings for CycloneDDS says (``CYCLONEDDS_URI``)."""
 
 _CLASSES: dict[type[Message], Any] = {}
-_MANY: Final = 256  # samples that are taken in one go, so that a flood can't keep it from stopping
 _NUMBERS: Final = {"int32": int32, "uint32": uint32, "float32": float32, "float64": float64}
 _CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Discovery>
 <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
@@ -117,7 +116,7 @@ class CycloneTransport:
         try:
             self._waitset.wait(duration(seconds=timeout))
             for topic, kind, reader, condition in self._readers:
-                for _ in range(_MANY):
+                for _ in range(MANY):
                     found = _take(reader, condition, kind)
                     if found is None:
                         break

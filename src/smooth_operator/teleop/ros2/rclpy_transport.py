@@ -9,7 +9,7 @@ from typing import Any
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.ros2.messages import M, Message, Time, from_foreign, to_foreign
-from smooth_operator.teleop.ros2.transport import DEPTH, Endpoint, Received, describe
+from smooth_operator.teleop.ros2.transport import DEPTH, MANY, Endpoint, Received, describe
 
 
 class RclpyTransport:
@@ -72,7 +72,7 @@ class RclpyTransport:
     def receive(self, timeout: float) -> list[Received]:
         """See ``Transport``."""
         before = -1
-        while len(self._received) > before:
+        while before < len(self._received) < MANY:
             before = len(self._received)
             self._executor.spin_once(timeout_sec=timeout if before == 0 else 0.0)
         received, self._received = self._received, []

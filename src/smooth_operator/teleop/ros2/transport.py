@@ -28,8 +28,10 @@ LARGEST_DOMAIN: Final = 232
 """Domains above need ports above 65535."""
 DEPTH: Final = 10
 """Messages that are kept for a slow subscriber, as ROS 2 does by default."""
+MANY: Final = 256
+"""Messages that are taken in one go, so that a flood can't keep a source from stopping."""
 TF_DEPTH: Final = 100
-"""The same on ``/tf``."""
+"""Messages that are kept on ``/tf``."""
 
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _NODE = re.compile(r"[A-Za-z_]\w*", re.ASCII)
