@@ -238,6 +238,24 @@ def test_commands_on_a_clock_of_their_own(tmp_path: Path, to: Format) -> None:
     assert not (tmp_path / "d").exists()
 
 
+def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path: Path) -> None:
+    value = episode()
+    assert value.commands is not None
+    stamps = value.commands.stamps.copy()
+    stamps[20:23] += 0.001  # the tracker was silent
+    commands = replace(value.commands, stamps=stamps)
+    notes = write_dataset(tmp_path / "d", [lambda: replace(value, commands=commands, live=True)])
+    assert any(note.startswith("3 commands of a live loop answer no frame") for note in notes)
+    assert any(note.startswith(f"3 of {len(value)} frames have no command") for note in notes)
+    back = read_episode(tmp_path / "d")
+    assert back.commands is not None
+    kept = np.delete(np.arange(len(stamps)), np.arange(20, 23))
+    np.testing.assert_array_equal(
+        back.commands.joint_positions, value.commands.joint_positions[kept]
+    )
+    assert back.answered().tolist() == kept.tolist()
+
+
 def test_infinities_in_a_log_are_said(tmp_path: Path, run: Run) -> None:
     value = episode()
     assert value.commands is not None

@@ -112,8 +112,9 @@ def test_a_dataset_observes_the_measured_joints(log: Path, tmp_path: Path, hand:
     path = tmp_path / "dataset"
     write_dataset(path, [lambda: episode], fps=100)
     features = json.loads((path / "meta" / "info.json").read_text())["features"]
-    assert features["observation.state"]["names"] == list(hand.joint_names)
-    assert features["action"]["names"] == list(hand.joint_names)
+    keys = [f"{name}.pos" for name in hand.joint_names]
+    assert features["observation.state"]["names"] == keys
+    assert features["action"]["names"] == keys
     import pyarrow.parquet as parquet
 
     table = parquet.read_table(next(path.glob("data/*/*.parquet")))

@@ -17,6 +17,7 @@ import pytest
 from lerobot_stand_in import REAL, ROBOT, TELEOPERATOR
 
 from smooth_operator import load_hand
+from smooth_operator.cli import main
 from smooth_operator.teleop import read_log
 
 INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
@@ -47,14 +48,20 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # A machine that stands still for a moment must not turn into held actions: they are tested
     # elsewhere, and here each action must be a command that was sent.
     teleop = ["teleop", "--source", "synthetic", "--hand", "mimic_p050", "--method", "joint_angle"]
-    teleop += ["--sink", f"zmq:{ADDRESS},valid_for_s=10", f"record:{folder / 'take.mcap'}"]
+    teleop += [
+        "--sink",
+        f"zmq:{ADDRESS},valid_for_s=10",
+        "mujoco",
+        f"record:{folder / 'take.mcap'}",
+    ]
     record = {
         "robot.type": "smooth_hand",
         "robot.hand": "mimic_p050",
-        "robot.unit": "degrees",
+        "robot.keys": "all",
+        "robot.wrist": "quaternion",
         "teleop.type": "smooth_operator",
         "teleop.address": ADDRESS,
-        "teleop.unit": "degrees",
+        "teleop.wrist": "quaternion",
         "teleop.timeout_s": 120,
         "dataset.repo_id": "test/hand",
         "dataset.root": folder / "dataset",
@@ -104,17 +111,20 @@ def table(dataset: Any, column: str) -> np.ndarray:
     return np.array([np.asarray(value) for value in dataset.hf_dataset[column]])
 
 
+POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+
+
 def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
     hand = load_hand("mimic_p050")
     dataset = load(recorded / "dataset")
-    keys = [f"{name}.pos" for name in hand.actuated_names]
+    joints = [f"{name}.pos" for name in hand.joint_names]
+    names = {"action": joints + POSE, "observation.state": joints}
     assert dataset.num_episodes == EPISODES
     assert dataset.fps == FPS
     assert dataset.meta.robot_type == "smooth_hand"
-    columns = {"action", "observation.state"}
     indices = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
-    assert set(dataset.features) == columns | indices
-    for name in columns:
+    assert set(dataset.features) == names.keys() | indices
+    for name, keys in names.items():
         feature = dataset.features[name]
         assert feature["dtype"] == "float32"
         assert list(feature["names"]) == keys
@@ -131,34 +141,63 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
     assert dataset[0]["task"] == TASK
 
     action, state = table(dataset, "action"), table(dataset, "observation.state")
-    low, high = np.degrees(hand.limits.T)
-    for values in (action, state):
-        assert values.shape == (len(dataset), len(keys))
-        assert np.isfinite(values).all()
-    assert np.all((action >= low - 1e-3) & (action <= high + 1e-3))
-    assert np.all((state >= low - 5.0) & (state <= high + 5.0))  # a physical hand overshoots
     for name, values in (("action", action), ("observation.state", state)):
+        assert values.shape == (len(dataset), len(names[name]))
+        assert np.isfinite(values).all()
         statistics = dataset.meta.stats[name]
-        np.testing.assert_allclose(statistics["min"], values.min(0), atol=1e-3)
-        np.testing.assert_allclose(statistics["max"], values.max(0), atol=1e-3)
+        np.testing.assert_allclose(statistics["min"], values.min(0), atol=1e-5)
+        np.testing.assert_allclose(statistics["max"], values.max(0), atol=1e-5)
+    low, high = hand.limits.T
+    actuated = list(hand.actuated)
+    assert np.all((action[:, actuated] >= low - 1e-5) & (action[:, actuated] <= high + 1e-5))
+    # a physical hand overshoots
+    assert np.all((state[:, actuated] >= low - 0.1) & (state[:, actuated] <= high + 0.1))
+    np.testing.assert_allclose(np.linalg.norm(action[:, -4:], axis=1), 1.0, atol=1e-5)
 
 
 def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: Path) -> None:
     hand = load_hand("mimic_p050")
     dataset = load(recorded / "dataset")
-    sent = np.degrees(read_log(recorded / "take.mcap").commands.joint_positions)
-    sent = sent[:, list(hand.actuated)]
+    take = read_log(recorded / "take.mcap")
+    assert take.wrist is not None
+    sent = np.concatenate([take.commands.joint_positions, take.wrist.poses], axis=1)
+    sent = sent[np.isfinite(sent).all(axis=1)]  # the first have no wrist
     action, state = table(dataset, "action"), table(dataset, "observation.state")
     nearest = np.array([np.abs(sent - row).max(axis=1).min() for row in action])
-    assert nearest.max() < 1e-3
+    assert nearest.max() < 1e-5
     assert np.unique(action, axis=0).shape[0] > 0.5 * len(action)
+    assert np.ptp(action[:, -7:-4], axis=0).min() > 0.005  # the wrist moves too
 
-    episode = table(dataset, "episode_index")
-    assert np.abs(state[0] - np.degrees(hand.neutral)).max() < 2.0  # it starts where it stands
+    joints, episode = len(hand.joint_names), table(dataset, "episode_index")
+    neutral = hand.full_configuration(hand.neutral)
+    assert np.abs(state[0] - neutral).max() < 0.05  # it starts where it stands
     for number in range(EPISODES):
         late = np.flatnonzero(episode == number)[FPS:]  # after the approach
-        wanted, seen = action[late[:-2]], state[late[2:]]
-        moving = np.ptp(wanted, axis=0) > 10.0
+        wanted, seen = action[late[:-2], :joints], state[late[2:]]
+        moving = np.ptp(wanted, axis=0) > 0.2
         assert moving.sum() >= 5
         for joint in np.flatnonzero(moving):
             assert np.corrcoef(wanted[:, joint], seen[:, joint])[0, 1] > 0.8
+
+
+def test_a_log_becomes_a_dataset_with_the_same_keys(recorded: Path) -> None:
+    """The log of the same session, converted, has the robot's columns, for LeRobot's class too."""
+    root = recorded / "converted"
+    assert main(["convert", str(recorded / "take.mcap"), "--output", str(root)]) == 0
+    converted, own = load(root, "test/converted"), load(recorded / "dataset")
+    for name in ("action", "observation.state"):
+        assert list(converted.features[name]["names"]) == list(own.features[name]["names"])
+        assert converted.features[name]["dtype"] == own.features[name]["dtype"]
+    take = read_log(recorded / "take.mcap")
+    action, state = table(converted, "action"), table(converted, "observation.state")
+    answered = np.isfinite(action).all(axis=1)
+    assert answered.mean() > 0.9
+    joints = len(load_hand("mimic_p050").joint_names)
+    column = table(converted, "joint_positions")
+    np.testing.assert_allclose(action[answered, :joints], column[answered], atol=1e-6)
+    np.testing.assert_allclose(
+        action[answered, joints:], table(converted, "wrist_command")[answered], atol=1e-6
+    )
+    assert np.isfinite(state[len(state) // 2 :]).all()
+    assert len(converted) == len(take.recording)
+    assert set(converted[len(converted) // 2]) >= {"action", "observation.state", "task"}

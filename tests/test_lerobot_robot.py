@@ -169,6 +169,50 @@ def test_joints_that_are_not_measured_are_refused_or_observed_as_commanded(
     np.testing.assert_allclose(list(seen.values()), list(sent.values()))
 
 
+def test_a_wrist_goes_to_the_sinks_within_its_limits(
+    robot: Callable[..., Any], plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Any] = []
+    tail = ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6")
+    keys = [f"tcp.{name}" for name in tail]
+    device = robot(joints={"index_mcp2pp": "index"}, wrist="rotation_6d")
+    assert list(device.action_features) == ["index.pos", *keys]
+    assert list(device.observation_features) == ["index.pos"]
+    device.connect()
+    send = device._sinks[0].send
+    monkeypatch.setattr(
+        type(device._sinks[0]), "send", lambda s, tick: seen.append(tick) or send(tick)
+    )
+    still = [0.3, 0.1, 0.2, 2.0, 0.0, 0.0, 0.1, 1.0, 0.0]  # a policy's rotation is not quite one
+    sent = device.send_action({"index.pos": 0.5, **dict(zip(keys, still, strict=True))})
+    np.testing.assert_allclose(seen[-1].wrist.pose, [0.3, 0.1, 0.2, 1, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        [sent[k] for k in keys], [0.3, 0.1, 0.2, 1, 0, 0, 0, 1, 0], atol=1e-9
+    )
+    away = [0.9, 0.1, 0.2, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0]
+    while abs(sent["tcp.x"] - 0.9) + abs(sent["tcp.r2"] - 1.0) > 1e-6:
+        sent = device.send_action({"index.pos": 0.5, **dict(zip(keys, away, strict=True))})
+        time.sleep(0.005)
+    times = np.array([tick.time for tick in seen])
+    places = np.array([tick.wrist.pose[:3] for tick in seen])
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.maximum(np.diff(times), 1e-3)
+    assert speed.max() <= 1.0 + 1e-6
+    with pytest.raises(ValueError, match="rotation is none"):
+        device.send_action({"index.pos": 0.5, **dict.fromkeys(keys, 0.0)})
+
+
+def test_joints_that_follow_others_may_be_among_the_keys(robot: Callable[..., Any]) -> None:
+    hand = load_hand("mimic_p050")
+    device = robot(keys="all")
+    assert list(device.action_features) == [f"{name}.pos" for name in hand.joint_names]
+    device.connect()
+    action = goal(hand, 0.5)
+    sent = go(device, action, near=0.05)[-1]
+    assert sent["index_mp2dp.pos"] == pytest.approx(sent["index_pp2mp.pos"])
+    follows = device.get_observation()["index_mp2dp.pos"]
+    assert abs(follows - action["index_pp2mp.pos"]) < 0.1
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -18,10 +18,15 @@ class SmoothHandConfig(RobotConfig):
             ``left_``.
         sinks: what moves the hand, as after ``smooth-operator teleop --sink``: ``mujoco``, or a
             driver such as ``leap:/dev/ttyUSB0``. Two drivers for two hands.
-        joints: model's joint -> name in the keys; empty for all actuated joints, by the model's
-            names. Joints that are left out stay in the neutral pose.
+        joints: model's joint -> name in the keys; empty for all, by the model's names. Joints that
+            are left out stay in the neutral pose.
         left_joints: the same for the left hand with ``both``; empty for ``joints``.
-        unit: of the keys: ``degrees`` or ``radians``.
+        keys: where ``joints`` is empty: the ``actuated`` joints, or ``all``, those that follow
+            others too, as in the datasets of ``smooth-operator convert``; they are observed, and
+            their actions have no effect.
+        unit: of the keys: ``radians`` or ``degrees``.
+        wrist: ``none``, or take targets of the hand's wrist as ``rotation_6d`` or ``quaternion``
+            (``tcp.x``, ...) and hand them to the sinks, for an arm.
         currents: observe the current of each actuator too, ``index.current`` in the driver's unit.
         unmeasured: what the observation of a joint is that the hand does not measure: ``refuse``
             to connect, or the ``command``.
@@ -36,7 +41,9 @@ class SmoothHandConfig(RobotConfig):
     sinks: list[str] = field(default_factory=lambda: ["mujoco"])
     joints: dict[str, str] = field(default_factory=dict)
     left_joints: dict[str, str] = field(default_factory=dict)
-    unit: str = "degrees"
+    keys: str = "actuated"
+    unit: str = "radians"
+    wrist: str = "none"
     currents: bool = False
     unmeasured: str = "refuse"
     velocity: float = 8.0

@@ -10,13 +10,14 @@ import numpy as np
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
+from lerobot_robot_smooth_hand.wrist_port import WristPort
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
 from smooth_operator.types import JointCommand
 
 FACTORS = {"degrees": 180.0 / math.pi, "radians": 1.0}
@@ -53,8 +54,9 @@ class HandPort:
     ) -> None:
         self.hand, self.side = hand, hand.spec.side
         self._config, self._factor = config, FACTORS[config.unit]
-        names = dict(joints) or {name: name for name in hand.actuated_names}
-        unknown = [name for name in names if name not in hand.actuated_names]
+        own = hand.joint_names if config.keys == "all" else hand.actuated_names
+        names = dict(joints) or {name: name for name in own}
+        unknown = [name for name in joints if name not in hand.actuated_names]
         if unknown:
             raise ValueError(
                 f"joints: {', '.join(unknown)} can't be commanded on {hand.name} "
@@ -64,7 +66,10 @@ class HandPort:
         if len(set(self.keys)) < len(self.keys):
             raise ValueError(f"joints: two joints have one key: {', '.join(self.keys)}")
         self._prefix = prefix
-        self._places = [hand.actuated_names.index(name) for name in names]
+        self.wrist = WristPort(config.wrist, prefix)
+        commanded = [name for name in names if name in hand.actuated_names]
+        self._given = [f"{prefix}{names[name]}.pos" for name in commanded]
+        self._places = [hand.actuated_names.index(name) for name in commanded]
         self._measured = [hand.joint_names.index(name) for name in names]
         limits = LimitsConfig(config.velocity, config.acceleration)
         self._limiter = Limiter(hand, limits)
@@ -119,12 +124,13 @@ class HandPort:
         Raises:
             ValueError: a key is missing, or a value is no number.
         """
-        missing = [key for key in self.keys if key not in action]
+        needed = (*self._given, *self.wrist.keys)
+        missing = [key for key in needed if key not in action]
         if missing:
             raise ValueError(f"the action lacks {', '.join(missing)}")
-        wanted = np.array([float(action[key]) for key in self.keys]) / self._factor
-        if not np.isfinite(wanted).all():
+        if not all(math.isfinite(action[key]) for key in needed):
             raise ValueError(f"the action has values that are no numbers: {dict(action)}")
+        wanted = np.array([float(action[key]) for key in self._given]) / self._factor
         now = time.perf_counter()
         pause = now - self._last
         if pause > _PAUSE_S:
@@ -139,8 +145,10 @@ class HandPort:
         q = self._limiter.step(self._target, pause, slow)
         if np.abs(self._target - q).max() < _ARRIVED:
             self._approach_since = math.inf
-        self._command(q, now, sinks)
-        return dict(zip(self.keys, (self._factor * q[self._places]).tolist(), strict=True))
+        wrist = self.wrist.step(action, pause)
+        self._command(q, now, wrist, sinks)
+        sent = self._factor * self.hand.full_configuration(q)[self._measured]
+        return {**dict(zip(self.keys, sent.tolist(), strict=True)), **self.wrist.values(wrist)}
 
     def observation(self) -> dict[str, float]:
         """What the hand measures, in the unit of the keys.
@@ -157,7 +165,7 @@ class HandPort:
                 f"{note or 'the device does not answer'}"
             )
         angles = np.asarray(state.positions)[self._measured]
-        commanded = self._limiter.q[self._places]
+        commanded = self.hand.full_configuration(self._limiter.q)[self._measured]
         angles = self._factor * np.where(np.isfinite(angles), angles, commanded)
         values = dict(zip(self.keys, angles.tolist(), strict=True))
         if self._config.currents:
@@ -173,7 +181,9 @@ class HandPort:
             )
         return dict(zip(keys, state.currents.tolist(), strict=True))
 
-    def _command(self, q: np.ndarray, now: float, sinks: Sequence[Sink]) -> None:
+    def _command(
+        self, q: np.ndarray, now: float, wrist: WristCommand | None, sinks: Sequence[Sink]
+    ) -> None:
         names, positions = self.hand.joint_names, self.hand.full_configuration(q)
         tick = Tick(
             self.side,
@@ -184,6 +194,7 @@ class HandPort:
             Mode.TRACKING,
             now,
             self._number,
+            wrist=wrist,
         )
         self._number += 1
         for sink in sinks:

@@ -11,6 +11,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
 from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
+from lerobot_robot_smooth_hand.wrist_port import KINDS
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.sink import Sink
@@ -19,10 +20,10 @@ from smooth_operator.teleop.sinks.sink import Sink
 class SmoothHand(Robot):
     """A robot hand that smooth-operator's sinks move and measure.
 
-    Actions and observations have the same keys, ``JOINT.pos``, one for each joint that is
-    commanded. An action is followed within the limits of position, velocity and acceleration;
-    the first one, and one after half a second of silence, is approached slowly. Real hands rest
-    when no action comes for 0.2 s (``docs/robots`` says how).
+    Actions and observations have the same keys, ``JOINT.pos``, one for each joint; with ``wrist``
+    actions also have ``tcp.x`` and so on. An action is followed within the limits of position,
+    velocity and acceleration; the first one, and one after half a second of silence, is approached
+    slowly. Real hands rest when no action comes for 0.2 s (``docs/robots`` says how).
 
     Args:
         config: settings.
@@ -48,12 +49,12 @@ class SmoothHand(Robot):
     @property
     def action_features(self) -> dict[str, type]:
         """Key -> ``float``."""
-        return {key: float for hand in self._hands for key in hand.keys}
+        return {key: float for hand in self._hands for key in (*hand.keys, *hand.wrist.keys)}
 
     @property
     def observation_features(self) -> dict[str, Any]:
         """Key -> ``float``, and the shape of each camera's picture."""
-        features: dict[str, Any] = dict(self.action_features)
+        features: dict[str, Any] = {key: float for hand in self._hands for key in hand.keys}
         for hand in self._hands:
             features |= dict.fromkeys(hand.currents(self._sinks), float)
         for name, camera in self.config.cameras.items():
@@ -157,6 +158,8 @@ def _hand_ports(config: SmoothHandConfig) -> list[HandPort]:
     for name, known in (
         ("side", ("right", "left", "both")),
         ("unit", tuple(FACTORS)),
+        ("keys", ("actuated", "all")),
+        ("wrist", tuple(KINDS)),
         ("unmeasured", ("refuse", "command")),
     ):
         value = getattr(config, name)

@@ -18,7 +18,7 @@ class SmoothOperatorConfig(TeleoperatorConfig):
         joints: model's joint -> robot's joint, ``{right_i-mcp: index_mcp}``; its key is
             ``index_mcp.pos``. Empty for all joints, by the model's names.
         left_joints: the same for the left hand with ``both``; empty for ``joints``.
-        unit: of the robot's keys: ``degrees``, ``radians``, ``range_m100_100`` (-100 to 100) or
+        unit: of the robot's keys: ``radians``, ``degrees``, ``range_m100_100`` (-100 to 100) or
             ``range_0_100``.
         ends: robot's joint -> model's angles [rad] at the two ends of a range,
             ``{index_mcp: [0.0, 1.6]}``; the first may be the larger. For the ranges only.
@@ -40,7 +40,7 @@ class SmoothOperatorConfig(TeleoperatorConfig):
     side: str = "right"
     joints: dict[str, str] = field(default_factory=dict)
     left_joints: dict[str, str] = field(default_factory=dict)
-    unit: str = "degrees"
+    unit: str = "radians"
     ends: dict[str, list[float]] = field(default_factory=dict)
     signs: dict[str, float] = field(default_factory=dict)
     offsets: dict[str, float] = field(default_factory=dict)

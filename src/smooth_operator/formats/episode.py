@@ -44,6 +44,7 @@ class Episode:
         notes: what a person should know about how it was read.
         states: the measured joints of the robot hand, or None.
         wrist: the commanded wrist of the robot hand, with each of the commands, or None.
+        live: the commands are those of a live loop, which holds the hand between the frames, too.
 
     Raises:
         RecordingError: there is neither hand nor command, arrays do not fit each other, or a stamp
@@ -59,6 +60,7 @@ class Episode:
     notes: tuple[str, ...] = ()
     states: StateTrajectory | None = None
     wrist: WristTrack | None = None
+    live: bool = False
 
     def __post_init__(self) -> None:
         if self.recording is None and self.commands is None:

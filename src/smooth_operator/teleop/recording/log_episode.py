@@ -48,7 +48,16 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
         notes += (f"{path}: mode and events of the live loop stay behind, in the log",)
     task = log.origin.get("task")
     return Episode(
-        recording, log.commands, log.config, log.stages_ms, task, name, notes, log.states, log.wrist
+        recording,
+        log.commands,
+        log.config,
+        log.stages_ms,
+        task,
+        name,
+        notes,
+        log.states,
+        log.wrist,
+        live=log.loop is not None,
     )
 
 

@@ -3,11 +3,11 @@
 LeRobot's own:
 
 ======================  =====================  ===================================================
-``observation.state``   float32 (63,)          landmarks [m], wrist.x, wrist.y, … pinky_tip.z; NaN
-                                               where the tracker has no value
-                                               ; where the robot hand was measured, its joint
-                                               positions [rad] by joint name instead
-``action``              float32 (n,)           joint positions [rad] by joint name; NaN in a frame
+``observation.state``   float32 (n,)           measured joint positions [rad], ``JOINT.pos``; where
+                                               no hand was measured, (63,) landmarks [m], wrist.x,
+                                               wrist.y, … pinky_tip.z; NaN where there is no value
+``action``              float32 (n,)           joint positions [rad], ``JOINT.pos``; with a wrist
+                                               (n + 7,), ``tcp.x``, … ``tcp.qz``; NaN in a frame
                                                that no command answers
 ``timestamp``           float32                ``frame_index / fps`` [s]
 ``frame_index``         int64                  within the episode
@@ -63,12 +63,14 @@ LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in
 _METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
 _ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "wxyz")
 POSE_NAMES: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
+POSE_KEYS: Final = tuple(f"tcp.{name}" for name in POSE_NAMES)
+"""Keys of a wrist's target in LeRobot, those of the teleoperator plug-in."""
 
 INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 UNITS: Final = {
     "observation.state": "m, landmarks; rad, measured joint positions, where those are its names",
-    "action": "rad, joint positions",
+    "action": "rad, joint positions; m and quaternion wxyz, wrist",
     "timestamp": "s, frame_index / fps",
     "stamp": "s, true time of the frame",
     "landmarks": "m, as observation.state, without loss",
@@ -188,11 +190,12 @@ class Layout:
             }
 
         if self.measured is not None:
-            add("observation.state", "float32", self.measured)
+            add("observation.state", "float32", _keys(self.measured))
         elif self.hand:
             add("observation.state", "float32", LANDMARK_NAMES)
         if self.joints is not None:
-            add("action", "float32", self.joints)
+            pose = POSE_KEYS if self.wrist_command else ()
+            add("action", "float32", (*_keys(self.joints), *pose))
         add("stamp", "float64")
         if self.hand:
             add("landmarks", "float64", LANDMARK_NAMES)
@@ -223,6 +226,11 @@ class Layout:
         return features
 
 
+def _keys(joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Keys of joints in LeRobot, those of the robot and the teleoperator plug-in."""
+    return tuple(f"{name}.pos" for name in joints)
+
+
 def episode_columns(
     episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
 ) -> dict[str, np.ndarray]:
@@ -240,8 +248,8 @@ def episode_columns(
         (T,) or (T, k) of each of the layout's features, in its type.
 
     Raises:
-        RecordingError: there is no frame; commands that answer no frame, several that answer the
-            same, or out of order: a row has room for one frame and one command.
+        RecordingError: there is no frame; several commands answer the same, or out of order;
+            outside of a live loop one answers none: a row has one frame and one command.
     """
     count = len(episode)
     if not count:
@@ -264,27 +272,29 @@ def episode_columns(
             if value is not None:
                 columns[name] = value.reshape(count, -1)
     if commands is not None:
-        rows = _rows(episode)
+        rows, kept = _rows(episode)
 
         def spread(values: Any, empty: float) -> np.ndarray:
             values = np.asarray(values)
             out = np.full((count, *values.shape[1:]), empty, values.dtype)
-            out[rows] = values
+            out[rows] = values[kept]
             return out
 
         positions = spread(np.asarray(commands.joint_positions, np.float64), np.nan)
-        columns |= {"action": positions, "joint_positions": positions}
+        columns["joint_positions"] = positions
         columns["command_stamp"] = spread(np.asarray(commands.stamps, np.float64), np.nan)
         columns["latency_ms"] = spread(np.asarray(commands.latency_ms, np.float64), np.nan)
         columns["status"] = spread(np.asarray(commands.status, np.int64), NO_COMMAND)
         times = np.full((count, len(layout.stages)), np.nan)
         for i, stage in enumerate(layout.stages):
             if stage in episode.stages_ms:
-                times[rows, i] = episode.stages_ms[stage]
+                times[rows, i] = np.asarray(episode.stages_ms[stage])[kept]
         columns["stages_ms"] = times
         wrist, none = episode.wrist, np.zeros(len(commands), bool)
         poses = np.full((len(commands), 7), np.nan) if wrist is None else wrist.poses
-        columns["wrist_command"] = spread(poses, np.nan)
+        target = columns["wrist_command"] = spread(poses, np.nan)
+        parts = [positions, target] if layout.wrist_command else [positions]
+        columns["action"] = np.concatenate(parts, axis=1)
         columns["wrist_engaged"] = spread(none if wrist is None else wrist.engaged, False)
         columns["wrist_valid"] = spread(none if wrist is None else wrist.valid, False)
     if episode.states is not None:
@@ -305,9 +315,13 @@ def episode_columns(
         }
 
 
-def _rows(episode: Episode) -> np.ndarray:
-    """Row of each command."""
+def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
+    """Row of each command that has one, and which commands these are."""
     rows = episode.answered()
+    kept = np.arange(len(rows))
+    if episode.live:  # while the tracker is silent, a loop holds the hand
+        kept = np.flatnonzero(rows >= 0)
+        rows = rows[kept]
     lost, doubled = int((rows < 0).sum()), bool((np.diff(rows) <= 0).any())
     if lost or doubled:
         what = f"{lost} commands answer no frame" if lost else "several commands answer one frame"
@@ -315,4 +329,4 @@ def _rows(episode: Episode) -> np.ndarray:
             f"{episode.name}: {what}, and a row of a LeRobot dataset holds one frame and its one "
             "command; convert it to .mcap or .h5, which hold them apart"
         )
-    return rows
+    return rows, kept

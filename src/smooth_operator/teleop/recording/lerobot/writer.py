@@ -315,7 +315,7 @@ class _Notes:
     def __init__(self, fps: int) -> None:
         self._fps = fps
         self._drift = 0.0
-        self._frames = self._missing = self._unanswered = 0
+        self._frames = self._missing = self._unanswered = self._held = 0
 
     def look(self, episode: Episode) -> None:
         """Takes an episode into account."""
@@ -327,7 +327,9 @@ class _Notes:
             finite = np.isfinite(episode.recording.landmarks).all(axis=(1, 2))
             self._missing += int((~finite).sum())
             if episode.commands is not None:
-                self._unanswered += len(episode) - len(episode.commands)
+                answers = int((episode.answered() >= 0).sum())
+                self._unanswered += len(episode) - answers
+                self._held += len(episode.commands) - answers
 
     def texts(self) -> list[str]:
         """Said to the person."""
@@ -338,7 +340,7 @@ class _Notes:
                 f"{self._drift:.3g} s from the true time, which is in the column 'stamp'"
             )
         for count, what, flag in (
-            (self._missing, "missing landmarks (NaN in observation.state)", "landmarks_valid"),
+            (self._missing, "missing landmarks (NaN in landmarks)", "landmarks_valid"),
             (self._unanswered, "no command (NaN in action)", "status"),
         ):
             if count:
@@ -346,4 +348,9 @@ class _Notes:
                     f"{count} of {self._frames} frames have {what}; leave them out when training, "
                     f"by the column {flag!r}"
                 )
+        if self._held:
+            texts.append(
+                f"{self._held} commands of a live loop answer no frame, since it held the hand; "
+                "they are left out"
+            )
         return texts
