@@ -60,10 +60,10 @@ class ArmControlConfig:
     velocity_share: float = 0.9
     joint_speed: float = 2.0
     margin: float = 0.02
-    orientation: float = 0.3
+    orientation: float = 0.15
     posture: float = 0.03
     damping: float = 0.08
-    singular: float = 0.06
+    singular: float = 0.04
     collisions: bool = True
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
 
