@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
+from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
@@ -44,6 +45,7 @@ class Episode:
         notes: what a person should know about how it was read.
         states: the measured joints of the robot hand, or None.
         wrist: the commanded wrist of the robot hand, with each of the commands, or None.
+        arm: the arm that carried it, the same way, or None.
         live: the commands are those of a live loop, which holds the hand between the frames, too.
 
     Raises:
@@ -60,6 +62,7 @@ class Episode:
     notes: tuple[str, ...] = ()
     states: StateTrajectory | None = None
     wrist: WristTrack | None = None
+    arm: ArmTrack | None = None
     live: bool = False
 
     def __post_init__(self) -> None:
@@ -141,7 +144,13 @@ class Episode:
         )
         stages = {name: np.asarray(values)[kept] for name, values in self.stages_ms.items()}
         wrist = None if self.wrist is None else self.wrist[kept]
-        parts: dict[str, Any] = {"commands": commands, "stages_ms": stages, "wrist": wrist}
+        arm = None if self.arm is None else self.arm[kept]
+        parts: dict[str, Any] = {
+            "commands": commands,
+            "stages_ms": stages,
+            "wrist": wrist,
+            "arm": arm,
+        }
         return replace(self, recording=recording, **parts)
 
     def joined(self, other: Episode, where: str) -> Episode:
@@ -170,6 +179,7 @@ class Episode:
             config=other.config,
             stages_ms=other.stages_ms,
             wrist=other.wrist,
+            arm=other.arm,
             task=other.task if self.task is None else self.task,
             notes=(*self.notes, *other.notes),
         )

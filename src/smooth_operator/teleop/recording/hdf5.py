@@ -18,6 +18,8 @@
         status           (C,) int8; attribute status_names: the name of code i at index i
         wrist            (C, 7) float64, units "m, quaternion wxyz", attribute world; if
                          commanded, with wrist_engaged and wrist_valid (C,) bool
+        arm              (C, a) float64, units "rad", attributes name and joint_names (with commas);
+                         if there was one, with arm_measured (C, a) and arm_wrist (C, 7)
         stages_ms/NAME   (C,) float64, units ms; if the loop's stages were timed
     /state               the robot hand as it was measured; if it was
         joint_positions  (S, n) float64, units rad; NaN where unknown
@@ -41,6 +43,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
+from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
@@ -89,6 +92,8 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
             _write_commands(group, episode.commands, episode.stages_ms)
             if episode.wrist is not None:
                 _write_wrist(group, episode.wrist)
+            if episode.arm is not None:
+                _write_arm(group, episode.arm)
         if episode.states is not None:
             _write_states(file.create_group("state"), episode.states)
         if episode.config is not None:  # not an attribute, since these end at 64 KiB
@@ -131,10 +136,12 @@ def read_hdf5_episode(
             check_recording(recording, str(path))
     trajectory: CommandTrajectory | None = None
     wrist: WristTrack | None = None
+    arm: ArmTrack | None = None
     stages: dict[str, np.ndarray] = {}
     if commands is not None:
         trajectory, stages = _read_commands(commands, tree.get("commands/stages_ms"), path)
         wrist = _read_wrist(commands, len(trajectory), path)
+        arm = _read_arm(commands, len(trajectory), path)
     config = None
     if "configuration" in top.arrays:
         texts = top.arrays["configuration"].texts
@@ -142,7 +149,7 @@ def read_hdf5_episode(
     task = _text(top.attributes.get("task"))
     group = tree.get("state")
     states = None if group is None else _read_states(group, path)
-    return Episode(recording, trajectory, config, stages, task, name, notes, states, wrist)
+    return Episode(recording, trajectory, config, stages, task, name, notes, states, wrist, arm)
 
 
 def read_hdf5_recording(
@@ -221,6 +228,29 @@ def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
     valid = _array(group, "wrist_valid", (count,), "b", path)
     world = _text(group.arrays["wrist"].attributes.get("world"))
     return WristTrack(poses, engaged, valid, BASE if world is None else world)
+
+
+def _write_arm(group: _Group, arm: ArmTrack) -> None:
+    _write(group, "arm", arm.positions, "rad")
+    _write(group, "arm_measured", arm.measured, "rad")
+    _write(group, "arm_wrist", arm.poses, _POSE_UNITS)
+    group["arm"].attrs["name"] = arm.name
+    group["arm"].attrs["joint_names"] = ",".join(arm.joint_names)
+
+
+def _read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
+    if "arm" not in group.arrays:
+        return None
+    said = group.arrays["arm"].attributes
+    names = tuple((_text(said.get("joint_names")) or "").split(","))
+    shape = (count, len(names))
+    return ArmTrack(
+        _text(said.get("name")) or "arm",
+        names,
+        _numbers(group, "arm", shape, path),
+        _numbers(group, "arm_measured", shape, path),
+        _numbers(group, "arm_wrist", (count, 7), path),
+    )
 
 
 def _write_states(group: _Group, states: StateTrajectory) -> None:

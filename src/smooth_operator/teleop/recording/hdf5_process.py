@@ -27,6 +27,7 @@ ARRAYS = {
     "commands": (
         *("joint_positions", "joint_names", "stamps", "latency_ms", "status"),
         *("wrist", "wrist_engaged", "wrist_valid"),
+        *("arm", "arm_measured", "arm_wrist"),
     ),
     "state": ("joint_positions", "joint_names", "stamps", "actuator_names", "currents", "touch"),
 }

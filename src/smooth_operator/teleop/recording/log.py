@@ -23,6 +23,7 @@ from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove
 from smooth_operator.teleop.recording import messages as as_json
+from smooth_operator.teleop.recording.log_arms import arm_message
 from smooth_operator.teleop.recording.loop_state import LoopState
 from smooth_operator.teleop.recording.mcap_library import (
     CompressionType,
@@ -31,11 +32,14 @@ from smooth_operator.teleop.recording.mcap_library import (
     Writer,
 )
 from smooth_operator.teleop.recording.schemas import (
+    ARM,
     COMMAND,
     CONFIG,
     HAND,
+    LIVE,
     LOOP,
     METHOD,
+    OF_COMMANDS,
     ORIGIN,
     SCHEMAS,
     STATE,
@@ -45,14 +49,10 @@ from smooth_operator.teleop.recording.schemas import (
     WRIST,
 )
 from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
 
-_COMPRESSION = {
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-    "none": CompressionType.NONE,
-}
+_COMPRESSION = {kind.name.lower(): kind for kind in CompressionType}
 _ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 _UNLIMITED = 2**62  # chunks are ended here, not by the MCAP writer, so that each reaches the disk
 
@@ -132,7 +132,7 @@ class LogWriter:
             )
             self._writer.start(library="smooth-operator")
             for topic in SCHEMAS:
-                if topic not in (LOOP, STATE, WRIST):  # which only the logs of a live loop have
+                if topic not in LIVE:
                     self._register(topic)
             self._end_chunk()  # a log that is killed now is an empty log, not an empty file
 
@@ -167,6 +167,7 @@ class LogWriter:
         stages: Mapping[str, float] | None = None,
         loop: LoopState | None = None,
         wrist: WristCommand | None = None,
+        arm: ArmCommand | None = None,
     ) -> None:
         """Append a command and how long it took.
 
@@ -177,6 +178,7 @@ class LogWriter:
             stages: parts of that time [ms] by name.
             loop: what the live loop did, where one sent it.
             wrist: where the wrist of the hand was sent with it, if it was.
+            arm: where the arm that carries it was sent, if there is one.
 
         Raises:
             RecordingError: the joints differ from those of the command before, their number from
@@ -198,14 +200,9 @@ class LogWriter:
         stamp = float(command.stamp)
         if not math.isfinite(stamp):
             raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
-        timing = {
-            "stamp": stamp,
-            "latency_ms": as_json.number(latency_ms),
-            "stages": [{"name": k, "ms": as_json.number(v)} for k, v in (stages or {}).items()],
-        }
-        status = Status(status)
-        why = {"stamp": stamp, "status": int(status), "reason": status.reason}
-        message = {"stamp": stamp, "names": names, "positions": as_json.numbers(positions)}
+        parts = [{"name": k, "ms": as_json.number(v)} for k, v in (stages or {}).items()]
+        timing = {"stamp": stamp, "latency_ms": as_json.number(latency_ms), "stages": parts}
+        why = {"stamp": stamp, "status": int(status), "reason": Status(status).reason}
         # The command last, so that in a log that is cut off it never lacks its timing and status.
         beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
         if loop is not None:
@@ -213,7 +210,10 @@ class LogWriter:
         if wrist is not None:
             beside.append((WRIST, as_json.wrist_message(stamp, wrist)))
             beside += self._foxglove.wrist(wrist, as_json.nanoseconds(stamp))
+        if arm is not None:
+            beside.append((ARM, arm_message(stamp, arm)))
         beside += self._foxglove.command(names, positions, as_json.nanoseconds(stamp))
+        message = {"stamp": stamp, "names": names, "positions": as_json.numbers(positions)}
         self._append(*beside, (COMMAND, message))
         self._names = names
 
@@ -356,7 +356,7 @@ class LogWriter:
         if topic not in self._channels:
             self._register(topic)
         # What is said of a command has its number, by which the reader joins them.
-        number = self._sequence[COMMAND if topic in (TIMING, STATUS, LOOP, WRIST) else topic]
+        number = self._sequence[COMMAND if topic in OF_COMMANDS else topic]
         self._writer.add_message(
             self._channels[topic], self._log_time, data, self._log_time, number
         )

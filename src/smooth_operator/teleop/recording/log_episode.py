@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import check_rate, check_side
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.states import StateTrajectory
@@ -21,7 +22,7 @@ from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
 from smooth_operator.teleop.recording.staging import staged_file
 from smooth_operator.teleop.sinks.hand_state import HandState
-from smooth_operator.teleop.sinks.tick import WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
 
 _CHUNK_BYTES = 1 << 20  # a crash loses the whole new file anyway, and larger chunks are smaller
@@ -57,6 +58,7 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
         notes,
         log.states,
         log.wrist,
+        log.arm,
         live=log.loop is not None,
     )
 
@@ -98,6 +100,7 @@ def write_log_episode(path: Path, episode: Episode) -> None:
                 float(commands.latency_ms[i]),
                 {name: float(values[i]) for name, values in episode.stages_ms.items()},
                 wrist=_wrist(episode.wrist, i),
+                arm=_arm(episode.arm, i),
             )
         if recording is not None:
             for frame in recording[written:]:
@@ -111,6 +114,20 @@ def _wrist(track: WristTrack | None, row: int) -> WristCommand | None:
         return None
     flags = bool(track.engaged[row]), bool(track.valid[row])
     return WristCommand(track.poses[row], *flags, track.world)
+
+
+def _arm(track: ArmTrack | None, row: int) -> ArmCommand | None:
+    if track is None or np.isnan(track.positions[row]).any():
+        return None
+    measured = track.measured[row]
+    return ArmCommand(
+        track.name,
+        track.joint_names,
+        track.positions[row],
+        np.full(len(track.joint_names), np.nan),  # not kept: it follows from the positions
+        track.poses[row],
+        measured=None if np.isnan(measured).all() else measured,
+    )
 
 
 def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[HandState, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief, listed
+from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.registry import readable
 from smooth_operator.formats.sniff import file_kind
@@ -19,6 +20,7 @@ from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.teleop.recording.log_arms import decode_arm, read_arm_track
 from smooth_operator.teleop.recording.log_records import DamagedError, read_records, read_summary
 from smooth_operator.teleop.recording.log_states import decode_state, read_states
 from smooth_operator.teleop.recording.log_wrists import (
@@ -30,6 +32,7 @@ from smooth_operator.teleop.recording.log_wrists import (
 from smooth_operator.teleop.recording.loop_state import LoopTrack, read_loop_track
 from smooth_operator.teleop.recording.mcap_library import Channel, Metadata
 from smooth_operator.teleop.recording.schemas import (
+    ARM,
     COMMAND,
     CONFIG,
     HAND,
@@ -91,8 +94,8 @@ class Log:
         loop: mode, events and more of each command, where a live loop wrote the log.
         states: the measured joints of the robot hand, where a live loop had them.
         wrist: the commanded wrist, with each of the commands, where there was one.
-        methods: what drove the hand, in order, where a live loop wrote the log; each until the
-            next one's stamp.
+        arm: the same of the arm.
+        methods: what drove the hand, in order, each until the next one's stamp, in a live log.
     """
 
     recording: HandRecording | None
@@ -105,6 +108,7 @@ class Log:
     methods: tuple[MethodUse, ...] = ()
     states: StateTrajectory | None = None
     wrist: WristTrack | None = None
+    arm: ArmTrack | None = None
 
     def __repr__(self) -> str:
         end = "truncated" if self.truncated else "whole"
@@ -122,8 +126,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         path: the log.
 
     Returns:
-        What it holds; units are not checked here
-        (``read_recording`` does).
+        What it holds; units are not checked here (``read_recording`` does).
 
     Raises:
         RecordingError: no such file, not an MCAP log, one of another program or a newer version, or
@@ -138,10 +141,12 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     messages, notes, truncated = _read_messages(path)
     try:
         trajectory, stages = _commands(messages[COMMAND], messages[TIMING], messages[STATUS])
-        loop = read_loop_track([n for n, _ in messages[COMMAND]], dict(messages[LOOP]))
+        numbers = [number for number, _ in messages[COMMAND]]
+        loop = read_loop_track(numbers, dict(messages[LOOP]))
         config = _object(messages[CONFIG][0][1]["configuration"]) if messages[CONFIG] else None
         recording = _recording([message for _, message in messages[HAND]], path, truncated)
-        wrist = read_wrist_track([n for n, _ in messages[COMMAND]], dict(messages[WRIST]))
+        wrist = read_wrist_track(numbers, dict(messages[WRIST]))
+        arm = read_arm_track(numbers, dict(messages[ARM]))
         states = read_states([message for _, message in messages[STATE]])
         methods = tuple(_method(texts) for name, texts in notes if name == METHOD)
     except RecordingError:
@@ -150,7 +155,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         raise _not_ours(path, error) from error
     origin = next((texts for name, texts in reversed(notes) if name == ORIGIN), {})
     return Log(
-        recording, trajectory, config, truncated, stages, origin, loop, methods, states, wrist
+        recording, trajectory, config, truncated, stages, origin, loop, methods, states, wrist, arm
     )
 
 
@@ -276,10 +281,8 @@ def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
             message["positions"] = np.array(message["positions"], np.float64)
             if "status" in found:  # of version 1
                 message["status"] = found["status"]
-        elif topic == WRIST:
-            decode_wrist(message)
-        elif topic == STATE:
-            decode_state(message)
+        elif topic in _DECODE:
+            _DECODE[topic](message)
         elif topic == TIMING:
             stages = [(_text(at["name"]), _float(at["ms"])) for at in message["stages"]]
             message["stages"] = stages[: _MOST_STAGES + 1]
@@ -287,6 +290,9 @@ def _decode(data: bytes, topic: str, path: Path) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _not_ours(path, error) from error
     return message
+
+
+_DECODE: Final = {WRIST: decode_wrist, ARM: decode_arm, STATE: decode_state}
 
 
 def _points(points: Any, key: str, count: int, axes: str) -> np.ndarray:

@@ -26,6 +26,8 @@ LOOP: Final = "/loop"
 """Only in logs of a live loop; readers that do not know it pass over it."""
 STATE: Final = "/state"
 """Only in logs of a live loop whose hand is measured."""
+ARM: Final = "/arm"
+"""Only where an arm carries the robot hand."""
 WRIST: Final = "/wrist"
 """Only where the wrist of the robot hand was commanded, too."""
 CONFIG: Final = "/config"
@@ -60,6 +62,12 @@ _QUATERNION = _object(
 )
 _POSE = _object("a pose", (), position=_POINT, orientation=_QUATERNION)
 _STAGE = _object("a stage of the loop", (), name={"type": "string"}, ms=_NUMBER)
+
+LIVE: Final = (ARM, LOOP, STATE, WRIST)
+"""Topics that only the logs of a live loop have."""
+
+OF_COMMANDS: Final = (TIMING, STATUS, LOOP, WRIST, ARM)
+"""Topics with one message for a command at most, of the same number."""
 
 SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     HAND: (
@@ -150,6 +158,24 @@ SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
             engaged={"type": "boolean", "description": "whether the operator's wrist moves it"},
             valid={"type": "boolean", "description": "whether the operator's wrist is known"},
             world={"type": "string", "description": "name of the frame, the robot's base"},
+        ),
+    ),
+    ARM: (
+        "smooth_operator.Arm",
+        _object(
+            "Where the arm is sent with the command of the same stamp, and where it is.",
+            ("stamp", "name", "names", "positions", "pose", "state"),
+            stamp=_STAMP,
+            name={"type": "string", "description": "of the arm"},
+            names=_array({"type": "string"}, "joint names, from the base"),
+            positions=_array(_NUMBER, "commanded joint positions [rad]"),
+            velocities=_array(_NUMBER, "their velocities [rad/s]"),
+            measured=_array(_NUMBER, "measured joint positions [rad]; absent if unknown"),
+            pose={**_POSE, "description": "of the hand's wrist there, in the arm's base"},
+            state={"type": "string", "description": "following, holding, braking or stopped"},
+            clearance={"type": "number", "description": "smallest distance [m]; or null"},
+            position_error={"type": "number", "description": "to the wanted pose [m]; or null"},
+            rotation_error={"type": "number", "description": "the same [rad]; or null"},
         ),
     ),
     CONFIG: (

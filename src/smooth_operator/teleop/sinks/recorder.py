@@ -228,6 +228,7 @@ class _HandLog:
                 events=(*events, *tick.events),
             ),
             tick.wrist,
+            tick.arm,
         )
         self._pending = True
 

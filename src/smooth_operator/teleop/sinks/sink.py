@@ -78,8 +78,10 @@ class Sink(ABC):
         return None
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
-        """Be told which arms carry the hands, before ``check`` and ``open``; by default nothing
-        happens, since ticks have the arms' commands."""
+        """Take note of the arms that carry the hands, before ``check`` and ``open``.
+
+        By default nothing happens: ticks have the arms' commands.
+        """
         del arms
 
     def check(self, hands: Mapping[Side, Hand]) -> None:

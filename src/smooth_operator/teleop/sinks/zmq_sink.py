@@ -15,7 +15,7 @@ from smooth_operator.poses import is_valid
 from smooth_operator.teleop.recording.messages import numbers
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.threaded_sink import Link, ThreadedSink
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import ArmCommand, Tick
 from smooth_operator.types import Side
 
 FORMAT: Final = 1
@@ -108,9 +108,26 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
             "valid": wrist.valid,
             "world": wrist.world,
         }
+    if tick.arm is not None:
+        message["arm"] = arm_message(tick.arm)
     if frame is not None and frame.T_world_wrist is not None:
         pose = numbers(frame.T_world_wrist) if is_valid(frame.T_world_wrist) else None
         message["operator_wrist"] = {"pose": pose, "world": frame.world}
+    return message
+
+
+def arm_message(arm: ArmCommand) -> dict[str, Any]:
+    """The part of a command that is for the arm; with where the arm is, if that is measured."""
+    message: dict[str, Any] = {
+        "name": arm.name,
+        "names": list(arm.joint_names),
+        "positions": _finite(arm.positions.tolist()),
+        "velocities": _finite(arm.velocity.tolist()),
+        "pose": _finite(arm.pose.tolist()),
+        "state": arm.state,
+    }
+    if arm.measured is not None:
+        message["measured"] = numbers(arm.measured)
     return message
 
 
