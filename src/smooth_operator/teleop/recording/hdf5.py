@@ -58,6 +58,7 @@ from smooth_operator.formats.wrist_track import BASE, WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.teleop.recording.egodex import read_egodex
 from smooth_operator.teleop.recording.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
 from smooth_operator.teleop.recording.staging import staged_file
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
@@ -120,6 +121,8 @@ def read_hdf5_episode(
                 f"{VERSION}; upgrade it: {UPGRADE}"
             )
     hand, commands = tree.get("hand"), tree.get("commands")
+    if hand is None and commands is None and "transforms" in tree:
+        return Episode(read_egodex(tree, path, rate, side), name=path.stem)
     if hand is None and commands is None:
         raise RecordingError(
             f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', "

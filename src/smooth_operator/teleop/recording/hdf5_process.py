@@ -20,8 +20,22 @@ import sys
 import threading
 from typing import Any
 
-GROUPS = ("hand", "commands", "commands/stages_ms", "state")
+_BONES = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
+_FINGERS = ("Index", "Middle", "Ring", "Little")
+EGODEX_JOINTS = {
+    side: (
+        f"{side}Hand",
+        *(f"{side}Thumb{bone}" for bone in _BONES),
+        *(f"{side}{name}Finger{bone}" for name in _FINGERS for bone in ("Metacarpal", *_BONES)),
+    )
+    for side in ("right", "left")
+}
+"""Side -> the 25 joints of a hand in EgoDex, in WebXR's order."""
+
+EGODEX_GROUPS = ("transforms", "confidences")
+GROUPS = ("hand", "commands", "commands/stages_ms", "state", *EGODEX_GROUPS)
 ARRAYS = {
+    **dict.fromkeys(EGODEX_GROUPS, EGODEX_JOINTS["right"] + EGODEX_JOINTS["left"]),
     "/": ("configuration",),
     "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist"),
     "commands": (
