@@ -124,3 +124,12 @@ def test_recordings_carry_a_wrist() -> None:
     assert np.array_equal(frame.T_world_wrist, recording.T_world_wrist[11])
     with pytest.raises(RecordingError, match=r"T_world_wrist must have shape \(200, 7\)"):
         HandRecording(hands, stamps, T_world_wrist=POSES[:-1])
+
+
+def test_the_example_of_the_conventions() -> None:
+    # 1 m up and 0.5 m ahead, from a left-handed tracker; then 0.1 m to its right
+    unity = np.array([[0.0, 1.0, 0.5, 1, 0, 0, 0], [0.1, 1.0, 0.5, 1, 0, 0, 0]])
+    wrist = poses.to_ours(unity, WORLD_AXES["unity"], WRIST_AXES["unity"])
+    assert np.allclose(wrist[0], [0.5, 0.0, 1.0, 1, 0, 0, 0])
+    assert np.allclose(poses.relative(wrist[0], wrist[1])[:3], [0.0, -0.1, 0.0])
+    assert np.allclose(poses.separation(wrist[0], wrist[1]), [0.1, 0.0])
