@@ -31,7 +31,7 @@ from smooth_operator.errors import (
 )
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.sources.live import ThreadedSource
+from smooth_operator.teleop.sources.live import Running, ThreadedSource
 from smooth_operator.teleop.sources.manus.glove_faults import GloveFaults
 from smooth_operator.teleop.sources.manus.glove_simulator import Glove, GloveSimulator
 from smooth_operator.teleop.sources.manus.manus_message import read_manus, write_manus
@@ -376,6 +376,28 @@ def test_of_a_flood_the_newest_is_looked_at() -> None:
     assert inbox.receive(1.0)[-1][0] == b"49"
     assert inbox.receive(0.0) == []
     inbox.close()
+
+
+def test_messages_that_come_together_have_stamps_in_their_order() -> None:
+    running = Running(Kept(), "test")
+
+    class Batch:
+        address = "nowhere"
+
+        def receive(self, timeout: float) -> list[tuple[bytes, ...]]:
+            running.stopping.set()
+            return [(POINTS.astype("<f4").tobytes(),)] * 4
+
+        def close(self) -> None:
+            pass
+
+    source = UdpSource(port=0)
+    object.__setattr__(source, "_inbox", Batch())
+    source.run(running)
+    stamps = [arrival.stamp for arrival in running.mailbox.all]  # type: ignore[attr-defined]
+    assert len(stamps) == 4
+    assert (np.diff(stamps) > 0).all()
+    assert stamps[-1] <= running.mailbox.clock()
 
 
 @pytest.mark.parametrize("settings", [{"port": -1}, {"port": 70_000}, {"side": "top"}])

@@ -19,6 +19,7 @@ KEPT: Final = 8
 """Messages that are read when more have come together, the newest. Two hands, their both
 alternating, and a broken one between, leave each hand its newest frame."""
 
+_APART_S = 1e-6
 _POLL_S = 0.1  # how long a source that hears nothing needs to notice that it is to stop
 _SIDES: Final[dict[str, tuple[Side, ...]]] = {
     "right": ("right",),
@@ -114,8 +115,10 @@ class StreamSource(ThreadedSource):
             while not running.stopping.is_set():
                 messages = inbox.receive(_POLL_S)
                 received = running.mailbox.clock()
-                for message in messages:
-                    receiver.take(message, received)
+                for number, message in enumerate(messages):
+                    # Messages that came together have an order: a stamp that is the time of receipt
+                    # must increase, or the loop takes the newest frame for a repeated one.
+                    receiver.take(message, received + number * _APART_S)
                 if not messages:
                     receiver.silent(self.problem(inbox))
         finally:
