@@ -286,7 +286,7 @@ def test_the_legend_names_each_hand_by_its_sign() -> None:
     assert shown[:3] == [
         (css(PALM), "● human hand, as tracked"),
         (css(PALM), "■ robot command"),
-        (css(SIMULATED), "■ simulated robot, where it differs"),
+        (css(SIMULATED), "■ simulated or measured robot, where it differs"),
     ]
     assert [text for _, text in shown[3:]] == ["⬤ thumb", "⬤ index"]
     assert chips(live_texts.legend(fingers, simulated=True, task=True))[1:3] == [

@@ -42,6 +42,7 @@ def teleop(options: Teleop) -> None:
         wrist=options.wrist,
         priority=options.priority,
         control=options.control,
+        estop=options.estop,
         page=None if options.no_view else page,
         blind=options.blind,
         task=options.task,

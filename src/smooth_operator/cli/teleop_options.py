@@ -123,6 +123,11 @@ Examples:
     zmq): a pedal, a red button, a study's console. They are stop, release, pause, resume, quit,
     status, method, calibration, task, trial and reset."""
 
+    estop: Annotated[str | None, arg(metavar="INPUT")] = None
+    """Emergency stop from outside: file:PATH (released while the file begins with 1, as a GPIO
+    line), serial:PORT (a normally closed button between RTS and CTS) or udp:PORT (a heartbeat).
+    A broken wire stops (docs/robots/index.md)."""
+
     blind: bool = False
     """Hide the method from the operator: neither the page nor the terminal names it, and
     the page can't change it. The record has it."""

@@ -39,6 +39,7 @@ from smooth_operator.teleop.runtime.settings import (
     SafetyConfig,
     WristConfig,
 )
+from smooth_operator.teleop.runtime.stop_input import stopped_by
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
@@ -76,6 +77,7 @@ def teleoperate(
     wrist: WristConfig | None = None,
     priority: Literal["high", "normal"] = "normal",
     control: str | None = None,
+    estop: str | Callable[[], bool] | None = None,
     page: PageSettings | None = None,
     blind: bool = False,
     task: Task | None = None,
@@ -119,6 +121,8 @@ def teleoperate(
         wrist: how the robot's wrist follows the operator's; None for the defaults.
         priority: ``high`` asks the system for real-time scheduling of this process.
         control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
+        estop: emergency stop from outside: ``file:PATH``, ``serial:PORT``, ``udp:PORT`` (see
+            ``StopInput``), or a function that says whether it is pressed; None for none.
         page: serve the live page; None for none.
         blind: the method is named neither on the page nor in what is reported.
         task: a task of the study, in a simulation around the hand.
@@ -215,6 +219,7 @@ def teleoperate(
             if attended
             else contextlib.nullcontext(),
             _remote(loop, control, handlers, said),
+            stopped_by(loop, estop),
             contextlib.ExitStack() as first,
         ):
 

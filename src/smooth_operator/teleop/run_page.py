@@ -14,7 +14,7 @@ from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import Reporter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
 
@@ -62,7 +62,7 @@ def begun_page(
             asked.fingers,
             page.host,
             page.port,
-            simulated_hands(acting) is not None,
+            any(sink.measures for sink in acting),
             blind,
             None if page.model is None else str(page.model),
             arm=arm,

@@ -61,6 +61,9 @@ def summarise(
             f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",
             matters=True,
         )
+    for side, delay in summary["motion_delay_ms"].items():
+        if delay is not None:
+            said.note(f"{side}: from command to measured motion {delay:.0f} ms")
     plain: dict[str, Any] = json.loads(to_json(summary))
     return plain
 

@@ -105,6 +105,11 @@ class HardwareSink(Sink):
         return "" if worker is None else worker.note
 
     @property
+    def measures(self) -> bool:
+        """True: the hand is read in every cycle."""
+        return True
+
+    @property
     def figures(self) -> dict[str, Any]:
         """Counts and times of the bus, for the summary of a run."""
         worker = self._worker

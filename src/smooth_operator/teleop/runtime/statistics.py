@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float32
 
+from smooth_operator.teleop.runtime.motion_delay import MotionDelay
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import Side, Status
 
@@ -39,6 +40,9 @@ class LoopStatistics:
 
     Args:
         period: of the loop [s].
+
+    Attributes:
+        motion: side -> delay from command to motion, of the hands that are measured.
     """
 
     def __init__(self, period: float) -> None:
@@ -53,6 +57,7 @@ class LoopStatistics:
         self._modes: dict[Mode, int] = defaultdict(int)
         self._first: float | None = None
         self._latest = 0.0
+        self.motion: dict[Side, MotionDelay] = {}
 
     def add(self, tick: Tick, due: float, sent: float) -> None:
         """A command that left.
@@ -66,6 +71,10 @@ class LoopStatistics:
         self._first = sent if self._first is None else self._first
         self._latest = sent
         self._commands[tick.side] += 1
+        if tick.state is not None:
+            if tick.side not in self.motion:
+                self.motion[tick.side] = MotionDelay()
+            self.motion[tick.side].add(tick)
         self._modes[tick.mode] += 1
         self._due += 1
         self._missed += sent - due > self.period
@@ -114,6 +123,10 @@ class LoopStatistics:
             "deadlines_missed_share": self.missed_share,
             "added_latency_ms": percentiles(self._added.newest()),
             "stages_ms": {name: percentiles(t.newest()) for name, t in self._stages.items()},
+            "motion_delay_ms": {
+                side: None if (found := delay.now()) is None else 1e3 * found.seconds
+                for side, delay in self.motion.items()
+            },
             "mode_share": {mode.value: self._modes[mode] / max(total, 1) for mode in self._modes},
         }
 

@@ -51,6 +51,11 @@ class Sink(ABC):
         """Counts and times for the summary of a run, as plain values; empty for none."""
         return {}
 
+    @property
+    def measures(self) -> bool:
+        """Whether ``state`` has something once the sink is open; as a simulation does."""
+        return self.simulation is not None
+
     def state(self, side: Side) -> HandState | None:
         """Where the hand that it moves was when that was last measured; safe from any thread.
 

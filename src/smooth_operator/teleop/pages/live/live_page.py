@@ -39,7 +39,7 @@ class PageSetup:
         fingers: robot finger -> human finger that drives it; None for all.
         host: address to listen on; another than this machine's own wants a token.
         port: first port to try; 0 for any free one.
-        simulated: whether there is a simulated hand to be drawn.
+        simulated: whether a simulated or measured hand is to be drawn.
         blind: the operator is not to know the method: nothing shows or changes it.
         model: MJCF or URDF that is drawn, or ``menagerie``; our own shapes if None.
         details: with reflections, which a browser without a graphics card takes long to prepare.

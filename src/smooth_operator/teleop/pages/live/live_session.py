@@ -178,12 +178,14 @@ class LiveSession:
     def _hand(self, side: Side, tick: Tick, now: float) -> dict[str, Any]:
         arrival = self._arrivals.get(side)
         age = None if arrival is None else now - arrival.received
-        state = None if self._simulation is None else self._simulation.state(side)
+        state = self._measured(side)
         pipeline = self.loop.pipelines[side]
         return {
             "mode": tick.mode.value,
             "positions": _numbers(tick.command.positions),
-            "simulated": None if state is None else _numbers(state.positions),
+            "simulated": None
+            if state is None
+            else _numbers(np.where(np.isfinite(state), state, tick.command.positions)),
             "human": None
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
@@ -193,6 +195,15 @@ class LiveSession:
             "scale": pipeline.retargeter.config.alignment.scale,
             "wrist": None if arrival is None else _wrist(arrival, tick, pipeline.clutch.released),
         }
+
+    def _measured(self, side: Side) -> np.ndarray | None:
+        """(n,) where a hand is, real or simulated [rad]; the one at a task before the other."""
+        simulation = self._simulation
+        if simulation is not None and simulation.task_now != "none":
+            simulated = simulation.state(side)
+            return None if simulated is None else simulated.positions
+        state = self.loop.sinks.state(side)
+        return None if state is None else state.positions
 
     def _status(self, now: float) -> dict[str, Any]:
         statistics, loop = self.loop.statistics, self.loop
@@ -211,6 +222,10 @@ class LiveSession:
             "blind": self.blind,
             "stages": stages,
             "missed_share": statistics.missed_share,
+            "motion_delay": {
+                side: None if (found := delay.now()) is None else found.seconds
+                for side, delay in list(statistics.motion.items())
+            },
             "unusable": statistics.unusable,
             "refused": {side: dict(p.supervisor.refused) for side, p in loop.pipelines.items()},
             "source": {"label": loop.source.label, **asdict(loop.source.health())},

@@ -75,6 +75,10 @@ def summary(status: Mapping[str, Any]) -> str:
         if status["blind"]
         else "<br>no frame answered yet"
     )
+    delays = [delay for delay in status.get("motion_delay", {}).values() if delay is not None]
+    if delays:
+        words = " / ".join(f"{1e3 * delay:.0f}" for delay in delays)
+        latency += f"<br><span data-delay>command to motion <b>{words}</b> ms</span>"
     source = status["source"]
     return (
         f'<div id="live-summary" style="{_BOX}"><span data-rate="frames">tracker '
@@ -147,7 +151,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
         simulated: whether a simulated robot is drawn.
         task: whether it works on a task, and then it is the solid one.
     """
-    solid, other = "robot command", "simulated robot, where it differs"
+    solid, other = "robot command", "simulated or measured robot, where it differs"
     if task:
         solid, other = "simulated robot", "robot command, where it differs"
     hands = [("●", css(PALM), "human hand, as tracked"), ("■", css(PALM), solid)]

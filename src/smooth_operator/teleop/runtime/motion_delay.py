@@ -1,0 +1,151 @@
+"""Delay from a command to the motion of the hand, found by cross-correlation."""
+
+from __future__ import annotations
+
+import time
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.teleop.sinks.tick import Tick
+
+_WINDOW_S: Final = 10.0
+_LEAST_S: Final = 2.0
+"""Shortest motion from which a delay is found [s]."""
+
+_SPACING_S: Final = 0.008
+"""Between two commands, or states, that are kept: commands come up to a thousand times a second."""
+
+_KEPT: Final = int(_WINDOW_S / _SPACING_S)
+_GRID_S: Final = 0.01
+_LONGEST_S: Final = 0.5
+"""Longest delay that is looked for [s]."""
+
+_MOVES: Final = 0.05
+"""Standard deviation of the velocity from which a joint counts as moving [rad/s]."""
+
+_TRUSTED: Final = 0.7
+"""Correlation from which a delay is believed."""
+
+_AGAIN_S: Final = 1.0
+
+
+class Delay(NamedTuple):
+    """How late a hand moves.
+
+    Attributes:
+        seconds: from the command's time to the measured motion [s].
+        correlation: of the velocities at that delay, 0 to 1.
+    """
+
+    seconds: float
+    correlation: float
+
+
+class _Track:
+    """The newest joint positions with their times, in memory that is taken once."""
+
+    def __init__(self, joints: int) -> None:
+        self._times = np.full(_KEPT, np.nan)
+        self._positions = np.full((_KEPT, joints), np.nan, np.float32)
+        self._count = 0
+        self._last = -np.inf
+
+    def add(self, at: float, positions: Float[np.ndarray, " n"]) -> None:
+        if at - self._last < _SPACING_S * 0.9:
+            return
+        row = self._count % _KEPT
+        self._positions[row], self._times[row] = positions, at
+        self._last = at
+        self._count += 1
+
+    def newest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and positions in order."""
+        times = self._times.copy()
+        order = np.argsort(times)[: min(self._count, _KEPT)]
+        return times[order], self._positions[order]
+
+
+class MotionDelay:
+    """Delay of one hand over the last seconds; written by the loop, read by anyone.
+
+    The velocities of all joints that move, commanded and measured, are correlated at delays from 0
+    to half a second; the largest value, refined by a parabola, is the delay.
+    """
+
+    def __init__(self) -> None:
+        self._commands: _Track | None = None
+        self._states: _Track | None = None
+        self._state: HandState | None = None
+        self._found: tuple[float, Delay | None] = (-np.inf, None)
+
+    def add(self, tick: Tick) -> None:
+        """Take note of a command, and of where the hand was measured; microseconds."""
+        if tick.state is None:
+            return
+        if self._commands is None or self._states is None:
+            self._commands = _Track(len(tick.command.positions))
+            self._states = _Track(len(tick.state.positions))
+        self._commands.add(tick.time, tick.command.positions)
+        if tick.state is not self._state:
+            self._state = tick.state
+            self._states.add(tick.state.stamp, tick.state.positions)
+
+    def now(self) -> Delay | None:
+        """The delay over the last ten seconds, computed at most once a second.
+
+        Returns:
+            None without a measured state, without motion, or where the measured motion does not
+            resemble the command.
+        """
+        at, delay = self._found
+        if time.monotonic() - at > _AGAIN_S:
+            delay = self._compute()
+            self._found = (time.monotonic(), delay)
+        return delay
+
+    def _compute(self) -> Delay | None:
+        commands, states = self._commands, self._states
+        if commands is None or states is None:
+            return None
+        asked, wanted = commands.newest()
+        seen, measured = states.newest()
+        if len(asked) < 3 or len(seen) < 3 or wanted.shape[1] != measured.shape[1]:
+            return None
+        begin, end = max(asked[0] + _LONGEST_S, seen[0]), min(asked[-1], seen[-1])
+        if end - begin < _LEAST_S:
+            return None
+        lags = round(_LONGEST_S / _GRID_S)
+        grid = np.arange(begin, end, _GRID_S)
+        before = np.arange(-lags, len(grid)) * _GRID_S + begin
+        known = np.isfinite(measured).all(axis=0)
+        moved = _velocities(grid, seen, measured[:, known])
+        asked_for = _velocities(before, asked, wanted[:, known])
+        moving = (moved.std(axis=0) > _MOVES) & (asked_for.std(axis=0) > _MOVES)
+        if not moving.any():
+            return None
+        moved, asked_for = moved[:, moving], asked_for[:, moving]
+        moved, asked_for = moved - moved.mean(axis=0), asked_for - asked_for.mean(axis=0)
+        count = len(moved)
+        found = np.empty(lags + 1)
+        for lag in range(lags + 1):
+            part = asked_for[lags - lag : lags - lag + count]
+            found[lag] = (part * moved).sum() / np.sqrt((part**2).sum() * (moved**2).sum())
+        best = int(found.argmax())
+        if found[best] < _TRUSTED:
+            return None
+        shift = 0.0
+        if 0 < best < lags:
+            left, top, right = found[best - 1 : best + 2]
+            curve = left - 2 * top + right
+            shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
+        return Delay((best + shift) * _GRID_S, float(found[best]))
+
+
+def _velocities(
+    grid: Float[np.ndarray, " g"], times: Float[np.ndarray, " t"], positions: np.ndarray
+) -> np.ndarray:
+    columns = [np.interp(grid, times, column) for column in positions.T]
+    return np.diff(np.array(columns).T, axis=0) / _GRID_S

@@ -1,0 +1,75 @@
+"""The delay from command to motion is found where there is one, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ticks import make_tick
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.runtime.motion_delay import MotionDelay
+from smooth_operator.teleop.runtime.statistics import LoopStatistics
+from smooth_operator.teleop.sinks.hand_state import HandState
+from smooth_operator.types import JointCommand
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("mimic_p050")
+
+
+def motion(at: float, count: int, seed: int = 0) -> np.ndarray:
+    """Joint positions [rad] at a time, of several slow waves."""
+    random = np.random.default_rng(seed)
+    rates, phases = random.uniform(0.2, 1.5, (3, count)), random.uniform(0, 6, (3, count))
+    return 0.2 * np.sin(2 * np.pi * rates * at + phases).sum(axis=0)
+
+
+def driven(hand: Hand, delay: float, *, rate: float = 100.0, seed: int = 0, seconds: float = 6.0,
+           noise: float = 0.0, moving: float = 1.0) -> MotionDelay:  # fmt: skip
+    """What a hand with a delay, read 60 times a second, gives."""
+    found, count = MotionDelay(), len(hand.joint_names)
+    random, base, state = np.random.default_rng(1), make_tick(hand), None
+    for k in range(int(seconds * rate)):
+        now = 1000.0 + k / rate
+        stamp = np.floor(now * 60) / 60
+        if state is None or state.stamp != stamp:
+            q = moving * motion(stamp - delay, count, seed) + noise * random.normal(size=count)
+            q[4] = np.nan  # a joint that nothing measures
+            state = HandState("right", hand.name, stamp, hand.joint_names, q)
+        command = JointCommand(moving * motion(now, count), hand.joint_names)
+        found.add(replace(base, command=command, time=now, state=state))
+    return found
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.037, 0.12, 0.31])
+def test_a_delay_is_found_to_a_few_milliseconds(hand: Hand, delay: float) -> None:
+    found = driven(hand, delay, noise=0.002).now()
+    assert found is not None
+    assert found.seconds == pytest.approx(delay, abs=0.004)
+    assert found.correlation > 0.9
+
+
+def test_at_a_thousand_commands_a_second_and_over_hours(hand: Hand) -> None:
+    found = driven(hand, 0.05, rate=1000.0, seconds=12.0).now()
+    assert found is not None
+    assert found.seconds == pytest.approx(0.05, abs=0.004)
+
+
+def test_none_without_motion_resemblance_or_time(hand: Hand) -> None:
+    assert MotionDelay().now() is None
+    assert driven(hand, 0.05, moving=0.0, noise=1e-4).now() is None
+    assert driven(hand, 0.05, seed=5).now() is None
+    assert driven(hand, 0.05, seconds=1.0).now() is None
+
+
+def test_it_is_in_the_summary_of_a_run(hand: Hand) -> None:
+    statistics = LoopStatistics(0.01)
+    statistics.add(make_tick(hand), 0.0, 0.0)
+    assert statistics.summary()["motion_delay_ms"] == {}
+    state = HandState("right", hand.name, 0.0, hand.joint_names, np.zeros(len(hand.joint_names)))
+    statistics.add(replace(make_tick(hand), state=state), 0.0, 0.0)
+    assert statistics.summary()["motion_delay_ms"] == {"right": None}
