@@ -15,10 +15,10 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig
 MAX_STEP_S: Final = 0.1
 """Longest time that counts between two commands [s]: after a pause the robot does not catch up."""
 
-_SHORTEST_S: Final = 1e-9
+SHORTEST_S: Final = 1e-9
 """Steps are not divided by less than this [s]; the clock does not resolve shorter ones."""
 
-_USUAL_S: Final = 0.005
+USUAL_S: Final = 0.005
 """Step that a joint may count on to stop at its target [s]; few are shorter. It is no guarantee:
 the end of a range is kept without it."""
 
@@ -88,11 +88,11 @@ class JointLimiter:
         Returns:
             (m,) command [rad].
         """
-        dt = max(dt, _SHORTEST_S)
+        dt = max(dt, SHORTEST_S)
         target = np.where(np.isfinite(target), target, self.q)
         error = np.clip(target, self._low, self._high) - self.q
         a = self._acceleration
-        speed = _speed(np.abs(error), dt, a, stopped_by_one=a * _USUAL_S)
+        speed = stoppable_speed(np.abs(error), dt, a, stopped_by_one=a * USUAL_S)
         if max_velocity is not None:
             speed = np.minimum(speed, max_velocity)
         return self._go(np.sign(error) * speed, dt)
@@ -106,7 +106,7 @@ class JointLimiter:
         Returns:
             (m,) command [rad].
         """
-        return self._go(np.zeros_like(self.q), max(dt, _SHORTEST_S))
+        return self._go(np.zeros_like(self.q), max(dt, SHORTEST_S))
 
     def bounds(self, dt: float) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """Lowest and highest velocity that ``follow`` can give the joints in a step [rad/s].
@@ -114,7 +114,7 @@ class JointLimiter:
         Args:
             dt: time since the last command [s].
         """
-        down, up, change = self._room(max(dt, _SHORTEST_S))
+        down, up, change = self._room(max(dt, SHORTEST_S))
         slow, fast = self.velocity - change, self.velocity + change
         return np.clip(-down, slow, fast), np.clip(up, slow, fast)
 
@@ -128,7 +128,7 @@ class JointLimiter:
         Returns:
             (m,) command [rad].
         """
-        return self._go(np.where(np.isfinite(velocity), velocity, 0.0), max(dt, _SHORTEST_S))
+        return self._go(np.where(np.isfinite(velocity), velocity, 0.0), max(dt, SHORTEST_S))
 
     def succeed(self, other: JointLimiter) -> None:
         """Go on from where another one of the same joints has brought them."""
@@ -145,8 +145,8 @@ class JointLimiter:
         exceeded = needed > self._acceleration * 1.001  # not by rounding
         a = np.where(exceeded, needed, self._acceleration)
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
-        down = np.minimum(_speed(self.q - self._low, dt, a), top)
-        up = np.minimum(_speed(self._high - self.q, dt, a), top)
+        down = np.minimum(stoppable_speed(self.q - self._low, dt, a), top)
+        up = np.minimum(stoppable_speed(self._high - self.q, dt, a), top)
         return down, up, a * min(dt, (self._last_dt + dt) / 2)
 
     def _go(self, wanted: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
@@ -190,7 +190,7 @@ class Limiter(JointLimiter):
         )
 
 
-def _speed(
+def stoppable_speed(
     distance: Float[np.ndarray, " m"],
     dt: float,
     acceleration: Float[np.ndarray, " m"],

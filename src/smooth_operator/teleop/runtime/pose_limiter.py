@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.teleop.runtime.limiter import (
-    _SHORTEST_S,
-    _USUAL_S,
     MAX_STEP_S,
-    _speed,
+    SHORTEST_S,
+    USUAL_S,
+    stoppable_speed,
 )
 from smooth_operator.teleop.runtime.settings import WristConfig
 
@@ -75,7 +75,7 @@ class PoseLimiter:
         Returns:
             (7,) command.
         """
-        dt, config = max(dt, _SHORTEST_S), self.config
+        dt, config = max(dt, SHORTEST_S), self.config
         going, turning = (_STILL, _STILL) if moving is None else (moving[:3], moving[3:])
         way = target[:3] - self.pose[:3]
         arc = poses.rotation_vectors(poses.multiply(target[3:], poses.conjugate(self.pose[3:])))
@@ -96,9 +96,9 @@ class PoseLimiter:
             (7,) command.
         """
         if self.at_rest:
-            self._last_dt = max(dt, _SHORTEST_S)
+            self._last_dt = max(dt, SHORTEST_S)
             return self.pose
-        return self._go(_STILL, _STILL, max(dt, _SHORTEST_S), 1.0)
+        return self._go(_STILL, _STILL, max(dt, SHORTEST_S), 1.0)
 
     def _go(
         self,
@@ -124,8 +124,8 @@ class PoseLimiter:
             wanted,
             config.velocity * share * brief,
             max(config.acceleration, math.sqrt(each @ each)) * shorter,
-            _speed(place - low, dt, each),
-            _speed(high - place, dt, each),
+            stoppable_speed(place - low, dt, each),
+            stoppable_speed(high - place, dt, each),
         )
         self.turn = _nearest(
             self.turn,
@@ -156,7 +156,7 @@ def _towards(
     left = float(np.sqrt(behind @ behind))
     if left < 1e-12:
         return going
-    speed = _speed(np.array(left), dt, np.array(acceleration), acceleration * _USUAL_S)
+    speed = stoppable_speed(np.array(left), dt, np.array(acceleration), acceleration * USUAL_S)
     return going + behind * (float(speed) / left)
 
 
