@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from smooth_operator import Retargeter, load_hand, poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.palm_axes import FLAT_HAND
+from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime.clutch import Clutch
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -368,7 +369,8 @@ def test_settings_are_checked(setting: dict, message: str) -> None:
 def test_a_loop_gives_fingers_and_wrist_one_stamp() -> None:
     hand, now = load_hand("mimic_p050"), 0.0
     config = LoopConfig(safety=SafetyConfig(blend_s=0.0))
-    pipeline = HandPipeline(Retargeter(hand), config, clock=lambda: now)
+    method = make_request(method="joint_angle").config
+    pipeline = HandPipeline(Retargeter(hand, config=method), config, clock=lambda: now)
     recording = SyntheticOperator(seed=1).record(1.0)
     for k in range(20):
         now += 0.02
