@@ -84,7 +84,7 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) < 0.001)
         page.get_by_label("shape", exact=True).uncheck()
-        eventually(lambda: not any(node.visible for node in served._nodes.values()))
+        eventually(lambda: not any(node.visible for node in served._looks[0].nodes.values()))
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.01)
         assert problems == []
         page.close()

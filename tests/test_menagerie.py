@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,28 @@ import pytest
 import trimesh
 
 from smooth_operator.cli import main
+from smooth_operator.cli.hands_options import Show
+from smooth_operator.cli.meshes import hand_to_draw
+from smooth_operator.cli.page import playback
 from smooth_operator.errors import HandModelError, MissingExtraError, install_command
 from smooth_operator.formats.commands import write_commands
-from smooth_operator.hand_files.menagerie import drawn_on, menagerie_file
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hand_files.menagerie import (
+    drawn_on,
+    hand_with_meshes,
+    has_meshes,
+    menagerie_file,
+)
+from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.registry import MODELS, load_hand
+from smooth_operator.metrics import Trace
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.pages.hand_page import HandPage
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.pages.meshes import coarser
 from smooth_operator.teleop.pages.playback import Playback
+from smooth_operator.teleop.pages.robot import RobotView
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import CommandTrajectory, Side
 
@@ -34,6 +47,9 @@ HANDS: tuple[tuple[str, Side, str], ...] = (
     ("shadow_hand", "left", "shadow_hand"),
 )
 """Hand, side, and its folder among the real ones; LEAP's left one has no meshes there."""
+LARGER = {"leap_hand": 0.02, "shadow_hand": 0.015}
+"""How far the boxes of the last link's mesh and capsule may differ [m]: LEAP's carries a motor,
+Shadow's begins beyond the joint."""
 
 
 @pytest.fixture
@@ -152,9 +168,11 @@ def test_a_run_plays_on_the_vendors_model(
     out, glove, positions = run_of(hand, tmp_path)
     pages: list[Playback] = []
     monkeypatch.setattr("smooth_operator.cli.view.serve", lambda runs, **_: pages.extend(runs))
-    for model in ([], ["--model", "menagerie"]):
+    for model in (["--no-meshes"], ["--model", "menagerie"], []):
         assert main(["view", str(out), str(glove), "--hand", hand.name, *model]) == 0
-    plain, real = pages
+    plain, real, here = pages  # what is on this machine is drawn without being asked for
+    assert here.model.nq == real.model.nq
+    assert plain.simple is None
     assert real.model.nmesh == 1
     assert real.model.nq == plain.model.nq + 2
     for column, name in enumerate(hand.joint_names):
@@ -218,7 +236,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(
         scene = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": drawn})
         every = hand.full_configuration(np.random.default_rng(1).uniform(*hand.limits.T))
         scene.draw({"right": {"positions": every, "human": None, "latched": None}})
-        robot = scene._sides["right"]._robot
+        robot = scene._sides["right"]._robot.command
         names = {drawn.model.body(body).name for body in robot.nodes}
         assert {"palm", "rh_ffdistal"} & names
         assert "forearm" not in names
@@ -235,3 +253,146 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(
             np.testing.assert_allclose(shown, mine, atol=1e-6)
     finally:
         close_server(server)
+
+
+# Where meshes are on this machine
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("name", "side", "folder"), HANDS)
+def test_meshes_lie_where_the_simple_shapes_do(
+    shared: Path, name: str, side: Side, folder: str
+) -> None:
+    """In a pose: a fingertip is on its mesh, and each finger's shapes have about its box."""
+    file = "shadow_dexee.xml" if name == "shadow_dexee" else f"{side}_hand.xml"
+    hand = load_hand(name, side)
+    simple, real = HandView(hand), HandView(drawn_on(hand, shared / "hands" / folder / file))
+    low, high = hand.limits.T
+    q = low + np.random.default_rng(2).uniform(0.2, 0.8, len(low)) * (high - low)
+    links = []
+    for view in (simple, real):
+        order = [hand.actuated_names.index(joint) for joint in view.hand.actuated_names]
+        poses, model, ends = view.bodies(q[order]), view.hand.model, {}
+        for body, mesh in view.meshes.items():
+            turn, at = poses[body]
+            part = ends.setdefault(model.body_weldid[body], [])
+            part.append(mesh.vertices @ turn.T + at)
+        last = [model.body_weldid[model.body(f.tip.body).id] for f in view.hand.spec.fingers]
+        links.append([np.concatenate(ends[body]) for body in last])
+        assert (view.finger_of_body[last] == np.arange(len(last))).all()
+    tips = hand.tips(hand.full_configuration(q))
+    for tip, ours, theirs in zip(tips, *links, strict=True):
+        assert np.linalg.norm(theirs - tip, axis=1).min() < 0.006
+        for end in (np.min, np.max):
+            assert np.abs(end(ours, 0) - end(theirs, 0)).max() < LARGER.get(name, 0.008)
+
+
+def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root: Path) -> None:
+    hand = load_hand("shadow_hand")
+    assert hand_with_meshes(hand) is None  # neither fetched nor in the checkout
+    vendors(root / "shadow_hand")
+    there = hand_with_meshes(hand)
+    assert there is not None
+    assert has_meshes(there)
+    assert hand_with_meshes(there) is there
+    assert hand_with_meshes(load_hand("mimic_p050")) is None
+    with HandPage(hand, drawn=there, port=0) as page:
+        meshes, simple = page._looks
+
+        def shown() -> tuple[bool, bool]:
+            a, b = ({n.visible for n in look.nodes.values()} for look in (meshes, simple))
+            assert len(a) == len(b) == 1
+            return a.pop(), b.pop()
+
+        assert shown() == (True, False)
+        page._shown[1].value = False
+        page._show_looks()
+        assert shown() == (False, True)
+        page.set_joint(2, 0.3)
+        palm = next(b for b in meshes.nodes if meshes.view.hand.model.body(b).name == "palm")
+        np.testing.assert_allclose(meshes.nodes[palm].position, 0, atol=1e-9)
+    server = open_server("127.0.0.1", 0)
+    try:
+        scene = LiveScene(server, {"right": hand}, simulated=True)
+        side = scene._sides["right"]
+        before = side._robot
+        scene.add_meshes({"right": HandView(there)})
+        real = side._robot
+        assert real is not before
+        assert {n.visible for n in before.command.nodes.values()} == {False}
+        scene.set_meshes(visible=False)
+        assert side._robot is before
+        assert {n.visible for n in real.command.nodes.values()} == {False}
+        assert {n.visible for n in before.command.nodes.values()} == {True}
+    finally:
+        close_server(server)
+
+
+def test_a_player_has_both_in_one_place(root: Path, tmp_path: Path) -> None:
+    vendors(root / "shadow_hand")
+    hand = load_hand("shadow_hand")
+    there = hand_with_meshes(hand)
+    recording = SyntheticOperator(seed=4).record(duration=0.2)
+    q = np.tile(hand.full_configuration(hand.neutral), (len(recording), 1))
+    trace = Trace(
+        recording.landmarks, hand.tips(q), hand.wrist, hand.fingers, q, hand.joint_limits,
+        recording.stamps, np.zeros(len(recording), np.int8), np.ones(len(recording)),
+    )  # fmt: skip
+    run = playback("t", hand, trace, {}, there)
+    server = open_server("127.0.0.1", 0)
+    try:
+        view = RobotView(server.scene, run, "/robot")
+        view.draw(3, np.zeros(4, bool))
+        assert run.simple is not None
+        assert view._simple is not None
+        matrix = np.empty(9)
+        mujoco.mju_quat2Mat(matrix, run.simple.wxyz)
+        for joint in hand.joint_names:
+            mine = view._simple.data.xpos[hand.model.joint(joint).bodyid[0]]
+            theirs = view._hand.data.xpos[run.model.joint(joint).bodyid[0]]
+            placed = matrix.reshape(3, 3) @ mine + run.simple.position
+            np.testing.assert_allclose(placed, theirs, atol=1e-5)
+        view.set_meshes(visible=False)
+        assert {n.visible for n in view._hand.nodes.values()} == {False}
+        assert {n.visible for n in view._simple.nodes.values()} == {True}
+    finally:
+        close_server(server)
+
+
+def test_damaged_meshes_leave_the_simple_shapes(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One sentence where nobody asked for them, an error where somebody did."""
+    path = vendors(root / "shadow_hand")
+    text = path.read_text(encoding="utf-8")
+    hand, options = load_hand("shadow_hand"), Show(hand="shadow_hand")
+    for broken in (text.replace("<worldbody>", "<worldbod>"), text.replace("rh_FFJ4", "FFJ4")):
+        path.write_text(broken, encoding="utf-8")
+        assert hand_to_draw(hand, options) is None
+        said = capsys.readouterr().err
+        assert said.startswith("simple shapes are drawn: ")
+        assert said.count("\n") == 1
+        with pytest.raises(HandModelError):
+            hand_to_draw(hand, replace(options, model=path))
+    path.write_text(text, encoding="utf-8")
+    assert hand_to_draw(hand, options) is not None
+    assert hand_to_draw(hand, replace(options, no_meshes=True)) is None
+
+
+def test_large_meshes_are_made_coarser() -> None:
+    fine = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
+    coarse = coarser(fine, 3000)
+    assert 1000 < len(coarse.faces) <= 3000 < len(fine.faces)
+    distance = np.linalg.norm(coarse.vertices, axis=1)
+    assert np.abs(distance - 0.02).max() < 0.0003
+    assert abs(coarse.area / fine.area - 1) < 0.02
+    assert coarser(fine, len(fine.faces)) is fine
+
+
+def test_a_hand_of_meshes_alone_has_simple_shapes(root: Path) -> None:
+    """As a user's own, which has no other shapes: its capsules are drawn."""
+    there = load_hand_spec(drawn_on(load_hand("shadow_hand"), vendors(root / "v")).spec)
+    simple = HandView(there, simple=True).meshes
+    assert set(HandView(there).finger_of_body[list(simple)]) == {-1, 0, 1, 2, 3, 4}
+    palm = simple[there.model.body("palm").id]
+    assert palm.extents.max() < 0.13

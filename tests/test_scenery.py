@@ -108,7 +108,7 @@ def test_the_hands_turn_to_the_scene_and_back(
     )
     state = {"positions": straight, "simulated": bent, "human": None, "latched": ()}
     scene.draw({"right": state})
-    np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(bent))
+    np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(bent))
     simulation.change_task("none")
     scene.draw_scenery(looked(simulation, ("right",), seen["number"]))
     assert not view.scenery.there
@@ -116,7 +116,7 @@ def test_the_hands_turn_to_the_scene_and_back(
     np.testing.assert_allclose(view._roots["robot"].wxyz, before)
     np.testing.assert_allclose(scene.aiming.half, size)
     scene.draw({"right": state})
-    np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(straight))
+    np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(straight))
     assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
 
 
@@ -129,12 +129,12 @@ def test_lines_and_bodies_can_be_sent_one_after_the_other() -> None:
         view = scene._sides["right"]
         bent = hand.full_configuration(hand.limits[:, 1])
         hands: Any = {"right": {"positions": bent, "human": None, "latched": None}}
-        before = view._robot.data.qpos.copy()
+        before = view._robot.command.data.qpos.copy()
         scene.draw_lines(hands)
         np.testing.assert_allclose(view._balls.node.batched_positions, hand.tips(bent), atol=1e-6)
-        np.testing.assert_array_equal(view._robot.data.qpos, before)
+        np.testing.assert_array_equal(view._robot.command.data.qpos, before)
         scene.draw_bodies(hands)
-        np.testing.assert_allclose(view._robot.data.qpos, hand.qpos(bent))
+        np.testing.assert_allclose(view._robot.command.data.qpos, hand.qpos(bent))
     finally:
         close_server(server)
 

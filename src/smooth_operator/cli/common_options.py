@@ -121,7 +121,12 @@ class Meshes:
     model: Annotated[Path | None, arg(metavar="PATH|menagerie")] = None
     """Your copy of the vendor's MJCF or URDF, with its meshes, to be drawn in place of our simple
     shapes; it must have the hand's joints, by their names. Or the word menagerie, for the model of
-    MuJoCo Menagerie (extra menagerie: Allegro, LEAP, Shadow, DEX-EE)."""
+    MuJoCo Menagerie (extra menagerie: Allegro, LEAP, Shadow, DEX-EE, Sharpa Wave), which is
+    fetched."""
+
+    no_meshes: bool = False
+    """Draw simple shapes. Otherwise the maker's meshes are drawn where they are on this machine: in
+    a model of your own, or in what the extra menagerie has fetched; nothing is fetched for it."""
 
 
 @dataclass(frozen=True, kw_only=True)

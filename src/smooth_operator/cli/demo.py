@@ -8,6 +8,7 @@ from typing import Any
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.cli.console import Progressing, print_metrics
 from smooth_operator.cli.demo_options import Demo
+from smooth_operator.cli.meshes import hand_to_draw
 from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.cli.synthetic import synthetic_operator
@@ -33,7 +34,8 @@ def demo(options: Demo) -> None:
     asked = requested(options, side=options.side)
     operator = synthetic_operator(options, options.seed)
     todo = plan(operator.record(options.duration), asked)
-    drawn = None if options.model is None else drawn_on(todo.hand, options.model)
+    if options.model is not None:
+        drawn_on(todo.hand, options.model)  # what can't be drawn is said before any work
     with folder_for(options.output):
         outcome = execute_shown(todo, progress)
         trace, metrics = measure_shown(todo, outcome, options.definition, progress)
@@ -47,6 +49,7 @@ def demo(options: Demo) -> None:
         from smooth_operator.cli.page import playback
         from smooth_operator.teleop.pages import serve
 
+        drawn = hand_to_draw(todo.hand, options)
         page = playback(title, todo.hand, trace, metrics, drawn)
         serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
 

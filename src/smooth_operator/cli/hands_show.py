@@ -11,7 +11,7 @@ from rich.text import Text
 
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_options import Render, Show
-from smooth_operator.hand_files.menagerie import drawn_on
+from smooth_operator.cli.meshes import hand_to_draw
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import Point
@@ -28,15 +28,23 @@ def show_hand(options: Show) -> None:
         HandModelError: it can't be used.
         ConfigError: the page can't be served there.
     """
-    hand = _hand(options)
+    hand = load_hand(options.hand, options.side)
+    drawn = hand_to_draw(hand, options)
+    shown = drawn if drawn is not None and options.model is not None else hand
     if options.json:
-        print(json.dumps(describe(hand)))
+        print(json.dumps(describe(shown)))
         return
-    _print_tables(hand)
+    _print_tables(shown)
     if not options.no_view:
         from smooth_operator.teleop.pages.hand_page import serve_hand
 
-        serve_hand(hand, host=options.host, port=options.port, open_browser=not options.no_browser)
+        serve_hand(
+            hand,
+            drawn=drawn,
+            host=options.host,
+            port=options.port,
+            open_browser=not options.no_browser,
+        )
 
 
 def render_hand(options: Render) -> None:
@@ -49,9 +57,10 @@ def render_hand(options: Render) -> None:
     """
     from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
-    hand = _hand(options)
+    hand = load_hand(options.hand, options.side)
+    drawn = hand_to_draw(hand, options)
     output = options.output or Path(f"{hand.name}_{hand.spec.side}.png")
-    save_hand_picture(hand, output)
+    save_hand_picture(drawn or hand, output, simple=drawn is None)
     print(printable(str(output)))
 
 
@@ -99,11 +108,6 @@ def describe(hand: Hand) -> dict[str, Any]:
             zip(hand.tree.names, hand.landmark_positions(hand.neutral).tolist(), strict=True)
         ),
     }
-
-
-def _hand(options: Show | Render) -> Hand:
-    hand = load_hand(options.hand, options.side)
-    return hand if options.model is None else drawn_on(hand, options.model)
 
 
 def _torques(hand: Hand) -> dict[str, float]:

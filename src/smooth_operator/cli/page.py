@@ -7,7 +7,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
+from smooth_operator.hand_files.menagerie import has_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
@@ -30,21 +32,27 @@ def playback(
         trace: the run, in the palm frame.
         metrics: for the page's table.
         drawn: the same hand on the model to draw, with the same joints by name, in any order; see
-            ``on_model``. The hand itself if left out.
+            ``on_model``. Simple shapes if left out; with it, they are there for a switch.
         label: what stands above the robot.
     """
-    drawn = drawn or hand
-    model = drawn.model
-    poses = np.tile(drawn.full_configuration(drawn.neutral), (len(trace), 1))
-    poses[:, [drawn.joint_names.index(name) for name in hand.joint_names]] = trace.joint_positions
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    palm = data.body(drawn.spec.palm)  # it does not move: fingers hang from it
-    rotation, origin = palm.xmat.reshape(3, 3), palm.xpos.copy()
+    from smooth_operator.teleop.pages.playback import SimpleShapes
+    from smooth_operator.teleop.pages.simple_shapes import simple_meshes
+
+    simple = None
+    model = drawn or hand
+    rotation, origin = _palm(model)
+    if drawn is not None or has_meshes(hand):
+        own, at = _palm(hand)
+        turn, wxyz = rotation @ own.T, np.empty(4)
+        mujoco.mju_mat2Quat(wxyz, turn.ravel())
+        poses = hand.qpos(trace.joint_positions)
+        simple = SimpleShapes(hand.model, poses, simple_meshes(hand), wxyz, origin - turn @ at)
+    poses = np.tile(model.full_configuration(model.neutral), (len(trace), 1))
+    poses[:, [model.joint_names.index(name) for name in hand.joint_names]] = trace.joint_positions
     return Playback(
         title=title,
-        model=model,
-        qpos=drawn.qpos(poses),
+        model=model.model,
+        qpos=model.qpos(poses),
         stamps=trace.stamps,
         human=trace.human @ rotation.T + origin,
         status=trace.status,
@@ -54,6 +62,16 @@ def playback(
         human_tips=tuple(TIPS[FINGERS.index(name)] for name in trace.fingers),
         fingers=trace.fingers,
         metrics=metrics,
-        bodies=drawn.bodies,
+        bodies=model.bodies,
         label=label,
+        simple=simple,
+        show_meshes=drawn is not None,
     )
+
+
+def _palm(hand: Hand) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Rotation and origin of the palm in its model's world, where fingers hang from it."""
+    data = mujoco.MjData(hand.model)
+    mujoco.mj_kinematics(hand.model, data)
+    palm = data.body(hand.spec.palm)
+    return palm.xmat.reshape(3, 3).copy(), palm.xpos.copy()

@@ -23,7 +23,13 @@ def teleop(options: Teleop) -> None:
         raise ConfigError(
             "--model says what the page draws, and --no-view leaves the page out; leave out one"
         )
-    page = PageSettings(options.host, options.port, not options.no_browser, options.model)
+    page = PageSettings(
+        options.host,
+        options.port,
+        open_browser=not options.no_browser,
+        model=options.model,
+        meshes=not options.no_meshes,
+    )
     summary = teleoperate(
         options.source,
         options.sink,

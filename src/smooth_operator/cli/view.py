@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from smooth_operator.cli.console import Progressing
+from smooth_operator.cli.meshes import hand_to_draw
 from smooth_operator.cli.outputs import folder_for, read_configuration
 from smooth_operator.cli.page import playback
 from smooth_operator.cli.view_options import View
@@ -17,7 +18,6 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hand_files.menagerie import drawn_on
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import FingerChoice, parse_fingers
@@ -53,7 +53,7 @@ def view(options: View) -> None:
         )
     labels = ["robot"] if len(runs) == 1 else _labels(runs)
     hand = runs[0].hand
-    drawn = None if options.model is None else drawn_on(hand, options.model)
+    drawn = hand_to_draw(hand, options)
     title = f"{hand.name} {hand.spec.side}"
     if len(runs) == 1 and runs[0].made_by:
         title += f": {runs[0].made_by}"

@@ -32,12 +32,14 @@ class PageSettings:
         port: first port to try; 0 for any free one.
         open_browser: open it in the browser.
         model: the vendor's MJCF or URDF to draw in place of simple shapes, or ``menagerie``.
+        meshes: draw meshes, where there are some; otherwise simple shapes.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     open_browser: bool = True
     model: Path | None = None
+    meshes: bool = True
 
 
 @contextlib.contextmanager
@@ -65,6 +67,7 @@ def begun_page(
             any(sink.measures for sink in acting),
             blind,
             None if page.model is None else str(page.model),
+            page.meshes,
             arm=arm,
         )
         with LivePage(setup) as begun:

@@ -29,17 +29,28 @@ class HandPage(PageServer):
     Args:
         hand: the robot hand.
         notes: a line of text to put first in the panel.
+        drawn: the same hand on a model with its meshes, with the same joints by name, in any order;
+            simple shapes if left out. With it, a switch shows either.
         host: address to listen on; another than this machine's own wants the token in the URL.
         port: first port to try; 0 for any free one.
     """
 
     def __init__(
-        self, hand: Hand, notes: str = "", *, host: str = "127.0.0.1", port: int = 8080
+        self,
+        hand: Hand,
+        notes: str = "",
+        *,
+        drawn: Hand | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
     ) -> None:
         super().__init__(host, port)
         self.hand = hand
         self._notes = notes
-        self._view = HandView(hand)
+        self._view = HandView(hand, simple=True)
+        self._looks = [_Look(hand, self._view, "/hand")]
+        if drawn is not None:
+            self._looks.insert(0, _Look(hand, HandView(drawn), "/meshes"))
         self._q = hand.neutral.copy()
         self._lock = threading.Lock()  # viser answers its controls on several threads
 
@@ -80,18 +91,8 @@ class HandPage(PageServer):
         scene.set_up_direction(up)
         scene.configure_default_lights(cast_shadow=False)
         colors = finger_colors(len(self.hand.fingers))
-        self._nodes = {
-            body: scene.add_mesh_simple(
-                f"/hand/body_{body}",
-                mesh.vertices,
-                mesh.faces,
-                color=PALM if owner < 0 else tuple(colors[owner].tolist()),
-                opacity=_TRANSLUCENT,
-                side="double",
-            )
-            for body, mesh in view.meshes.items()
-            for owner in (view.finger_of_body[body],)
-        }
+        for look in self._looks:
+            look.build(scene)
         names, bones = self.hand.tree.names, view.bones()
         points = view.landmarks(self._q)
         shades = np.tile(np.array([[40, 40, 40]], np.uint8), (len(points), 1))
@@ -130,10 +131,11 @@ class HandPage(PageServer):
         camera.fov, camera.near, camera.far = _FOV, 0.005, 50.0
 
     def _corners(self) -> list[Float[np.ndarray, "8 3"]]:
-        poses = self._view.bodies(self._q)
+        view = self._looks[0].view
+        poses = view.bodies(self._looks[0].positions(self._q))
         return [
             mesh.bounding_box.vertices @ poses[body][0].T + poses[body][1]
-            for body, mesh in self._view.meshes.items()
+            for body, mesh in view.meshes.items()
         ]
 
     def _build_panel(self, gui: viser.GuiApi) -> None:
@@ -149,7 +151,14 @@ class HandPage(PageServer):
         gui.set_panel_label(hand.name)
         gui.add_markdown("\n\n".join(map(plain, facts)))
         with gui.add_folder("Show"):
-            self._toggle(gui, "shape", True, list(self._nodes.values()))
+            self._shown = [gui.add_checkbox("shape", True)]
+            if len(self._looks) > 1:
+                self._shown.append(
+                    gui.add_checkbox("meshes", True, hint="the maker's, or simple shapes")
+                )
+            for box in self._shown:
+                box.on_update(lambda _: self._show_looks())
+            self._show_looks()
             self._toggle(gui, "landmarks", True, [self._balls, self._lines])
             self._toggle(gui, "names", False, list(self._labels))
             self._toggle(gui, "palm frame", True, [self._frame])
@@ -165,6 +174,14 @@ class HandPage(PageServer):
                 for joint, row in enumerate(rows):
                     if not row.actuated:
                         self._followers.append((joint, self._slider(gui, None, row)))
+
+    def _show_looks(self) -> None:
+        """Show the surfaces that are chosen: the meshes, the simple shapes, or none."""
+        shape, *meshes = (bool(box.value) for box in self._shown)
+        chosen = 1 if meshes == [False] else 0
+        for at, look in enumerate(self._looks):
+            for node in look.nodes.values():
+                node.visible = shape and at == chosen
 
     @staticmethod
     def _toggle(gui: viser.GuiApi, name: str, initial: bool, nodes: list[Any]) -> None:
@@ -196,9 +213,8 @@ class HandPage(PageServer):
         return slider
 
     def _draw(self) -> None:
-        for body, (rotation, position) in self._view.bodies(self._q).items():
-            self._nodes[body].position = position
-            self._nodes[body].wxyz = viser.transforms.SO3.from_matrix(rotation).wxyz
+        for look in self._looks:
+            look.draw(self._q)
         points = self._view.landmarks(self._q)
         self._balls.batched_positions = points
         self._lines.points = np.stack([points[[a, b]] for _, a, b in self._view.bones()])
@@ -209,10 +225,48 @@ class HandPage(PageServer):
             slider.value = float(np.clip(every[joint], slider.min, slider.max))
 
 
+class _Look:
+    """The surfaces of a hand on one model.
+
+    Args:
+        hand: the robot hand, in the order of whose joints poses come.
+        view: the same hand on the model to draw.
+        root: name of the parent node.
+    """
+
+    def __init__(self, hand: Hand, view: HandView, root: str) -> None:
+        self.view, self._root = view, root
+        self._order = [hand.actuated_names.index(name) for name in view.hand.actuated_names]
+        self.nodes: dict[int, Any] = {}
+
+    def positions(self, q: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """Actuated joint positions in the order of the model that is drawn."""
+        return q[self._order]
+
+    def build(self, scene: viser.SceneApi) -> None:
+        colors = finger_colors(len(self.view.hand.fingers))
+        for body, mesh in self.view.meshes.items():
+            owner = self.view.finger_of_body[body]
+            self.nodes[body] = scene.add_mesh_simple(
+                f"{self._root}/body_{body}",
+                mesh.vertices,
+                mesh.faces,
+                color=PALM if owner < 0 else tuple(colors[owner].tolist()),
+                opacity=_TRANSLUCENT,
+                side="double",
+            )
+
+    def draw(self, q: Float[np.ndarray, " m"]) -> None:
+        for body, (rotation, position) in self.view.bodies(self.positions(q)).items():
+            self.nodes[body].position = position
+            self.nodes[body].wxyz = viser.transforms.SO3.from_matrix(rotation).wxyz
+
+
 def serve_hand(
     hand: Hand,
     notes: str = "",
     *,
+    drawn: Hand | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     open_browser: bool = True,
@@ -223,6 +277,7 @@ def serve_hand(
     Args:
         hand: the robot hand.
         notes: a line of text to put first in the panel.
+        drawn: the same hand on a model with its meshes; simple shapes if left out.
         host: address to listen on; this machine only by default.
         port: first port to try; the one that was free is printed.
         open_browser: open the page, where there is a desktop to open it on.
@@ -231,5 +286,5 @@ def serve_hand(
     Raises:
         ConfigError: if the address is not one of this machine's, or no port is free.
     """
-    page = HandPage(hand, notes, host=host, port=port).start()
+    page = HandPage(hand, notes, drawn=drawn, host=host, port=port).start()
     return serve_page(page, f"showing {hand.name} at", open_browser=open_browser, block=block)

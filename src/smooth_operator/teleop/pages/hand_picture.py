@@ -30,17 +30,20 @@ _DPI: Final = 110
 _COLORS: Final = 96  # of the PNG's palette: a fifth of the bytes, and no eye sees it
 
 
-def hand_figure(hand: Hand, q: Float[np.ndarray, " m"] | None = None) -> Figure:
+def hand_figure(
+    hand: Hand, q: Float[np.ndarray, " m"] | None = None, *, simple: bool = False
+) -> Figure:
     """Draws a hand from the palm and from the thumb's side, and a list of its joints.
 
     Args:
         hand: the robot hand.
         q: (m,) actuated joint positions [rad]; the neutral pose if left out.
+        simple: draw simple shapes, though the model may have meshes.
     """
     from matplotlib.figure import Figure
 
     pose = hand.neutral if q is None else np.asarray(q, float)
-    view = HandView(hand)
+    view = HandView(hand, simple=simple)
     palmar, rows = view.axes, joint_rows(hand)
     side = 1.0 if hand.spec.side == "right" else -1.0
     # Turned by a right angle about distal, and a little less, so that no finger hides the others.
@@ -65,8 +68,13 @@ def hand_figure(hand: Hand, q: Float[np.ndarray, " m"] | None = None) -> Figure:
     return figure
 
 
-def save_hand_picture(hand: Hand, path: str | Path) -> None:
+def save_hand_picture(hand: Hand, path: str | Path, *, simple: bool = False) -> None:
     """Writes ``hand_figure`` as a PNG with few colours.
+
+    Args:
+        hand: the robot hand.
+        path: the file.
+        simple: draw simple shapes, though the model may have meshes.
 
     Raises:
         OutputError: the file can't be written.
@@ -74,7 +82,7 @@ def save_hand_picture(hand: Hand, path: str | Path) -> None:
     from PIL import Image
 
     drawn = io.BytesIO()
-    hand_figure(hand).savefig(drawn, dpi=_DPI, format="png", facecolor="white")
+    hand_figure(hand, simple=simple).savefig(drawn, dpi=_DPI, format="png", facecolor="white")
     small = Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE)
     try:
         with atomic_write(path) as file:

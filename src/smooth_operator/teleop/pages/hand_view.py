@@ -13,6 +13,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
+from smooth_operator.teleop.pages.simple_shapes import simple_meshes
 
 _POSES = 24  # in which the motion of its tip identifies the bodies of a finger
 
@@ -22,13 +23,16 @@ class HandView:
 
     Args:
         hand: the robot hand.
+        simple: draw simple shapes, though the model may have meshes.
     """
 
-    def __init__(self, hand: Hand) -> None:
+    def __init__(self, hand: Hand, *, simple: bool = False) -> None:
         self.hand = hand
         self._data = mujoco.MjData(hand.model)
         self._palm = hand.model.body(hand.spec.palm).id
-        self.meshes: dict[int, trimesh.Trimesh] = body_meshes(hand.model, hand.bodies)
+        self.meshes: dict[int, trimesh.Trimesh] = (
+            simple_meshes(hand) if simple else body_meshes(hand.model, hand.bodies)
+        )
         self.finger_of_body = self._owners()
 
     @property

@@ -21,6 +21,10 @@ VISIBLE_GROUPS = 3
 _CREASE = np.deg2rad(35.0)
 """Edges sharper than this are drawn as edges; a CAD part with averaged normals looks inflated."""
 
+MOST_FACES = 20_000
+"""Triangles of one part of a model; what has more is made coarser. A browser draws every triangle
+in every picture, and LEAP's published parts have up to 87,000."""
+
 _SPECK = 5e-4
 """Parts smaller than this [m] are left out: real models hold stray specks, and in millimetres
 taken for metres, far from where they belong; they would count for the framing of the picture."""
@@ -73,16 +77,23 @@ def body_meshes(
     if not shown.any():
         shown = own
     parts: dict[int, list[trimesh.Trimesh]] = {}
+    assets: dict[int, trimesh.Trimesh | None] = {}  # phalanges often share a file
     for geom in np.flatnonzero(shown):
-        mesh = geom_mesh(model, int(geom))
-        if mesh is None or mesh.extents is None or mesh.extents.max() < _SPECK:
+        asset = int(model.geom_dataid[geom])
+        if asset < 0 or asset not in assets:
+            mesh = geom_mesh(model, int(geom))
+            if mesh is None or mesh.extents is None or mesh.extents.max() < _SPECK:
+                mesh = None
+            assets[asset] = None if mesh is None else smooth_shade(mesh, angle=_CREASE)
+        shaded = assets[asset]
+        if shaded is None:
             continue
         pose = np.eye(4)
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
-        mesh.apply_transform(pose)
-        parts.setdefault(int(model.geom_bodyid[geom]), []).append(smooth_shade(mesh, angle=_CREASE))
+        placed = shaded.copy().apply_transform(pose)
+        parts.setdefault(int(model.geom_bodyid[geom]), []).append(placed)
     merged: dict[int, trimesh.Trimesh] = {}
     for body, pieces in parts.items():
         whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
@@ -196,6 +207,9 @@ def finger_of_body(
     for finger, chain in enumerate(chains):
         others = set().union(*(c for i, c in enumerate(chains) if i != finger))
         owner[list(set(chain) - others)] = finger
+    for body in range(1, model.nbody):  # parents first: what is fixed beyond the last joint, too
+        if owner[body] < 0:
+            owner[body] = owner[model.body_parentid[body]]
     return owner
 
 
@@ -215,4 +229,34 @@ def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
         process=True,  # merges duplicate vertices, which the crease splitting relies on
     )
     surface.update_faces(surface.nondegenerate_faces())  # slivers flicker as stray pixels
-    return surface
+    return coarser(surface)
+
+
+def coarser(mesh: trimesh.Trimesh, most: int = MOST_FACES) -> trimesh.Trimesh:
+    """A surface of at most so many triangles: vertices in one cell of a grid become their mean.
+
+    Source: Rossignac and Borrel, "Multi-resolution 3D approximations" (1993).
+
+    Args:
+        mesh: the surface; returned as it is if it has no more.
+        most: number of triangles.
+    """
+    if len(mesh.faces) <= most:
+        return mesh
+    # a closed surface has about two triangles to a cell that it passes
+    cell = float(np.sqrt(2 * mesh.area / most))
+    while True:
+        grid = np.floor((mesh.vertices - mesh.bounds[0]) / cell).astype(np.int64)
+        _, of, count = np.unique(grid, axis=0, return_inverse=True, return_counts=True)
+        of = of.reshape(-1)
+        faces = of[mesh.faces]
+        a, b, c = faces.T
+        faces = faces[(a != b) & (b != c) & (c != a)]
+        if len(faces) <= most:
+            break
+        cell *= 1.25
+    means = np.stack([np.bincount(of, column) for column in mesh.vertices.T], axis=1)
+    coarse = trimesh.Trimesh(means / count[:, None], faces, process=False)
+    coarse.update_faces(coarse.unique_faces())
+    coarse.remove_unreferenced_vertices()
+    return coarse

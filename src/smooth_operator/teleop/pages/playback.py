@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import trimesh
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, DTypeLike
 
@@ -16,6 +17,25 @@ from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
 
 PINCH_DISTANCE = 0.015
 """A human thumb-finger tip distance below this counts as a pinch [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimpleShapes:
+    """A robot hand of a playback in simple shapes, on a model of its own.
+
+    Attributes:
+        model: the robot hand.
+        qpos: (T, nq) joint positions of that model [rad].
+        meshes: body -> its surface, in the body's frame [m].
+        wxyz: (4,) rotation of that model's world in the playback's, a unit quaternion.
+        position: (3,) its origin there [m].
+    """
+
+    model: mujoco.MjModel
+    qpos: Float[np.ndarray, "T nq"]
+    meshes: Mapping[int, trimesh.Trimesh]
+    wxyz: Float[np.ndarray, "4"]
+    position: Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +59,8 @@ class Playback:
         bodies: (nbody,) which bodies of the model to draw, where it holds more than the hand; all
             if None.
         label: what stands above the robot; where several are shown, what made its motion.
+        simple: the hand in simple shapes, for a switch; None where ``model`` is all there is.
+        show_meshes: draw the model at first, not the simple shapes.
 
     Raises:
         RecordingError: if an array about the human has the wrong shape, or the stamps don't
@@ -60,6 +82,8 @@ class Playback:
     metrics: Mapping[str, Any] | None = None
     bodies: Bool[np.ndarray, " nbody"] | None = None
     label: str = "robot"
+    simple: SimpleShapes | None = None
+    show_meshes: bool = True
 
     def __post_init__(self) -> None:
         stamps = np.asarray(self.stamps, np.float64)

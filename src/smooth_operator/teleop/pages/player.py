@@ -164,6 +164,11 @@ class PlaybackServer(PageServer):
         with self._change():
             self._jobs.append(lambda: self._scene.set_keyvectors(visible))
 
+    def set_meshes(self, visible: bool) -> None:
+        """Show the makers' meshes, or simple shapes."""
+        with self._change():
+            self._jobs.append(lambda: self._scene.set_meshes(visible))
+
     def aim(self, client: viser.ClientHandle) -> None:
         """Reset one browser's camera."""
         self._scene.aim(client)

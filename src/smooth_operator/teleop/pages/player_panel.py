@@ -40,6 +40,9 @@ class Controls(Protocol):
     def set_keyvectors(self, visible: bool) -> None:
         """Show or hide the keyvectors."""
 
+    def set_meshes(self, visible: bool) -> None:
+        """Show the makers' meshes, or simple shapes."""
+
     def aim(self, client: viser.ClientHandle) -> None:
         """Reset one browser's camera."""
 
@@ -70,6 +73,11 @@ class Panel:
         looping = gui.add_checkbox("Loop", loop)
         overlay = gui.add_checkbox("Overlay", False, hint="all hands in one place")
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
+        if any(run.simple is not None for run in runs):
+            meshes = gui.add_checkbox(
+                "Meshes", runs[0].show_meshes, hint="the maker's, or simple shapes"
+            )
+            meshes.on_update(asked(lambda event: controls.set_meshes(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         gui.add_html(legend(runs))
 

@@ -85,6 +85,11 @@ class Scene:
         for robot in self._robots:
             robot.set_translucent(overlay)
 
+    def set_meshes(self, visible: bool) -> None:
+        """Draw the makers' meshes, or simple shapes, where a run has both."""
+        for robot in self._robots:
+            robot.set_meshes(visible)
+
     def set_keyvectors(self, visible: bool) -> None:
         """Show or hide the thumb-to-tip lines."""
         for lines in self._lines.values():

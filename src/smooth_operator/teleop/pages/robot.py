@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
 from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, without_forearm
 from smooth_operator.teleop.pages.page_layout import FOREARM, view_axes
-from smooth_operator.teleop.pages.playback import Playback
+from smooth_operator.teleop.pages.playback import Playback, SimpleShapes
 
 _TRANSLUCENT = 0.45  # opacity of the robot when the human hand is drawn inside it
 
@@ -33,6 +33,13 @@ class RobotView:
         self._boxes = {body: mesh.bounding_box.vertices for body, mesh in meshes.items()}
         self._hand = BodyNodes(scene, playback.model, meshes, owner, root)
         self._bodies = self._hand.nodes
+        self._simple: BodyNodes | None = None
+        if (simple := playback.simple) is not None:
+            base = f"{root}/simple"
+            scene.add_frame(base, show_axes=False, wxyz=simple.wxyz, position=simple.position)
+            of = finger_of_body(simple.model, simple.qpos, _tips(playback, simple))
+            self._simple = BodyNodes(scene, simple.model, dict(simple.meshes), of, base)
+            self.set_meshes(playback.show_meshes)
         self._balls = TipBalls(scene, len(playback.fingers), f"{root}/tips")
         self._tips = self._balls.node
 
@@ -44,11 +51,20 @@ class RobotView:
             pinched: (F-1,) which fingers the human pinches with the thumb.
         """
         self._hand.draw(self._playback.qpos[frame])
+        if self._simple is not None and self._playback.simple is not None:
+            self._simple.draw(self._playback.simple.qpos[frame])
         self._balls.draw(self._playback.robot_tips[frame], pinched)
 
     def set_translucent(self, translucent: bool) -> None:
         """Make the hand see-through, for looking at the human hand inside it."""
-        self._hand.set_opacity(_TRANSLUCENT if translucent else None)
+        for bodies in filter(None, (self._hand, self._simple)):
+            bodies.set_opacity(_TRANSLUCENT if translucent else None)
+
+    def set_meshes(self, visible: bool) -> None:
+        """Draw the model, or the hand in simple shapes."""
+        if self._simple is not None:
+            self._hand.set_visible(visible)
+            self._simple.set_visible(not visible)
 
     def bounds(self, samples: int = 16) -> Float[np.ndarray, "N 3"]:
         """(N, 3) corners of the bodies' boxes at some frames, in the model's world frame [m]."""
@@ -60,6 +76,13 @@ class RobotView:
                 rotation = data.xmat[body].reshape(3, 3)
                 points.append(box @ rotation.T + data.xpos[body])
         return np.concatenate(points)
+
+
+def _tips(playback: Playback, simple: SimpleShapes) -> Float[np.ndarray, "T F 3"]:
+    """(T, F, 3) fingertips in the world of the simple shapes' model [m]."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, simple.wxyz)
+    return np.asarray((playback.robot_tips - simple.position) @ matrix.reshape(3, 3))
 
 
 def _cut(

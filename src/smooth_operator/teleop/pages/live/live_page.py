@@ -41,7 +41,9 @@ class PageSetup:
         port: first port to try; 0 for any free one.
         simulated: whether a simulated or measured hand is to be drawn.
         blind: the operator is not to know the method: nothing shows or changes it.
-        model: MJCF or URDF that is drawn, or ``menagerie``; our own shapes if None.
+        model: MJCF or URDF that is drawn, or ``menagerie``; if None, the hand's meshes that are
+            here.
+        meshes: draw meshes, where there are some; otherwise simple shapes.
         details: with reflections, which a browser without a graphics card takes long to prepare.
         arm: that carries the hands; None for none.
     """
@@ -54,6 +56,7 @@ class PageSetup:
     simulated: bool = False
     blind: bool = False
     model: str | None = None
+    meshes: bool = True
     details: bool = True
     arm: ArmSettings | None = None
 

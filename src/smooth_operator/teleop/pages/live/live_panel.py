@@ -15,6 +15,7 @@ from smooth_operator.teleop.pages.live.camera import OLD_S, camera
 from smooth_operator.teleop.pages.live.config_controls import ConfigControls
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.page_link import Link
+from smooth_operator.teleop.pages.markup import plain
 from smooth_operator.types import Side
 
 _UNKNOWN: Final = -1
@@ -207,11 +208,17 @@ class LivePanel:
         vectors.on_update(asked(lambda event: scene.set_keyvectors(event.target.value)))
         self._pictures_box = gui.add_checkbox("Camera picture", True, visible=False)
         self._pictures_box.on_update(asked(lambda event: self._want_pictures(event.target.value)))
+        self._meshes_box = gui.add_checkbox(
+            "Meshes", True, hint="the maker's, or simple shapes", visible=False
+        )
+        self._meshes_box.on_update(asked(lambda event: scene.set_meshes(event.target.value)))
         if scene.simulated:
             simulated = gui.add_checkbox("Simulated hand", True, hint="see-through, where it is")
             simulated.on_update(asked(lambda event: scene.set_simulated(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         view.on_click(asked(lambda event: scene.aiming.aim(event.client)))
+
+        self._meshes_note = gui.add_markdown("", visible=False)
 
     # -- showing ------------------------------------------------------------------------------
 
@@ -222,6 +229,12 @@ class LivePanel:
         """What the button says; in an emergency stop nothing, which only a release ends."""
         if not self._stopped:
             self._link.do("resume" if self._paused else "pause")
+
+    def show_meshes(self, there: bool, note: str) -> None:
+        """Show whether the hand's meshes can be drawn, and if not, why."""
+        self._meshes_box.visible = there
+        self._meshes_note.content = plain(note)
+        self._meshes_note.visible = bool(note)
 
     def _show_controls(self, controls: Mapping[str, Any]) -> None:
         self._notice.content = live_texts.notice(controls)

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-import trimesh
 import viser
 from jaxtyping import Float, UInt8
 
@@ -22,18 +21,17 @@ from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.teleop.pages.aiming import Aiming
-from smooth_operator.teleop.pages.body_nodes import BodyNodes, TipBalls
+from smooth_operator.teleop.pages.body_nodes import TipBalls
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
+from smooth_operator.teleop.pages.live.robot_bodies import RobotBodies
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
 from smooth_operator.teleop.pages.live.wrist_map import WristMaps
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, upright
-from smooth_operator.teleop.pages.palette import SIMULATED, Rgb
+from smooth_operator.teleop.pages.palette import Rgb
 from smooth_operator.types import Side
 
 _LINE: Final = 0.0022  # thickness of a keyvector [m]
-_TRANSLUCENT: Final = 0.45  # opacity of a hand that overlaps another
-_WITHIN: Final = 0.985  # size of a simulated body, which is seen where it leaves the commanded one
 _LABEL: Final = 0.016  # from there to the label [m]
 _LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
 _FONT: Final = 1.25  # size of the labels
@@ -54,9 +52,8 @@ class LiveScene:
         server: where to draw.
         hands: side -> robot hand.
         simulated: whether there is a simulated hand.
-        drawn: side -> the same hand on the model to draw, with the same joints by name, in any
-            order; see ``on_model``. The hand itself if left
-            out.
+        drawn: side -> the same hand on a model with meshes, with the same joints by name, in any
+            order; see ``on_model``. It can be added later.
     """
 
     def __init__(
@@ -70,10 +67,9 @@ class LiveScene:
         self.scenery_number = 0
         sides: tuple[Side, ...] = ("left", "right")
         order = [side for side in sides if side in hands]
-        models = hands if drawn is None else drawn
-        self._sides = {
-            side: _SideView(server.scene, hands[side], models[side], simulated) for side in order
-        }
+        self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
+        for side, hand in (drawn or {}).items():
+            self._sides[side].add_meshes(HandView(hand))
         self._server = server
         server.scene.set_background_image(_background(), format="png")
         self._floor = server.scene.add_grid(
@@ -172,45 +168,41 @@ class LiveScene:
         for view in self._sides.values():
             view.set_simulated(visible)
 
+    def add_meshes(self, views: Mapping[Side, HandView]) -> None:
+        """Draw robots on models with meshes from now on; the simple shapes stay for a switch."""
+        for side, view in views.items():
+            self._sides[side].add_meshes(view)
+
+    def set_meshes(self, visible: bool) -> None:
+        """Draw the meshes, where there are some, or simple shapes."""
+        for view in self._sides.values():
+            view.set_meshes(visible)
+
 
 class _SideView:
     """The hands of one side."""
 
-    def __init__(self, scene: viser.SceneApi, hand: Hand, drawn: Hand, simulated: bool) -> None:
+    def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool) -> None:
         side = hand.spec.side
-        self._hand, self._drawn = hand, drawn
-        self._rest = drawn.full_configuration(drawn.neutral)
-        self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
+        self._hand, self._nodes = hand, scene
         self.operator: OperatorProfile | None = None
         self._palm_axes = human_palm_axes(hand)
-        view = HandView(drawn)
+        view = HandView(hand, simple=True)
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         up, toward = upright(view.axes[1], view.axes[2])
         self._axes = np.stack([np.cross(up, toward), up, toward])
-        meshes = view.without_forearm(FOREARM, up)
         tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
         self._roots = {
             name: scene.add_frame(f"/{side}/{name}", show_axes=False) for name in ("human", "robot")
         }
-        palm_wxyz, palm_position = _inverse_palm(drawn)
-        model_root = f"/{side}/robot/model"
-        scene.add_frame(model_root, show_axes=False, wxyz=palm_wxyz, position=palm_position)
-        owner = view.finger_of_body
-        self._robot = BodyNodes(scene, drawn.model, meshes, owner, f"{model_root}/command")
-        self._simulated = (
-            BodyNodes(
-                scene,
-                drawn.model,
-                {body: mesh for body, mesh in meshes.items() if owner[body] >= 0},
-                owner,
-                f"{model_root}/simulated",
-                color=SIMULATED,
-                opacity=_TRANSLUCENT,
-                scale=_WITHIN,
-            )
-            if simulated
-            else None
-        )
+        self._model_root = f"/{side}/robot/model"
+        self._with_simulated = self._show_simulated = simulated
+        self._state: Mapping[str, Any] = {
+            "positions": hand.full_configuration(hand.neutral), "human": None, "latched": None,
+        }  # fmt: skip
+        self._simple = RobotBodies(scene, hand, view, self._model_root, up, simulated)
+        self._meshes: RobotBodies | None = None
+        self._want_meshes = True
         self._human = HumanView(scene, tips, f"/{side}/human")
         self._balls = TipBalls(scene, len(tips), f"/{side}/robot/tips")
         self._tips = tips
@@ -226,7 +218,7 @@ class _SideView:
             )
             for name in self._roots
         }
-        self._points = self._hull(view, meshes)
+        self._points = self._hull()
         words = {"human": "human", "robot": hand.name}
         self._labels = [
             scene.add_label(
@@ -240,9 +232,29 @@ class _SideView:
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid = False
         self.face(None, None)
-        start = {"positions": hand.full_configuration(hand.neutral), "human": None, "latched": None}
-        self.draw_lines(start)
-        self.draw_bodies(start)
+        self.draw_lines(self._state)
+        self.draw_bodies(self._state)
+
+    @property
+    def _robot(self) -> RobotBodies:
+        """What is drawn."""
+        return self._meshes if self._meshes and self._want_meshes else self._simple
+
+    def add_meshes(self, view: HandView) -> None:
+        root = f"{self._model_root}_meshes"
+        up = self._axes[1]
+        self._meshes = RobotBodies(self._nodes, self._hand, view, root, up, self._with_simulated)
+        self._show()
+
+    def set_meshes(self, visible: bool) -> None:
+        self._want_meshes = visible
+        self._show()
+
+    def _show(self) -> None:
+        """Show what is to be drawn in the present pose, and hide the other."""
+        self._robot.draw(*self._poses(self._state))
+        for bodies in filter(None, (self._simple, self._meshes)):
+            bodies.show(bodies is self._robot, self._show_simulated, self._overlaid)
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
         """Where the two stand when they don't stand in each other: right and up [m]."""
@@ -255,17 +267,15 @@ class _SideView:
     def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
         """Joint positions of the solid hand, and of the one that is seen where it differs."""
         every = np.asarray(state["positions"], float)
-        if self._simulated is None or state.get("simulated") is None:
+        if not self._with_simulated or state.get("simulated") is None:
             return every, None
         other = np.asarray(state["simulated"], float)
         # with a task, the hand that touches the object is the one to look at
         return (other, every) if self.scenery.there else (every, other)
 
     def draw_bodies(self, state: Mapping[str, Any]) -> None:
-        every, other = self._poses(state)
-        self._robot.draw(self._qpos(every))
-        if self._simulated is not None and other is not None:
-            self._simulated.draw(self._qpos(other))
+        self._state = state
+        self._robot.draw(*self._poses(state))
 
     def draw_lines(self, state: Mapping[str, Any]) -> bool:
         """Show them; whether the hands need other places then."""
@@ -288,21 +298,15 @@ class _SideView:
         self._roots["human"].position = robot if overlay else human
         self._roots["robot"].position = robot
         self._labels[0].visible = not overlay
-        self._robot.set_opacity(_TRANSLUCENT if overlay else None)
+        self._show()
 
     def set_keyvectors(self, visible: bool) -> None:
         for lines in self._lines.values():
             lines.visible = visible
 
     def set_simulated(self, visible: bool) -> None:
-        if self._simulated is not None:
-            self._simulated.set_visible(visible)
-
-    def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
-        """Joint positions of the drawn model; what it has besides the hand's joints rests."""
-        positions = self._rest.copy()
-        positions[self._order] = every
-        return self._drawn.qpos(positions)
+        self._show_simulated = visible
+        self._show()
 
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
         """The human hand in the palm frame, as the method sees it; NaN where there is none."""
@@ -345,22 +349,13 @@ class _SideView:
         for label in self._labels:
             label.position = end
 
-    def _hull(
-        self, view: HandView, meshes: Mapping[int, trimesh.Trimesh]
-    ) -> Float[np.ndarray, "p 3"]:
+    def _hull(self) -> Float[np.ndarray, "p 3"]:
         """(p, 3) points that hands of either kind stay within, in the palm frame [m]."""
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
         for q in (neutral, straight):
-            self._robot.place(self._qpos(hand.full_configuration(q)))
-            data, palm = self._robot.data, self._drawn.model.body(self._drawn.spec.palm).id
-            turn, origin = data.xmat[palm].reshape(3, 3), data.xpos[palm]
-            points += [
-                (mesh.bounding_box.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
-                 - origin) @ turn
-                for body, mesh in meshes.items()
-            ]  # fmt: skip
+            points += self._simple.corners(hand.full_configuration(q))
         return np.concatenate(points)
 
 
@@ -368,17 +363,6 @@ def _background() -> UInt8[np.ndarray, "h w 3"]:
     """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
     shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
     return np.repeat(shade[:, None], 2, axis=1)
-
-
-def _inverse_palm(hand: Hand) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
-    """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
-    data = mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
-    mujoco.mj_kinematics(hand.model, data)
-    palm = data.body(hand.spec.palm)
-    wxyz, position = np.empty(4), np.empty(3)
-    mujoco.mju_negPose(position, wxyz, palm.xpos, palm.xquat)
-    return wxyz, position
 
 
 def _operator(content: Mapping[str, Any]) -> OperatorProfile:

@@ -13,13 +13,16 @@ from importlib import resources
 from typing import Any, Final
 
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.hand_files.menagerie import drawn_on
+from smooth_operator.hand_files.menagerie import hand_with_meshes
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.pace import Pace
 from smooth_operator.teleop.pages.live.page_link import Link, LoopEnded
 from smooth_operator.teleop.pages.viser_server import open_server, page_url, run_script
+from smooth_operator.types import Side
 
 _TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
 _IDLE_S: Final = 0.5  # while nobody watches
@@ -63,14 +66,11 @@ class _Page:
             side: load_hand(setup["hand"], side, fingers=setup["fingers"])
             for side in setup["sides"]
         }
-        drawn = None
-        if setup["model"] is not None:
-            drawn = {side: drawn_on(hand, setup["model"]) for side, hand in hands.items()}
         self._server = open_server(setup["host"], setup["port"])
         with self._server.atomic():
             if not setup["details"]:
                 self._server.scene.configure_environment_map(None)
-            self._scene = LiveScene(self._server, hands, setup["simulated"], drawn)
+            self._scene = LiveScene(self._server, hands, setup["simulated"])
             self._panel = LivePanel(
                 self._server, hands, link, self._scene, None if setup["blind"] else self.download
             )
@@ -79,6 +79,11 @@ class _Page:
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
         self._pace = Pace(self._server)
+        self._found: tuple[dict[Side, HandView], str] | None = None
+        if setup["meshes"]:
+            threading.Thread(
+                target=self._find_meshes, args=(hands, setup["model"]), name="meshes", daemon=True
+            ).start()
         link.say({"url": page_url(setup["host"], self._server)})
 
     def run(self) -> None:
@@ -109,8 +114,23 @@ class _Page:
             self._wake.wait(max(self._pace.period - spent, spent) if watched else _IDLE_S)
             self._wake.clear()
 
+    def _find_meshes(self, hands: dict[Side, Hand], model: str | None) -> None:
+        """Read the hands' meshes, which takes seconds; the page shows simple shapes until then."""
+        try:
+            there = {side: hand_with_meshes(hand, model) for side, hand in hands.items()}
+            views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
+            self._found = views, ""
+        except (SmoothOperatorError, ValueError, IndexError, ArithmeticError) as error:
+            self._found = {}, f"simple shapes are drawn: {error}"
+        self._wake.set()
+
     def _draw(self, seen: dict[str, Any]) -> None:
         """Send what has changed; to a slow browser in two steps, see ``Pace``."""
+        if self._found is not None:
+            (views, note), self._found = self._found, None
+            with self._server.atomic():
+                self._scene.add_meshes(views)
+                self._panel.show_meshes(bool(views), note)
         with self._server.atomic():
             self._scene.draw_lines(seen["hands"])
             self._panel.show(seen, self._pace.delay)
