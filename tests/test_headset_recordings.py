@@ -143,6 +143,21 @@ def test_a_wrist_goes_through_convert(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.stamps, np.arange(FRAMES) / 60)
 
 
+def test_a_small_file_of_many_frames_does_not_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.formats.bounds.FREE_BYTES", 1 << 16)
+    path = tmp_path / "tracking.jsonl"
+    tip = app.transform(np.eye(3), np.array([0.1, 0.0, 0.0])).T.ravel().tolist()
+    lines = []
+    for k in range(60):  # hands of one joint that moves
+        tip[13] = 0.01 * k
+        lines.append(json.dumps({"timestamp": k / 60, "leftHand": {"thumbTip": tip}}))
+    path.write_text("\n".join(lines))
+    with pytest.raises(RecordingError, match="of memory to read 'left'"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize(
     ("name", "write", "mutate"),
     [

@@ -30,6 +30,10 @@ TEXT_BYTES: Final = 64
 """Least bytes that a text counts, in addition to its characters."""
 
 
+class TooLargeError(RecordingError):
+    """A file would unpack to more than is allowed for its size."""
+
+
 @dataclass
 class Allowance:
     """What may be unpacked of one file.
@@ -59,11 +63,11 @@ class Allowance:
             count: what it takes [bytes].
 
         Raises:
-            RecordingError: that would be more than is allowed.
+            TooLargeError: that would be more than is allowed.
         """
         total = self.total - self.used.get(part, 0) + count
         if total > self.most:
-            raise RecordingError(
+            raise TooLargeError(
                 f"{self.path}: it would take {_size(total)} of memory to read {part[:80]!r}, more "
                 f"than the {_size(self.most)} allowed for a file of this size; if the file is "
                 "right, save it without compression, or in parts"

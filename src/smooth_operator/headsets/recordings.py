@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import DocumentError, RecordingError, brief
+from smooth_operator.formats.bounds import Allowance, TooLargeError
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.headsets.avp_hands import JOINTS, avp_frame
 from smooth_operator.headsets.hts_lines import HtsHands, HtsLine, hts_frame, parse_line
@@ -42,6 +43,8 @@ _NAMES: Final = (
         for part in ("Metacarpal", *_THUMB)
     ),
 )
+_FRAME_BYTES: Final = 4096
+"""What a frame takes in memory, with its arrays."""
 _LABEL: Final = re.compile(rb"(?=(?:Right|Left) (?:wrist|landmarks)|Head pose)")
 _WRIST: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
@@ -53,6 +56,7 @@ class _Collected:
         self._path, self._side = path, side
         self._frames: dict[Side, list[HandFrame]] = {"left": [], "right": []}
         self._repeats, self._repeated = Repeats(wrist), 0
+        self._allowance = Allowance.of(path, path.stat().st_size)
         self._damaged = 0
         self._reason = ""
 
@@ -63,9 +67,18 @@ class _Collected:
         if new is None:
             self._repeated += 1
         else:
-            self._frames[frame.side].append(new)
+            frames = self._frames[frame.side]
+            frames.append(new)
+            self._allowance.take(frame.side, len(frames) * _FRAME_BYTES)
 
     def damaged(self, error: Exception) -> None:
+        """Count a line.
+
+        Raises:
+            RecordingError: it is not the line, but the file that takes too much memory.
+        """
+        if isinstance(error, TooLargeError):
+            raise error
         self._damaged += 1
         self._reason = str(error)
 
