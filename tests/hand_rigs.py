@@ -40,6 +40,8 @@ class Rig:
     driver: str = ""
     library: str = ""
     unit: float = 1.0
+    waits: tuple[str, ...] = ("_TIMEOUT",)
+    """Names of the driver's times."""
     reports = False
     """Whether the hand says by itself where it is, and is not asked."""
     delay_s = 0.01
@@ -55,6 +57,12 @@ class Rig:
     def faults(self) -> Faults:
         found: Faults = self.hand.faults
         return found
+
+    def patience(self, seconds: float) -> None:
+        """How long the driver waits for an answer [s]; to be set before it is opened."""
+        module = f"smooth_operator.teleop.hardware.drivers.{self.driver}"
+        for name in self.waits:
+            self.monkeypatch.setattr(f"{module}.{name}", seconds)
 
     def build(self, **settings: object) -> HardwareSink:
         """The sink, with fast motion unless told otherwise."""
@@ -162,6 +170,7 @@ class LinkerL10(Linker):
 
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
+    waits = ("_STALE_S", "_OPENING_S")
     version = "v5"
     table = "allegro_v5"
 
@@ -205,7 +214,8 @@ class Ability(Rig):
 
     def start(self) -> None:
         self.hand = AbilityHand()
-        self.sink = f"ability:{_linked(self.folder / 'ttyAbility', self.hand.port)}"
+        port = _linked(self.folder / "ttyAbility", self.hand.port)
+        self.sink = f"ability:{port},baud=115200"  # macOS has no other bauds on a pty
 
     def lose(self) -> None:
         self.hand.close()
@@ -219,6 +229,7 @@ class Ability(Rig):
 
 class Wuji(Rig):
     driver, unit = "wuji", 0.01
+    waits = ()
 
     def start(self) -> None:
         self.hand = self.hand or WujiWorld()

@@ -34,6 +34,14 @@ from smooth_operator.teleop.hardware.table_file import built_in_tables, read_tab
 _channels = itertools.count()
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine may be busy."""
+    drivers = "smooth_operator.teleop.hardware.drivers"
+    for name in ("ability._TIMEOUT", "linker._TIMEOUT", "inspire._TIMEOUT", "allegro._STALE_S"):
+        monkeypatch.setattr(f"{drivers}.{name}", 3.0)
+
+
 def table(name: str, **settings: object) -> ActuatorMap:
     from dataclasses import replace
 
@@ -97,7 +105,7 @@ def test_inspire_follows_a_run_of_teleop(capsys: pytest.CaptureFixture[str]) -> 
     assert "inspire" in capsys.readouterr().err
 
 
-def test_linker_frames() -> None:
+def test_linker_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     needs("linker-l20")
     import can
 
@@ -125,6 +133,7 @@ def test_linker_frames() -> None:
         device.close()
         spy.shutdown()
         hand.close()
+    monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.linker._TIMEOUT", 0.1)
     right = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
     with pytest.raises(SinkError, match="not a left hand, whose identifier is 0x27"):
         right.open()
@@ -210,7 +219,7 @@ def test_ability_frames() -> None:
 def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake() -> None:
     needs("ability")
     hand = AbilityHand()
-    device = AbilityDevice(table("ability_right"), hand.port, 460800, 0x50)
+    device = AbilityDevice(table("ability_right"), hand.port, 115200, 0x50)
     try:
         device.open()
         hand.hot = 0b100010

@@ -126,8 +126,12 @@ class HandWorker:
         if self._error is not None:
             raise SinkError(f"{self._label}: {self._error}") from self._error
         self._tick = (tick, time.perf_counter())
-        with self._change:
-            self._change.notify()
+        # If the thread has the lock it is awake. Waiting for it would cost the loop a time slice.
+        if self._change.acquire(blocking=False):
+            try:
+                self._change.notify()
+            finally:
+                self._change.release()
 
     def end(self) -> None:
         """Bring the hand to rest as its table says, and give the bus back.
