@@ -26,6 +26,11 @@ def hand() -> Hand:
     return load_hand("mimic_p050")
 
 
+@pytest.fixture(autouse=True)
+def quick_contact(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.actuator_mover._BLOCKED_S", 0.01)
+
+
 @pytest.fixture
 def table(tmp_path: Path, hand: Hand) -> ActuatorMap:
     path = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names[:2], "rate = 500\n")

@@ -62,7 +62,7 @@ def test_the_makers_mock_boots_approaches_and_is_read_back(hand: Hand) -> None:
         assert state is not None
         q = hand.full_configuration(hand.neutral)
         tick = replace(make_tick(hand), command=JointCommand(q, hand.joint_names))
-        until(lambda: sink.send(tick) or not sink.note)
+        until(lambda: sink.send(tick) or "approaches" not in sink.note)
 
         def error() -> float:
             now = sink.state("right")

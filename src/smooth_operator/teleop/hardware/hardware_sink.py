@@ -11,6 +11,7 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.bus_lock import BusLock
+from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
 from smooth_operator.teleop.hardware.device import HandDevice
 from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.hardware.table_file import find_table, read_table
@@ -62,6 +63,9 @@ class HardwareSink(Sink):
     silence_s: float = 0.2
     lost_s: float = 0.5
     _worker: HandWorker | None = field(default=None, init=False, repr=False, compare=False)
+    _statistics: BusStatistics = field(
+        default_factory=BusStatistics, init=False, repr=False, compare=False
+    )
     _lock: BusLock | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -112,8 +116,7 @@ class HardwareSink(Sink):
     @property
     def figures(self) -> dict[str, Any]:
         """Counts and times of the bus, for the summary of a run."""
-        worker = self._worker
-        return {} if worker is None else worker.statistics.summary()
+        return self._statistics.summary()
 
     def actuators(self, side: Side) -> ActuatorMap:
         """The table of its hand, with this sink's settings.
@@ -151,7 +154,9 @@ class HardwareSink(Sink):
         device = self.device(table)
         guard = GuardSettings(self.approach, self.speed, self.contact)
         settings = WorkerSettings(1.0 / table.rate, self.silence_s, self.lost_s, guard)
-        worker = HandWorker(self.label, device, bound, side, hands[side].name, settings)
+        worker = HandWorker(
+            self.label, device, bound, side, hands[side].name, settings, self._statistics
+        )
         lock = BusLock(self.bus)
         try:
             worker.start()

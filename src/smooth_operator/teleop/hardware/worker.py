@@ -36,6 +36,9 @@ _OPENING_S: Final = 15.0
 _CLOSING_S: Final = 2.0
 """How long closing waits for a bus that may hang [s]."""
 
+_MANY: Final = 0.05
+"""Share of slow cycles from which the note has their number."""
+
 _HANGS_S: Final = 0.5
 """Time inside one call to the bus after which the note says so [s]."""
 
@@ -67,6 +70,7 @@ class HandWorker:
         side: of the hand.
         hand: name of the robot hand.
         settings: see there.
+        statistics: to go on counting in; None for new ones.
 
     Attributes:
         state: the newest measured state; None before the first one and while the device is lost.
@@ -82,10 +86,11 @@ class HandWorker:
         side: Side,
         hand: str,
         settings: WorkerSettings,
+        statistics: BusStatistics | None = None,
     ) -> None:
         self.state: HandState | None = None
         self.reading: Reading | None = None
-        self.statistics = BusStatistics()
+        self.statistics = BusStatistics() if statistics is None else statistics
         self._label, self._device, self._map = label, device, actuators
         self.side = side
         self._hand, self._settings = hand, settings
@@ -159,7 +164,8 @@ class HandWorker:
         if reading is not None and not self._trouble:
             said += self._warnings(reading)
         count = self.statistics
-        counted = {"wrong answers": count.wrong, "slow cycles": count.slow, "losses": count.lost}
+        slow = count.slow if count.slow > _MANY * count.cycles else 0
+        counted = {"wrong answers": count.wrong, "slow cycles": slow, "losses": count.lost}
         said += [f"{number} {what}" for what, number in counted.items() if number]
         return "; ".join(said)
 
