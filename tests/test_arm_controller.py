@@ -105,7 +105,7 @@ def test_no_limit_is_passed_whatever_the_target_does(arm: str) -> None:
     target = controller.wrist_at(controller.home)
     q, velocity, before = controller.home, np.zeros(len(spec.links)), np.inf
     fingers, nearest, states = hand.neutral.copy(), np.inf, set()
-    for number in range(400):
+    for number in range(260):
         if number % 25 == 0:
             turn = rng.normal(size=4)
             target = np.concatenate([rng.uniform((-0.9, -0.9, -0.3), (0.9, 0.9, 1.2)), turn])

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.rigid import Matrix
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.types import Side
 
@@ -49,6 +50,11 @@ class LiveSimulation(Protocol):
 
     def scene_state(self, side: Side) -> SceneState | None:
         """Where the object is now; safe from any thread. None without a task or such a hand."""
+        ...
+
+    def arm_base(self, side: Side) -> Matrix | None:
+        """Pose (4, 4) of the base of the arm that carries a hand, in the scene around it; None
+        without an arm or a task."""
         ...
 
     def change_task(self, task: str) -> None:

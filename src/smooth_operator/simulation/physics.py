@@ -30,6 +30,7 @@ class HandPhysics:
 
     Attributes:
         time: simulated time [s].
+        carried: the arm that carries the hand, on its place; None on a fixture.
         resets: how often the physics came apart, and was set back to the command.
     """
 
@@ -54,6 +55,7 @@ class HandPhysics:
             hand, timestep=timestep, bandwidth=bandwidth, gravity=gravity, furnish=furnish
         )
         self._data = mujoco.MjData(self._built.model)
+        self.carried = carried
         self._arm = None if carried is None else carried.addresses(self._built.model)
         self._home = np.zeros(0) if carried is None else carried.home
         self._arm_target: Float[np.ndarray, " a"] = self._home

@@ -71,7 +71,7 @@ class Clearance(mink.Limit):
         config: the distances.
 
     Attributes:
-        nearest: smallest distance at the last look [m].
+        nearest: smallest distance at the last look [m], without fingers and table, which may touch.
         low: (n,) least velocity of the joints in the next step [rad/s].
         high: (n,) the most.
     """
@@ -153,18 +153,21 @@ class Clearance(mink.Limit):
         one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
         line = other - one
         length = np.linalg.norm(line, axis=1)
-        found = [(length - reach, np.full(len(first), self.config.parts), one, first, other,
-                  second, line / np.maximum(length, _TINY)[:, None])]  # fmt: skip
+        parts, no = np.full(len(first), self.config.parts), np.zeros(len(first), bool)
+        found = [(length - reach, parts, no, one, first, other, second,
+                  line / np.maximum(length, _TINY)[:, None])]  # fmt: skip
         for (normal, offset), free in zip(self._planes, self._free, strict=True):
             along = half[free] @ normal
             point = middle[free] - np.sign(along)[:, None] * half[free]
             gap = point @ normal - offset - self._radius[free]
             least = np.full(len(free), self.config.wall)
+            touches = self._finger[free] & bool(normal[2])
             if normal[2]:
-                least = np.where(self._finger[free], self.config.fingers, self.config.table)
+                least = np.where(touches, self.config.fingers, self.config.table)
             none = np.zeros(len(free), int)  # the base, which nothing moves
-            found.append((gap, least, point, none, point, free, np.tile(normal, (len(free), 1))))
-        distance, least, one, a, other, b, normal = (
+            normals = np.tile(normal, (len(free), 1))
+            found.append((gap, least, touches, point, none, point, free, normals))
+        distance, least, may_touch, one, a, other, b, normal = (
             np.concatenate(part) for part in zip(*found, strict=True)
         )
         spare = distance - least
@@ -181,7 +184,7 @@ class Clearance(mink.Limit):
             return out
 
         slope = speed(other[kept], b[kept]) - speed(one[kept], a[kept])
-        self.nearest = float(distance.min(initial=np.inf))
+        self.nearest = float(distance[~may_touch].min(initial=np.inf))
         return spare[kept], slope, distance[kept]
 
     def compute_qp_inequalities(

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
+from smooth_operator.simulation.arms.rigid import Matrix
 from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, SceneState, scene_for
@@ -176,6 +177,13 @@ class Simulation(Sink):
         if world is None or (arm := world.arms.get(side)) is None:
             return None
         return world.kinematics[side].wrist(arm)
+
+    def arm_base(self, side: Side) -> Matrix | None:
+        """Where an arm stands in the scene of a task; see ``LiveSimulation``."""
+        physics = None if self._world is None else self._world.physics.get(side)
+        if not isinstance(physics, ScenePhysics) or physics.carried is None:
+            return None
+        return physics.carried.base
 
     def scene_of(self, side: Side) -> Scene:
         """What is around a hand.

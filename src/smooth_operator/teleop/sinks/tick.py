@@ -85,7 +85,8 @@ class ArmCommand:
             unit quaternion w x y z.
         position_error: from there to the wanted pose [m]; NaN where none is wanted.
         rotation_error: the same [rad].
-        clearance: smallest distance between parts, or to table and wall [m].
+        clearance: smallest distance between parts, or to table and wall, fingers over the table
+            left out [m].
         state: ``following``, ``holding``, ``braking`` (no motion keeps all distances) or
             ``stopped``.
         measured: (n,) where the joints were when a sink last measured them [rad]; None where none

@@ -8,7 +8,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import (
@@ -17,14 +17,17 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
-from smooth_operator.human.operator import FingerProfile, OperatorProfile
+from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.aiming import Aiming
 from smooth_operator.teleop.pages.body_nodes import TipBalls
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.human import HumanView, keyvector_colors, thumb_lines
+from smooth_operator.teleop.pages.live.arm_room import ArmRoom
 from smooth_operator.teleop.pages.live.robot_bodies import RobotBodies
+from smooth_operator.teleop.pages.live.scene_parts import background, operator_of
 from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
 from smooth_operator.teleop.pages.live.wrist_map import WristMaps
 from smooth_operator.teleop.pages.page_layout import FOREARM, GAP, upright
@@ -38,8 +41,6 @@ _FONT: Final = 1.25  # size of the labels
 _FLOOR: Final = 1.6  # width and depth of the floor [m]
 _CELLS: Final[Rgb] = (82, 90, 102)
 _SECTIONS: Final[Rgb] = (122, 132, 146)
-_SKY: Final[Rgb] = (72, 80, 92)
-_GROUND: Final[Rgb] = (44, 49, 57)
 _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up, toward the viewer
 
 
@@ -54,6 +55,7 @@ class LiveScene:
         simulated: whether there is a simulated hand.
         drawn: side -> the same hand on a model with meshes, with the same joints by name, in any
             order; see ``on_model``. It can be added later.
+        arm: settings of the arms that carry the hands; None for none.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class LiveScene:
         hands: Mapping[Side, Hand],
         simulated: bool,
         drawn: Mapping[Side, Hand] | None = None,
+        arm: ArmSettings | None = None,
     ) -> None:
         self.simulated = simulated
         self.scenery_number = 0
@@ -70,8 +73,9 @@ class LiveScene:
         self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
         for side, hand in (drawn or {}).items():
             self._sides[side].add_meshes(HandView(hand))
+        self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated)
         self._server = server
-        server.scene.set_background_image(_background(), format="png")
+        server.scene.set_background_image(background(), format="png")
         self._floor = server.scene.add_grid(
             "/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
             cell_color=_CELLS, section_color=_SECTIONS, fade_distance=2.0,
@@ -102,6 +106,11 @@ class LiveScene:
         if self.has_task:
             middle[2] = high[2]  # what is nearest, which looks largest, is to fit in, too
         half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1]) / 2)
+        if self._room is not None:  # to the right of the hands
+            wide, high_, _ = self._room.size
+            self._room.put(middle + np.array([half[0] + GAP + wide / 2, 0.0, 0.0]), _VIEW)
+            middle = middle + np.array([(GAP + wide) / 2, 0.0, 0.0])
+            half = (half[0] + (GAP + wide) / 2, max(half[1], high_ / 2 + _LABEL))
         ground = np.array([middle[0], middle[1] - half[1] - _LABEL, (low[2] + high[2]) / 2])
         self._floor.position = ground @ _VIEW
         return middle @ _VIEW, half
@@ -134,6 +143,8 @@ class LiveScene:
         for side, view in self._sides.items():
             if side in hands:
                 view.draw_bodies(hands[side])
+                if self._room is not None:
+                    self._room.draw(side, hands[side])
 
     def draw_scenery(self, seen: Mapping[str, Any]) -> None:
         """Show what the hands work on; see ``Scenery``."""
@@ -141,17 +152,24 @@ class LiveScene:
         if "parts" in seen:
             for side, view in self._sides.items():
                 view.scenery.show(seen["parts"].get(side, ()))
+                if self._room is not None:
+                    self._room.show_scenery(side, seen["parts"].get(side, ()))
                 view.face(seen["views"].get(side), seen["poses"].get(side))
             self._floor.visible = not self.has_task  # which stands on its own floor
             self._aim()
         for side, view in self._sides.items():
-            view.scenery.draw(seen["poses"].get(side))
+            pose, fixture = seen["poses"].get(side), seen["fixtures"].get(side)
+            view.scenery.draw(pose)
+            if self._room is not None:
+                there = self._room.draw_scenery(side, pose, fixture)
+                if there is not None:  # what stands in the room goes past a hand that moves
+                    view.scenery.place(there[:3], there[3:])
 
     def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
         """Which calibrations correct the human hands."""
         for side, view in self._sides.items():
             found = operators.get(side)
-            view.operator = None if found is None else _operator(found)
+            view.operator = None if found is None else operator_of(found)
 
     def set_overlay(self, overlay: bool) -> None:
         """Each human hand inside its robot, or side by side."""

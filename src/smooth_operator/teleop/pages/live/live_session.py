@@ -25,7 +25,7 @@ from smooth_operator.teleop.pages.live.scenery import Scenery
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import ArmCommand, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import Side
 
@@ -183,6 +183,7 @@ class LiveSession:
         return {
             "mode": tick.mode.value,
             "positions": _numbers(tick.command.positions),
+            "arm": None if tick.arm is None else _arm(tick.arm, tick.wrist),
             "simulated": None
             if state is None
             else _numbers(np.where(np.isfinite(state), state, tick.command.positions)),
@@ -302,6 +303,18 @@ class LiveSession:
             if self._events and self._events[-1][1] == line:
                 self._events.pop()  # the same again: the newest time counts
             self._events.append((tick.time, line))
+
+
+def _arm(arm: ArmCommand, wrist: WristCommand | None) -> dict[str, Any]:
+    """Joints of an arm, commanded and measured, and where the wrist is to be, in its base."""
+    return {
+        "positions": _numbers(arm.positions),
+        "measured": None if arm.measured is None else _numbers(arm.measured),
+        "target": None if wrist is None else _numbers(wrist.pose),
+        "state": arm.state,
+        "position_error": arm.position_error,
+        "clearance": arm.clearance,
+    }
 
 
 def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | None:

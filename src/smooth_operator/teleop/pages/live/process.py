@@ -16,6 +16,7 @@ from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hand_files.menagerie import hand_with_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
@@ -70,7 +71,8 @@ class _Page:
         with self._server.atomic():
             if not setup["details"]:
                 self._server.scene.configure_environment_map(None)
-            self._scene = LiveScene(self._server, hands, setup["simulated"])
+            arm = None if setup["arm"] is None else ArmSettings(**setup["arm"])
+            self._scene = LiveScene(self._server, hands, setup["simulated"], arm=arm)
             self._panel = LivePanel(
                 self._server, hands, link, self._scene, None if setup["blind"] else self.download
             )

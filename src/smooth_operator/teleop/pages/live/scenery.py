@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import SinkError
+from smooth_operator.simulation.arms.rigid import Matrix, inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.simulation.scenes.mount import Mount
@@ -35,17 +36,20 @@ class Scenery:
 
         Returns:
             ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (w x y z) of
-            the object; ``parts``: side -> shapes, if others than the known ones are there, and
-            ``views``: side -> rows right, up, toward of who looks at the scene.
+            the object; ``fixtures``: side -> that of the frame that they are in, in the base of an
+            arm that carries the hand; ``parts``: side -> shapes, if others than the known ones are
+            there, and ``views``: side -> rows right, up, toward of who looks at the scene.
         """
         simulation, number = self._simulation, self._simulation.world_number
-        shown: dict[str, Any] = {"number": number, "poses": {}}
+        shown: dict[str, Any] = {"number": number, "poses": {}, "fixtures": {}}
         try:
             mounts = {side: simulation.scene_of(side).mount for side in sides}
             for side, mount in mounts.items():
                 state = simulation.scene_state(side)
                 if state is not None:
                     shown["poses"][side] = _pose(mount, state)
+                if (base := simulation.arm_base(side)) is not None:
+                    shown["fixtures"][side] = _fixture(mount, base)
             if number != known:
                 shown["parts"] = {
                     side: [_part(mount, part) for part in simulation.parts_of(side)]
@@ -61,6 +65,11 @@ class Scenery:
 
 def _pose(mount: Mount, state: SceneState) -> list[float]:
     return _numbers(*mount.in_palm(state.position, state.quaternion))
+
+
+def _fixture(mount: Mount, base: Matrix) -> list[float]:
+    position, turn = mount.palm
+    return _numbers(pose_of(inverse(base) @ rigid(turn, position)))
 
 
 def _part(mount: Mount, part: ScenePart) -> dict[str, Any]:

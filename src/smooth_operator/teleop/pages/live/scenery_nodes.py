@@ -22,11 +22,12 @@ class SceneryNodes:
     Args:
         scene: where to draw.
         root: name of the node of the palm frame.
+        scale: of all of it.
     """
 
-    def __init__(self, scene: viser.SceneApi, root: str) -> None:
-        self._scene, self._root = scene, root
-        scene.add_frame(root, show_axes=False)
+    def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
+        self._scene, self._root, self._scale = scene, root, scale
+        self._frame = scene.add_frame(root, show_axes=False)
         self._all: viser.FrameHandle | None = None
         self._object: viser.FrameHandle | None = None
         self._count = 0
@@ -67,19 +68,24 @@ class SceneryNodes:
             opacity = opacity if part["moves"] else min(opacity, _STANDS)
             self._scene.add_mesh_simple(
                 f"{parent}/part_{number}",
-                mesh.vertices,
+                self._scale * mesh.vertices,
                 mesh.faces,
                 color=tuple(round(255 * c) for c in color),
                 opacity=None if opacity >= 1.0 else opacity,
                 flat_shading=part["kind"] == "box",
-                position=part["position"],
+                position=self._scale * np.array(part["position"]),
                 wxyz=part["quaternion"],
             )
 
     def draw(self, pose: Sequence[float] | None) -> None:
         """Where the object is: position [m] and quaternion; None leaves it where it was."""
         if self._object is not None and pose is not None:
-            self._object.position, self._object.wxyz = np.array(pose[:3]), np.array(pose[3:])
+            self._object.position = self._scale * np.array(pose[:3])
+            self._object.wxyz = np.array(pose[3:])
+
+    def place(self, position: Float[np.ndarray, "3"], wxyz: Float[np.ndarray, "4"]) -> None:
+        """Where the frame of the scene is, in that of the node's parent."""
+        self._frame.position, self._frame.wxyz = position, wxyz
 
 
 def _rotation(quaternion: Sequence[float]) -> Float[np.ndarray, "3 3"]:

@@ -1,0 +1,200 @@
+"""The arms on the page: a small picture of the room, next to the hands in their own size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.hands.hand import Hand
+from smooth_operator.simulation.arms.arm_model import arm_spec
+from smooth_operator.simulation.arms.carried import CarriedHand, WristKinematics
+from smooth_operator.simulation.arms.rigid import inverse, matrix_of, pose_of, rigid
+from smooth_operator.teleop.arm.places import place_arms
+from smooth_operator.teleop.arm.settings import ArmSettings
+from smooth_operator.teleop.pages.body_nodes import BodyNodes
+from smooth_operator.teleop.pages.hand_view import HandView
+from smooth_operator.teleop.pages.live.scenery_nodes import SceneryNodes
+from smooth_operator.teleop.pages.meshes import body_meshes
+from smooth_operator.teleop.pages.palette import PALM, SIMULATED, Rgb
+from smooth_operator.types import Side
+
+_SCALE: Final = 0.32  # of the room, next to hands in their own size
+_AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # of the viewer, as seen from the arms
+_ROOM: Final = ((-0.25, 0.9), (0.35, 0.35), (0.0, 1.0))  # x; y outside the bases; z, in the picture
+_TABLE: Final = (1.6, 0.1)  # size of the table and of its cells [m]
+_GRID: Final[Rgb] = (100, 110, 124)
+_GHOST: Final = 0.35  # opacity of the measured arm
+_AXES: Final = (0.12, 0.006)  # length and thickness of the target's axes [m]
+
+
+class ArmRoom:
+    """Draws arms with hands in a room, smaller than life.
+
+    Solid is what is commanded; where an arm is measured, a translucent one shows it. Three axes
+    show where the wrist of the hand is to be.
+
+    Args:
+        scene: where to draw.
+        hands: side -> robot hand.
+        settings: of the arms.
+        measured: whether the arms are measured.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        hands: Mapping[Side, Hand],
+        settings: ArmSettings,
+        measured: bool,
+    ) -> None:
+        placed = place_arms(settings, hands)
+        toward = np.array(
+            [
+                np.cos(_ELEVATION) * np.cos(_AZIMUTH),
+                np.cos(_ELEVATION) * np.sin(_AZIMUTH),
+                np.sin(_ELEVATION),
+            ]
+        )
+        right = np.cross((0.0, 0.0, 1.0), toward)
+        right /= np.linalg.norm(right)
+        self._rows = np.stack([right, np.cross(toward, right), toward])
+        self._root = scene.add_frame("/room", show_axes=False)
+        across = [carried.base[1, 3] for carried in placed.values()]
+        (x0, x1), (y0, y1), (z0, z1) = _ROOM
+        corners = np.array(
+            [
+                (x, y, z)
+                for x in (x0, x1)
+                for y in (min(across) - y0, max(across) + y1)
+                for z in (z0, z1)
+            ]
+        )
+        seen = _SCALE * corners @ self._rows.T
+        self._low, self._high = seen.min(axis=0), seen.max(axis=0)
+        if not settings.no_table:
+            scene.add_grid(
+                "/room/table", _SCALE * _TABLE[0], _SCALE * _TABLE[0], plane="xy",
+                cell_size=_SCALE * _TABLE[1], section_size=_SCALE * 5 * _TABLE[1],
+                cell_color=_GRID, section_color=_GRID,
+                position=_SCALE * np.array([0.35, 0.0, settings.table]),
+            )  # fmt: skip
+        self._label = scene.add_label("/room/label", settings.name, anchor="center-center")
+        self._arms = {
+            side: _ArmView(scene, side, carried, measured) for side, carried in placed.items()
+        }
+
+    @property
+    def size(self) -> Float[np.ndarray, "3"]:
+        """Width, height and depth of the picture [m]."""
+        return np.asarray(self._high - self._low)
+
+    def put(self, middle: Float[np.ndarray, "3"], view: Float[np.ndarray, "3 3"]) -> None:
+        """Place the picture.
+
+        Args:
+            middle: right, up and toward the viewer [m].
+            view: rows right, up and toward, in the page's own frame.
+        """
+        offset = middle - (self._low + self._high) / 2
+        pose = pose_of(rigid(view.T @ self._rows, offset @ view))
+        self._root.position, self._root.wxyz = pose[:3], pose[3:]
+        below = np.array([(self._low[0] + self._high[0]) / 2, self._low[1] - 0.012, 0.0])
+        self._label.position = below @ self._rows
+
+    def draw(self, side: Side, state: Mapping[str, Any]) -> None:
+        """Show an arm with its hand; see ``LiveSession.look``."""
+        if state.get("arm") is not None:
+            self._arms[side].draw(state["arm"], np.array(state["positions"], float))
+
+    def show_scenery(self, side: Side, parts: Sequence[Mapping[str, Any]]) -> None:
+        """Draw what the hand works on; see ``Scenery``."""
+        self._arms[side].scenery.show(parts)
+
+    def draw_scenery(
+        self, side: Side, pose: Sequence[float] | None, fixture: Sequence[float] | None
+    ) -> Float[np.ndarray, "7"] | None:
+        """Show where the object is.
+
+        Args:
+            side: which hand's.
+            pose: of the object in the palm frame of the task's own fixture.
+            fixture: pose of that frame in the arm's base.
+
+        Returns:
+            pose of that frame in the palm frame as it is now; None where there is no scene.
+        """
+        arm = self._arms[side]
+        arm.scenery.draw(pose)
+        return None if fixture is None else arm.place_scenery(np.array(fixture, float))
+
+
+class _ArmView:
+    """One arm with its hand, in the room."""
+
+    def __init__(
+        self, scene: viser.SceneApi, side: Side, carried: CarriedHand, measured: bool
+    ) -> None:
+        root = f"/room/{side}"
+        base = pose_of(carried.base)
+        scene.add_frame(root, show_axes=False, position=_SCALE * base[:3], wxyz=base[3:])
+        self._base = inverse(carried.base)
+        self._kinematics = WristKinematics(carried)
+        model = arm_spec(carried.arm).compile()
+        meshes = body_meshes(model)
+        owner = np.full(model.nbody, -1)
+        self._arm = _Smaller(scene, model, meshes, owner, f"{root}/arm", scale=_SCALE, color=PALM)
+        self._measured = (
+            _Smaller(scene, model, meshes, owner, f"{root}/measured", scale=_SCALE,
+                     color=SIMULATED, opacity=_GHOST)
+            if measured
+            else None
+        )  # fmt: skip
+        self._hand_root = scene.add_frame(f"{root}/hand", show_axes=False)
+        hand = self._own = carried.mount.hand
+        view = HandView(hand)
+        self._hand = _Smaller(
+            scene, hand.model, view.meshes, view.finger_of_body, f"{root}/hand/bodies",
+            scale=_SCALE,
+        )  # fmt: skip
+        self._to_model = inverse(carried.mount.model_to_palm)
+        length, thickness = _AXES
+        self._target = scene.add_frame(
+            f"{root}/target", axes_length=_SCALE * length, axes_radius=_SCALE * thickness,
+            origin_radius=_SCALE * 2 * thickness, visible=False,
+        )  # fmt: skip
+        self.scenery = SceneryNodes(scene, f"{root}/scenery", _SCALE)
+        self._palm = np.eye(4)
+
+    def draw(self, arm: Mapping[str, Any], fingers: Float[np.ndarray, " n"]) -> None:
+        positions = np.array(arm["positions"], float)
+        self._arm.draw(positions)
+        if self._measured is not None and arm["measured"] is not None:
+            self._measured.draw(np.array(arm["measured"], float))
+        self._palm = self._base @ matrix_of(self._kinematics.palm(positions))
+        pose = pose_of(self._palm @ self._to_model)
+        self._hand_root.position, self._hand_root.wxyz = _SCALE * pose[:3], pose[3:]
+        self._hand.draw(self._own.qpos(fingers))
+        target = arm["target"]
+        self._target.visible = target is not None
+        if target is not None:
+            self._target.position = _SCALE * np.array(target[:3])
+            self._target.wxyz = np.array(target[3:])
+
+    def place_scenery(self, fixture: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
+        self.scenery.place(_SCALE * fixture[:3], fixture[3:])
+        return poses.relative(pose_of(self._palm), fixture)
+
+
+class _Smaller(BodyNodes):
+    """The bodies of a model, smaller than life."""
+
+    def draw(self, qpos: Float[np.ndarray, " nq"]) -> None:
+        self.place(qpos)
+        for body, node in self.nodes.items():
+            node.position = _SCALE * self.data.xpos[body]
+            node.wxyz = self.data.xquat[body]
