@@ -375,25 +375,3 @@ class _SideView:
         for q in (neutral, straight):
             points += self._simple.corners(hand.full_configuration(q))
         return np.concatenate(points)
-
-
-def _background() -> UInt8[np.ndarray, "h w 3"]:
-    """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
-    shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
-    return np.repeat(shade[:, None], 2, axis=1)
-
-
-def _operator(content: Mapping[str, Any]) -> OperatorProfile:
-    """A profile that came as JSON."""
-    fingers = tuple(
-        FingerProfile(**{**finger, "bones": tuple(finger["bones"])})
-        for finger in content["fingers"]
-    )
-    return OperatorProfile(
-        **{
-            **content,
-            "fingers": fingers,
-            "palm_rotation": tuple(content["palm_rotation"]),
-            "apply": tuple(content["apply"]),
-        }
-    )
