@@ -187,23 +187,24 @@ def test_allegro_torques_have_the_sign_and_the_limit(version: str) -> None:
         while hand.servo_on and time.perf_counter() < end:
             time.sleep(0.005)
         assert hand.switched == [False, True, False]
-        if version == "v5":
-            hand.error = (5, 0b100101)
-            while not device.read().errors and time.perf_counter() < end:
-                time.sleep(0.005)
-            assert device.read().errors == ("middle_1: input voltage, too hot, overload",)
+        hand.error = (5, 0b100101)
+        while not device.read().errors and time.perf_counter() < end:
+            time.sleep(0.005)
+        said = {"v4": "hand: too hot", "v5": "middle_1: input voltage, too hot, overload"}
+        assert device.read().errors == (said[version],)
     finally:
         device.close()
         hand.close()
 
 
-def test_allegro_of_the_other_side_is_refused() -> None:
+@pytest.mark.parametrize("name", ["allegro", "allegro_v5"])
+def test_allegro_of_the_other_side_is_refused(name: str) -> None:
     needs("allegro-v5")
     wire = channel()
-    hand = AllegroHand(wire, "v5", left=True)
+    hand = AllegroHand(wire, "v5" if name == "allegro_v5" else "v4", left=True)
     try:
-        with pytest.raises(SinkError, match="5TBL0042 is a left one"):
-            AllegroDevice(table("allegro_v5_right"), f"virtual:{wire}").open()
+        with pytest.raises(SinkError, match="is a left one"):
+            AllegroDevice(table(f"{name}_right"), f"virtual:{wire}").open()
     finally:
         hand.close()
 

@@ -40,6 +40,9 @@ _STANDS: Final = 0.3
 _STALE_S: Final = 0.1
 """Without angles for so long the motors are switched off: the controller would be blind [s]."""
 
+_STATUS: Final = {1: "too hot", 2: "a finger does not answer its board"}
+"""Bits of the status of V4, in its information."""
+
 _FLAGS: Final = {0: "input voltage", 2: "too hot", 4: "electrical shock", 5: "overload"}
 """Bits of an error of V5."""
 
@@ -144,7 +147,7 @@ class AllegroDevice:
         self._control = _Control(bus, VERSIONS[self._version].angle, self._law, self._period)
         try:
             self._control.begin()
-            self._check_side(self._control.serial)
+            self._check_side(self._control)
         except SinkError as error:
             self.close()
             raise SinkError(
@@ -152,13 +155,16 @@ class AllegroDevice:
                 f"in {self._table.file} ({self._version})"
             ) from error
 
-    def _check_side(self, serial: str) -> None:
-        """The serial number of a V5 says which hand it is."""
-        side = {"R": "right", "L": "left"}.get(serial[3:4]) if self._version == "v5" else None
+    def _check_side(self, control: _Control) -> None:
+        """V5 says in its serial number which hand it is, V4 in its information."""
+        if self._version == "v5":
+            side = {"R": "right", "L": "left"}.get(control.serial[3:4])
+        else:
+            side = {0: "right", 1: "left"}.get(int.from_bytes(control.information[4:5] or b"\xff"))
         if side is not None and side != self._table.side:
             raise SinkError(
-                f"allegro: the hand {serial} is a {side} one, and {self._table.file} is for a "
-                f"{self._table.side} one"
+                f"allegro: the hand {control.serial} is a {side} one, and {self._table.file} is "
+                f"for a {self._table.side} one"
             )
 
     def read(self) -> Reading:
@@ -171,10 +177,17 @@ class AllegroDevice:
             velocities=velocities,
             currents=np.where(np.abs(velocities) < _STANDS, torques, 0.0),
             temperatures=control.temperatures.copy() if control.warm else None,
-            errors=tuple(
+            errors=self._status(control)
+            + tuple(
                 f"{names[motor] if motor < MOTORS else f'motor {motor}'}: {_named(flags)}"
                 for motor, flags in sorted(control.errors.items())
             ),
+        )
+
+    def _status(self, control: _Control) -> tuple[str, ...]:
+        status = control.information[6:7] if self._version == "v4" else b""
+        return tuple(
+            f"hand: {text}" for b, text in _STATUS.items() if status and status[0] >> b & 1
         )
 
     def write(self, commands: Float[np.ndarray, " 16"]) -> None:
@@ -212,7 +225,7 @@ class _Control:
         self.temperatures = np.zeros(MOTORS)
         self.warm = False
         self.errors: dict[int, int] = {}
-        self.serial = ""
+        self.serial, self.information = "", b""
         self._lock = threading.Lock()
         self._position, self._velocity = np.zeros(MOTORS), np.zeros(MOTORS)
         self._torque, self._before = np.zeros(MOTORS), np.zeros(MOTORS)
@@ -321,6 +334,8 @@ class _Control:
             self.warm = True
         elif number == _ERROR and len(data) >= 2:
             self.errors[data[0]] = data[1]
+        elif number == _INFORMATION and len(data) >= 7:
+            self.information = data
         elif number == _SERIAL:
             self.serial = data.decode("ascii", "replace").strip("\0 ")
 
@@ -346,8 +361,8 @@ class _Control:
                 self._bus.send(_TORQUE + finger << 2, data)
         if now - self._asked > 1.0:
             self._asked = now
-            for finger in range(4):
-                self._bus.send(_HEAT + finger << 2, remote=True)
+            for request in (_INFORMATION, *range(_HEAT, _HEAT + 4)):
+                self._bus.send(request << 2, remote=True)
 
 
 def _for_all(values: tuple[tuple[float, ...], tuple[float, ...]]) -> Float[np.ndarray, " 16"]:
