@@ -45,10 +45,13 @@ from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival, Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webcam.seen_picture import SeenPicture
+from smooth_operator.types import Side
 
 RATE = 50.0
 PATIENT_S = 30.0
@@ -278,6 +281,44 @@ def test_the_trackers_rate_is_not_the_command_rate(stage: Stage) -> None:
     text = plain(live_texts.summary(status))
     assert text.startswith("tracker 25 / 1.4 frames/s · commands 100 / – Hz")
     assert text.count("player") == 1  # the source is named once
+
+
+class LateHand(Sink):
+    """A real hand that is where the command was, 80 ms late, and has no encoder in one joint."""
+
+    label, measures = "late hand", True
+
+    def __init__(self) -> None:
+        self.sent: list[Tick] = []
+
+    def open(self, hands: Any, config: Any) -> None: ...
+
+    def send(self, tick: Tick) -> None:
+        self.sent.append(tick)
+
+    def state(self, side: Side) -> HandState | None:
+        now = time.perf_counter()
+        past = [tick for tick in self.sent[-200:] if tick.time <= now - 0.08]
+        if not past:
+            return None
+        q = past[-1].command.positions.copy()
+        q[0] = np.nan
+        return HandState(side, "late", past[-1].time + 0.08, past[-1].command.names, q)
+
+    def close(self) -> None: ...
+
+
+def test_a_measured_hand_and_its_delay_are_shown(stage: Stage) -> None:
+    late = LateHand()
+    stage.loop.sinks.add(late)
+    eventually(lambda: stage.see()["hands"]["right"]["simulated"])
+    shown = stage.see()["hands"]["right"]
+    assert np.isfinite(np.array(shown["simulated"], float)).all()  # unknown: as commanded
+    eventually(lambda: stage.see()["status"]["motion_delay"].get("right"))
+    status = stage.see()["status"]
+    assert status["motion_delay"]["right"] == pytest.approx(0.08, abs=0.02)
+    assert "command to motion" in plain(live_texts.summary(status))
+    stage.loop.sinks.remove(late)
 
 
 def test_the_legend_names_each_hand_by_its_sign() -> None:
