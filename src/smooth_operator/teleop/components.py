@@ -40,10 +40,28 @@ def build_component(registry: Registry, text: str) -> Any:
             f"{registry.find(word).target} can't be a {kind}: it must be a dataclass, whose fields "
             "are the settings"
         )
+    component = settings_from_text(made, rest, kind, word)
+    registry.check(word, component)
+    return component
+
+
+def settings_from_text(made: type[Any], text: str, kind: str, word: str) -> Any:
+    """An object of a settings class.
+
+    Args:
+        made: a dataclass.
+        text: ``ARGUMENT,setting=value,...``; see ``build_component``.
+        kind: what it is, for messages.
+        word: what the user calls it.
+
+    Raises:
+        UnknownNameError: the class has no such setting.
+        ConfigError: a value can't be read as its field's type, or one that is needed is missing.
+    """
     hints = get_type_hints(made)
     fields = {f.name: f for f in dataclasses.fields(made) if f.init}
     values: dict[str, Any] = {}
-    for position, part in enumerate(rest.split(",") if rest else ()):
+    for position, part in enumerate(text.split(",") if text else ()):
         name, sign, value = part.partition("=")
         if position == 0 and not (sign and name.isidentifier()):  # an address may hold a '='
             name, value = next(iter(fields), ""), part
@@ -64,9 +82,7 @@ def build_component(registry: Registry, text: str) -> Any:
             f"{kind} {word!r} needs {', '.join(needed)}: write {word}:{needed[0].upper()}"
             + "".join(f",{name}=..." for name in needed[1:])
         )
-    component = made(**values)
-    registry.check(word, component)
-    return component
+    return made(**values)
 
 
 def _read(text: str, hint: Any, what: str) -> Any:

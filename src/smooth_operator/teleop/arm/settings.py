@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.plugins import Entry, Registry
-from smooth_operator.teleop.components import build_component
+from smooth_operator.teleop.components import settings_from_text
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,6 @@ class ArmSettings:
             raise ConfigError(f"arm: table must be -1 to 1 m, not {self.table}")
 
 
-_ARM: Final = Registry("arm", {"arm": Entry("smooth_operator.teleop.arm.settings:ArmSettings")})
-
-
 def read_arm(text: str) -> ArmSettings:
     """The settings that a text asks for, such as ``panda`` or ``panda:roll=90,adapter=0.03``.
 
@@ -57,6 +53,6 @@ def read_arm(text: str) -> ArmSettings:
         ConfigError, UnknownNameError: a setting is unknown or can't be read.
     """
     name, _, rest = text.partition(":")
-    settings = build_component(_ARM, f"arm:{name}{',' * bool(rest)}{rest}")
-    assert isinstance(settings, ArmSettings)
-    return settings
+    made = settings_from_text(ArmSettings, f"{name}{',' * bool(rest)}{rest}", "arm", name)
+    assert isinstance(made, ArmSettings)
+    return made

@@ -125,9 +125,9 @@ def read_hdf5_episode(
         return Episode(read_egodex(tree, path, rate, side), name=path.stem)
     if hand is None and commands is None:
         raise RecordingError(
-            f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', "
-            f"but {top.describe()}. Save its landmarks with numpy.savez, or in a "
-            "group 'hand' as 'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
+            f"{path}: an HDF5 file of another program: it has no group 'hand' or 'commands', but "
+            f"{top.describe()}. Save its landmarks with numpy.savez, or in a group 'hand' as "
+            "'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
         )
     name = _text(top.attributes.get("name")) or path.stem
     recording: HandRecording | None = None
