@@ -104,6 +104,7 @@ class _Page:
                 configuration=wanted,
             )
             if watched:
+                self._show_meshes()
                 self._draw(seen)
             if wanted:
                 self._server.send_file_download(
@@ -126,13 +127,16 @@ class _Page:
             self._found = {}, f"simple shapes are drawn: {error}"
         self._wake.set()
 
-    def _draw(self, seen: dict[str, Any]) -> None:
-        """Send what has changed; to a slow browser in two steps, see ``Pace``."""
+    def _show_meshes(self) -> None:
+        """Draw the meshes from now on, when they are read."""
         if self._found is not None:
             (views, note), self._found = self._found, None
             with self._server.atomic():
                 self._scene.add_meshes(views)
                 self._panel.show_meshes(bool(views), note)
+
+    def _draw(self, seen: dict[str, Any]) -> None:
+        """Send what has changed; to a slow browser in two steps, see ``Pace``."""
         with self._server.atomic():
             self._scene.draw_lines(seen["hands"])
             self._panel.show(seen, self._pace.delay)
