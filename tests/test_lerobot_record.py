@@ -21,7 +21,7 @@ from smooth_operator.cli import main
 from smooth_operator.teleop import read_log
 
 INSTALLED = {str(each.metadata["Name"]) for each in importlib.metadata.distributions()}
-LACKING = {"lerobot", TELEOPERATOR, ROBOT} - INSTALLED
+LACKING = {"lerobot", "mink", "daqp", TELEOPERATOR, ROBOT} - INSTALLED
 
 pytestmark = [
     pytest.mark.lerobot,
@@ -59,6 +59,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "robot.hand": "mimic_p050",
         "robot.keys": "all",
         "robot.wrist": "quaternion",
+        "robot.arm": "panda",
         "teleop.type": "smooth_operator",
         "teleop.address": ADDRESS,
         "teleop.wrist": "quaternion",
@@ -108,9 +109,10 @@ def load(root: Path, name: str = "test/hand") -> Any:
 
 
 def table(dataset: Any, column: str) -> np.ndarray:
-    return np.array([np.asarray(value) for value in dataset.hf_dataset[column]])
+    return np.asarray(dataset.hf_dataset.with_format("numpy")[:][column])
 
 
+ARM = [f"arm_joint{number}.pos" for number in range(1, 8)]
 POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 
 
@@ -118,7 +120,7 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
     hand = load_hand("mimic_p050")
     dataset = load(recorded / "dataset")
     joints = [f"{name}.pos" for name in hand.joint_names]
-    names = {"action": joints + POSE, "observation.state": joints}
+    names = {"action": joints + POSE, "observation.state": joints + ARM + POSE}
     assert dataset.num_episodes == EPISODES
     assert dataset.fps == FPS
     assert dataset.meta.robot_type == "smooth_hand"
@@ -152,7 +154,8 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
     assert np.all((action[:, actuated] >= low - 1e-5) & (action[:, actuated] <= high + 1e-5))
     # a physical hand overshoots
     assert np.all((state[:, actuated] >= low - 0.1) & (state[:, actuated] <= high + 0.1))
-    np.testing.assert_allclose(np.linalg.norm(action[:, -4:], axis=1), 1.0, atol=1e-5)
+    for values in (action, state):
+        np.testing.assert_allclose(np.linalg.norm(values[:, -4:], axis=1), 1.0, atol=1e-5)
 
 
 def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: Path) -> None:
@@ -170,7 +173,7 @@ def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: P
 
     joints, episode = len(hand.joint_names), table(dataset, "episode_index")
     neutral = hand.full_configuration(hand.neutral)
-    assert np.abs(state[0] - neutral).max() < 0.05  # it starts where it stands
+    assert np.abs(state[0, :joints] - neutral).max() < 0.05  # it starts where it stands
     for number in range(EPISODES):
         late = np.flatnonzero(episode == number)[FPS:]  # after the approach
         wanted, seen = action[late[:-2], :joints], state[late[2:]]
@@ -178,6 +181,8 @@ def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: P
         assert moving.sum() >= 5
         for joint in np.flatnonzero(moving):
             assert np.corrcoef(wanted[:, joint], seen[:, joint])[0, 1] > 0.8
+        away = np.linalg.norm(action[late[:-2], -7:-4] - state[late[2:], -7:-4], axis=1)
+        assert np.median(away) < 0.03  # the arm has the wrist there
 
 
 def test_a_log_becomes_a_dataset_with_the_same_keys(recorded: Path) -> None:
@@ -186,7 +191,8 @@ def test_a_log_becomes_a_dataset_with_the_same_keys(recorded: Path) -> None:
     assert main(["convert", str(recorded / "take.mcap"), "--output", str(root)]) == 0
     converted, own = load(root, "test/converted"), load(recorded / "dataset")
     for name in ("action", "observation.state"):
-        assert list(converted.features[name]["names"]) == list(own.features[name]["names"])
+        names = list(converted.features[name]["names"])
+        assert names == list(own.features[name]["names"])[: len(names)]  # without the arm
         assert converted.features[name]["dtype"] == own.features[name]["dtype"]
     take = read_log(recorded / "take.mcap")
     action, state = table(converted, "action"), table(converted, "observation.state")

@@ -201,6 +201,26 @@ def test_a_wrist_goes_to_the_sinks_within_its_limits(
         device.send_action({"index.pos": 0.5, **dict.fromkeys(keys, 0.0)})
 
 
+def test_an_arm_carries_the_hand_and_is_measured(robot: Callable[..., Any]) -> None:
+    for library in ("mink", "daqp"):
+        pytest.importorskip(library, reason="the extra arm is not installed")
+    device = robot(joints={"index_mcp2pp": "index"}, wrist="quaternion", arm="panda")
+    pose = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    arm = [key for key in device.observation_features if key not in (*pose, "index.pos")]
+    assert len(arm) == 7
+    assert list(device.observation_features) == ["index.pos", *arm, *pose]
+    assert list(device.action_features) == ["index.pos", *pose]
+    device.connect()
+    start = device.get_observation()
+    goal = {"index.pos": 0.5, **{key: start[key] for key in pose}}
+    goal["tcp.z"] += 0.05
+    first = device.send_action(goal)
+    assert abs(first["tcp.z"] - start["tcp.z"]) < 0.002
+    go(device, goal, near=0.01)
+    now = device.get_observation()
+    assert max(abs(now[key] - start[key]) for key in arm) > 0.02
+
+
 def test_joints_that_follow_others_may_be_among_the_keys(robot: Callable[..., Any]) -> None:
     hand = load_hand("mimic_p050")
     device = robot(keys="all")
@@ -224,6 +244,7 @@ def test_joints_that_follow_others_may_be_among_the_keys(robot: Callable[..., An
         ({"left_joints": {"index_mcp2pp": "a"}}, "side=both"),
         ({"currents": True}, "no driver in --robot.sinks"),
         ({"unmeasured": "guess"}, "unmeasured must be one of"),
+        ({"arm": "panda"}, "an arm follows the wrist"),
     ],
 )
 def test_a_wrong_setting_is_refused(

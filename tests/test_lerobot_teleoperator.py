@@ -321,16 +321,28 @@ def test_it_reads_what_the_sink_zmq_sends(plugin: SimpleNamespace) -> None:
 
 
 def test_the_loop_may_run_in_the_same_process(plugin: SimpleNamespace) -> None:
+    """Both hands and their wrists, from the built-in operator."""
     config = plugin.package.SmoothOperatorConfig(
-        source="synthetic", hand="mimic_p050", method="joint_angle"
+        source="synthetic",
+        hand="mimic_p050",
+        method="joint_angle",
+        side="both",
+        wrist="quaternion",
     )
     device = plugin.package.SmoothOperator(config)
     device.connect()
-    before, deadline = device.get_action(), time.monotonic() + 20.0
-    assert set(before) == {f"{name}.pos" for name in load_hand("mimic_p050").joint_names}
-    while device.get_action() == before and time.monotonic() < deadline:
+    first, deadline = device.get_action(), time.monotonic() + 20.0
+    joints = [f"{name}.pos" for name in load_hand("mimic_p050").joint_names]
+    pose = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    expected = [f"{side}_{key}" for side in ("right", "left") for key in (*joints, *pose)]
+    assert list(first) == list(device.action_features) == expected
+    still = {"index_mcp2pp.pos", "tcp.x"}
+    still = {f"{side}_{key}" for side in ("right", "left") for key in still}
+    while still and time.monotonic() < deadline:
+        now = device.get_action()
+        still = {key for key in still if now[key] == first[key]}
         time.sleep(0.01)
-    assert device.get_action() != before
+    assert not still
     device.disconnect()
 
     config = plugin.package.SmoothOperatorConfig(source="no_such_source")

@@ -27,6 +27,9 @@ class SmoothHandConfig(RobotConfig):
         unit: of the keys: ``radians`` or ``degrees``.
         wrist: ``none``, or take targets of the hand's wrist as ``rotation_6d`` or ``quaternion``
             (``tcp.x``, ...) and hand them to the sinks, for an arm.
+        arm: that carries the hand in the sink ``mujoco`` and follows the wrist: ``panda``,
+            ``ur5e``, ``xarm7`` or ``iiwa14``, as after ``teleop --arm``; wrist and arm's joints
+            are then observed, too. Empty for none.
         currents: observe the current of each actuator too, ``index.current`` in the driver's unit.
         unmeasured: what the observation of a joint is that the hand does not measure: ``refuse``
             to connect, or the ``command``.
@@ -44,6 +47,7 @@ class SmoothHandConfig(RobotConfig):
     keys: str = "actuated"
     unit: str = "radians"
     wrist: str = "none"
+    arm: str = ""
     currents: bool = False
     unmeasured: str = "refuse"
     velocity: float = 8.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from lerobot.utils.errors import DeviceNotConnectedError
@@ -17,8 +18,11 @@ from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
 from smooth_operator.types import JointCommand
+
+if TYPE_CHECKING:  # which needs the extra arm
+    from smooth_operator.teleop.arm.controller import ArmController
 
 FACTORS = {"degrees": 180.0 / math.pi, "radians": 1.0}
 """Unit of the keys -> how many of it are a radian."""
@@ -44,13 +48,19 @@ class HandPort:
         config: settings of the robot.
         joints: model's joint -> name in the keys; empty for all actuated ones.
         prefix: of the keys.
+        arm: controller of the arm that carries the hand; None for none.
 
     Raises:
         ValueError: the hand has no such joint to command, or two have one name.
     """
 
     def __init__(
-        self, hand: Hand, config: SmoothHandConfig, joints: Mapping[str, str], prefix: str
+        self,
+        hand: Hand,
+        config: SmoothHandConfig,
+        joints: Mapping[str, str],
+        prefix: str,
+        arm: ArmController | None = None,
     ) -> None:
         self.hand, self.side = hand, hand.spec.side
         self._config, self._factor = config, FACTORS[config.unit]
@@ -66,7 +76,7 @@ class HandPort:
         if len(set(self.keys)) < len(self.keys):
             raise ValueError(f"joints: two joints have one key: {', '.join(self.keys)}")
         self._prefix = prefix
-        self.wrist = WristPort(config.wrist, prefix)
+        self.wrist = WristPort(config.wrist, prefix, self.side, arm, self._factor)
         commanded = [name for name in names if name in hand.actuated_names]
         self._given = [f"{prefix}{names[name]}.pos" for name in commanded]
         self._places = [hand.actuated_names.index(name) for name in commanded]
@@ -103,6 +113,7 @@ class HandPort:
         start = np.where(np.isfinite(actuated), actuated, self.hand.neutral)
         self._limiter.q = np.clip(start, low, high)
         self._target = self._limiter.q.copy()
+        self.wrist.attach(sinks)
 
     def currents(self, sinks: Sequence[Sink]) -> tuple[str, ...]:
         """Keys of the currents, from the table of the driver; known before anything is open.
@@ -135,6 +146,7 @@ class HandPort:
         pause = now - self._last
         if pause > _PAUSE_S:
             self._approach_since, pause = now, 1.0 / 30.0
+            self.wrist.approach(now)
         self._last = now
         low, high = self.hand.limits.T
         self._target[self._places] = wanted
@@ -145,13 +157,14 @@ class HandPort:
         q = self._limiter.step(self._target, pause, slow)
         if np.abs(self._target - q).max() < _ARRIVED:
             self._approach_since = math.inf
-        wrist = self.wrist.step(action, pause)
-        self._command(q, now, wrist, sinks)
-        sent = self._factor * self.hand.full_configuration(q)[self._measured]
+        positions = self.hand.full_configuration(q)
+        wrist, arm = self.wrist.step(action, now, pause, positions)
+        self._command(positions, now, wrist, arm, sinks)
+        sent = self._factor * positions[self._measured]
         return {**dict(zip(self.keys, sent.tolist(), strict=True)), **self.wrist.values(wrist)}
 
-    def observation(self) -> dict[str, float]:
-        """What the hand measures, in the unit of the keys.
+    def observation(self, sinks: Sequence[Sink]) -> dict[str, float]:
+        """What the hand and its arm measure, in the unit of the keys.
 
         Raises:
             DeviceNotConnectedError: the newest measurement is too old.
@@ -170,7 +183,7 @@ class HandPort:
         values = dict(zip(self.keys, angles.tolist(), strict=True))
         if self._config.currents:
             values |= self._currents(state)
-        return values
+        return values | self.wrist.observation(sinks)
 
     def _currents(self, state: HandState) -> dict[str, float]:
         keys = [f"{self._prefix}{name}.current" for name in state.actuators]
@@ -182,19 +195,23 @@ class HandPort:
         return dict(zip(keys, state.currents.tolist(), strict=True))
 
     def _command(
-        self, q: np.ndarray, now: float, wrist: WristCommand | None, sinks: Sequence[Sink]
+        self,
+        positions: np.ndarray,
+        now: float,
+        wrist: WristCommand | None,
+        arm: ArmCommand | None,
+        sinks: Sequence[Sink],
     ) -> None:
-        names, positions = self.hand.joint_names, self.hand.full_configuration(q)
         tick = Tick(
             self.side,
             self.hand.name,
-            JointCommand(positions, names, now),
-            self.hand.full_configuration(self._limiter.velocity)
-            - self.hand.full_configuration(np.zeros_like(q)),
+            JointCommand(positions, self.hand.joint_names, now),
+            self.hand.coupling_matrix @ self._limiter.velocity,
             Mode.TRACKING,
             now,
             self._number,
             wrist=wrist,
+            arm=arm,
         )
         self._number += 1
         for sink in sinks:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from lerobot.robots.robot import Robot
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
@@ -12,9 +12,15 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
 from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
 from lerobot_robot_smooth_hand.wrist_port import KINDS
+from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.arm.settings import read_arm
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.types import Side, as_side
+
+if TYPE_CHECKING:  # which needs the extra arm
+    from smooth_operator.teleop.arm.rig import ArmOfHand
 
 
 class SmoothHand(Robot):
@@ -39,7 +45,8 @@ class SmoothHand(Robot):
     def __init__(self, config: SmoothHandConfig) -> None:
         super().__init__(config)
         self.config = config
-        self._hands = _hand_ports(config)
+        self._arms: dict[Side, ArmOfHand] = {}
+        self._hands = _hand_ports(config, self._arms)
         self._sinks: list[Sink] = [build_sink(text) for text in config.sinks]
         self._connected = False
         for hand in self._hands:
@@ -56,7 +63,7 @@ class SmoothHand(Robot):
         """Key -> ``float``, and the shape of each camera's picture."""
         features: dict[str, Any] = {key: float for hand in self._hands for key in hand.keys}
         for hand in self._hands:
-            features |= dict.fromkeys(hand.currents(self._sinks), float)
+            features |= dict.fromkeys((*hand.currents(self._sinks), *hand.wrist.observed), float)
         for name, camera in self.config.cameras.items():
             features[name] = (camera.height, camera.width, 3)
         return features
@@ -91,6 +98,7 @@ class SmoothHand(Robot):
         about = {"program": "lerobot", "hand": self.config.hand, "sinks": list(self.config.sinks)}
         with contextlib.ExitStack() as opened:
             for sink in self._sinks:
+                sink.use_arms({side: arm.carried for side, arm in self._arms.items()})
                 sink.open(hands, about)
                 opened.callback(sink.close)
             for hand in self._hands:
@@ -110,7 +118,7 @@ class SmoothHand(Robot):
         self._check()
         seen: dict[str, Any] = {}
         for hand in self._hands:
-            seen |= hand.observation()
+            seen |= hand.observation(self._sinks)
         for name, camera in self.cameras.items():
             seen[name] = camera.read_latest()
         return seen
@@ -149,8 +157,8 @@ class SmoothHand(Robot):
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first")
 
 
-def _hand_ports(config: SmoothHandConfig) -> list[HandPort]:
-    """The hands that the settings ask for.
+def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[HandPort]:
+    """The hands that the settings ask for; ``arms`` gets their arms.
 
     Raises:
         ValueError: a setting is wrong.
@@ -170,12 +178,20 @@ def _hand_ports(config: SmoothHandConfig) -> list[HandPort]:
     sides = ("right", "left") if config.side == "both" else (config.side,)
     if config.left_joints and config.side != "both":
         raise ValueError("left_joints is for --robot.side=both; use joints for one hand")
+    if config.arm and config.wrist == "none":
+        raise ValueError("an arm follows the wrist: add --robot.wrist=quaternion or rotation_6d")
+    hands = {as_side(side): load_hand(config.hand, side) for side in sides}
+    if config.arm:
+        require("an arm", "arm", "mink", "daqp")
+        from smooth_operator.teleop.arm.rig import build_arms
+
+        arms.update(build_arms(read_arm(config.arm), hands))
     ports = []
-    for side in sides:
-        hand = load_hand(config.hand, side)
+    for side, hand in hands.items():
         joints = config.left_joints if side == "left" and config.left_joints else config.joints
         prefix = f"{side}_" if config.side == "both" else ""
-        ports.append(HandPort(hand, config, joints, prefix))
+        arm = arms[side].controller if arms else None
+        ports.append(HandPort(hand, config, joints, prefix, arm))
     return ports
 
 

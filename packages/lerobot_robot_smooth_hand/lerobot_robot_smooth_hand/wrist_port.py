@@ -1,15 +1,23 @@
-"""The wrist of one hand of the robot: its keys, and its limits on the way to the sinks."""
+"""The wrist of one hand of the robot: its keys, its limits, and the arm that carries it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from lerobot.utils.errors import DeviceNotConnectedError
 
 from smooth_operator import poses
 from smooth_operator.teleop.runtime.pose_limiter import PoseLimiter
 from smooth_operator.teleop.runtime.settings import WristConfig
-from smooth_operator.teleop.sinks.tick import WristCommand
+from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
+from smooth_operator.types import Side
+
+if TYPE_CHECKING:  # which needs the extra arm
+    from smooth_operator.teleop.arm.controller import ArmController
 
 KINDS = {
     "none": (),
@@ -18,6 +26,14 @@ KINDS = {
 }
 """How the pose is written -> its keys after ``tcp.``."""
 
+_APPROACH = 0.05
+_FASTER = 0.3
+"""Share of the limits of velocity with which an approach begins, and what each second adds."""
+
+_NEAR_M = 0.005
+_NEAR_RAD = 0.02
+"""An approach has ended this near to the action."""
+
 
 class WristPort:
     """Targets of a wrist, as actions, to commands within the limits of speed and acceleration.
@@ -25,38 +41,110 @@ class WristPort:
     Args:
         kind: one of ``KINDS``.
         prefix: of the keys.
+        side: of the hand.
+        arm: controller of the arm that carries the hand; None where the sinks take the wrist.
+        factor: how many units of the keys are a radian.
+
+    Attributes:
+        keys: of the wrist.
+        arm_keys: of the arm's joints, which are observed.
     """
 
-    def __init__(self, kind: str, prefix: str) -> None:
-        self.kind = kind
+    def __init__(
+        self, kind: str, prefix: str, side: Side, arm: ArmController | None, factor: float
+    ) -> None:
+        self.kind, self.side, self._arm, self._factor = kind, side, arm, factor
         self.keys = tuple(f"{prefix}tcp.{name}" for name in KINDS[kind])
-        # The workspace is the arm's, which this does not know.
+        names = () if arm is None else arm.arm.joint_names
+        self.arm_keys = tuple(f"{prefix}arm_{name}.pos" for name in names)
+        # The workspace is the arm's: its controller keeps it, or who is behind the sinks.
         self._limiter = PoseLimiter(WristConfig(low=(-10.0,) * 3, high=(10.0,) * 3))
         self._begun = False
+        self._slow_since = -math.inf
 
-    def step(self, action: Mapping[str, float], dt: float) -> WristCommand | None:
-        """The next command; None without a wrist. The first one is the action itself.
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """Keys of what is measured: of the arm's joints and of the wrist, where there is an arm."""
+        return () if self._arm is None else (*self.arm_keys, *self.keys)
+
+    def attach(self, sinks: Sequence[Sink]) -> None:
+        """Begin where the arm is.
+
+        Raises:
+            DeviceNotConnectedError: no sink has the arm.
+        """
+        if self._arm is None:
+            return
+        joints, pose = self._measured(sinks)
+        self._arm.restart(joints)
+        self._limiter.put(pose)
+        self._begun = True
+
+    def approach(self, now: float) -> None:
+        """Go slowly to the actions from now on [s], until one is reached."""
+        self._slow_since = now
+
+    def step(
+        self, action: Mapping[str, float], now: float, dt: float, hand: np.ndarray
+    ) -> tuple[WristCommand | None, ArmCommand | None]:
+        """The next commands; None without a wrist, and without an arm.
+
+        Without an arm that is measured the first one is the action itself.
+
+        Args:
+            action: with the keys of the wrist.
+            now: time [s].
+            dt: time since the last step [s].
+            hand: (n,) positions of all joints of the hand [rad].
 
         Raises:
             ValueError: the action's rotation is none.
         """
         if not self.keys:
-            return None
+            return None, None
         target = self._pose(np.array([float(action[key]) for key in self.keys]))
         if not self._begun:
             self._limiter.put(target)
             self._begun = True
-        return WristCommand(self._limiter.step(target, dt), engaged=True, valid=True)
+        share = min(1.0, _APPROACH + _FASTER * (now - self._slow_since))
+        pose = self._limiter.step(target, dt, share=share)
+        distance, angle = poses.separation(pose, target)
+        if distance < _NEAR_M and angle < _NEAR_RAD:
+            self._slow_since = -math.inf
+        wrist = WristCommand(pose, engaged=True, valid=True)
+        return wrist, None if self._arm is None else self._arm.step(wrist.pose, dt, hand)
 
     def values(self, command: WristCommand | None) -> dict[str, float]:
         """A command by its keys."""
-        if command is None:
+        return {} if command is None else self._values(command.pose)
+
+    def observation(self, sinks: Sequence[Sink]) -> dict[str, float]:
+        """Where the arm and the wrist are; empty without an arm.
+
+        Raises:
+            DeviceNotConnectedError: they are not measured.
+        """
+        if self._arm is None:
             return {}
-        turn = command.pose[3:]
+        joints, pose = self._measured(sinks)
+        values = dict(zip(self.arm_keys, (self._factor * joints).tolist(), strict=True))
+        return values | self._values(pose)
+
+    def _measured(self, sinks: Sequence[Sink]) -> tuple[np.ndarray, np.ndarray]:
+        for sink in sinks:
+            joints, pose = sink.measured_arm(self.side), sink.measured_wrist(self.side)
+            if joints is not None and pose is not None:
+                return joints, pose
+        raise DeviceNotConnectedError(
+            f"none of the sinks {', '.join(sink.label for sink in sinks)} moves the arm of the "
+            f"{self.side} hand; name mujoco in --robot.sinks"
+        )
+
+    def _values(self, pose: np.ndarray) -> dict[str, float]:
+        turn = pose[3:]
         if self.kind == "rotation_6d":
             turn = poses.rotation_matrices(turn)[:, :2].T.reshape(-1)
-        numbers = np.concatenate([command.pose[:3], turn]).tolist()
-        return dict(zip(self.keys, numbers, strict=True))
+        return dict(zip(self.keys, np.concatenate([pose[:3], turn]).tolist(), strict=True))
 
     def _pose(self, values: np.ndarray) -> np.ndarray:
         """x y z [m] and unit quaternion w x y z, from what a policy gives: nearly a rotation."""
