@@ -106,6 +106,8 @@ def test_a_table_for_another_hand_is_refused(hand: Hand) -> None:
     table = table_of(Actuator("m", {"elbow": 1.0}, ((0, 0), (1, 1)), (0, 1)))
     with pytest.raises(UnknownNameError, match=r"elbow.*--hand"):
         table.bind(hand)
+    with pytest.raises(ConfigError, match="the table of the hand 'mimic_p050', and the run's"):
+        table.bind(load_hand("leap_hand"))
 
 
 def test_a_table_is_written_and_read_back(tmp_path: Path) -> None:

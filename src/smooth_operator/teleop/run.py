@@ -39,7 +39,7 @@ from smooth_operator.teleop.runtime.settings import (
     SafetyConfig,
     WristConfig,
 )
-from smooth_operator.teleop.runtime.stop_input import stopped_by
+from smooth_operator.teleop.runtime.stop_input import StopInput, stopped_by
 from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.sink import Sink
@@ -145,6 +145,7 @@ def teleoperate(
     said = LoggingReporter() if reporter is None else reporter
     parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
     config = LoopConfig(rate, *parts)
+    stop = StopInput(estop) if isinstance(estop, str) else estop
     if isinstance(source, str):
         source = build_source(source, side)
     wanted = with_task(sinks, task)
@@ -219,7 +220,7 @@ def teleoperate(
             if attended
             else contextlib.nullcontext(),
             _remote(loop, control, handlers, said),
-            stopped_by(loop, estop),
+            stopped_by(loop, stop),
             contextlib.ExitStack() as first,
         ):
 

@@ -182,6 +182,7 @@ class BoundMap:
         known: (n,) whether the actuators determine a joint, or it is coupled to one that they do.
 
     Raises:
+        ConfigError: the table is that of another hand, with other joints.
         UnknownNameError: the hand has no such joint.
     """
 
@@ -192,6 +193,12 @@ class BoundMap:
         self._weights = np.zeros((count, len(self.names)))
         for row, actuator in zip(self._weights, actuators.actuators, strict=True):
             for joint, weight in actuator.joints.items():
+                if joint not in self.names and actuators.hand != hand.name:
+                    raise ConfigError(
+                        f"{actuators.file} is the table of the hand {actuators.hand!r}, and the "
+                        f"run's hand is {hand.name!r}: choose --hand {actuators.hand}, or another "
+                        "table with table=FILE"
+                    )
                 if joint not in self.names:
                     raise UnknownNameError(
                         f"joint of hand {hand.name!r} in {actuators.file}:",
