@@ -53,23 +53,36 @@ from smooth_operator.formats.checks import (
 )
 from smooth_operator.formats.commands import translate_status
 from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import BASE, WristTrack
+from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.teleop.recording.egodex import read_egodex
-from smooth_operator.teleop.recording.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
+from smooth_operator.teleop.recording.hdf5_arrays import (
+    POSE_UNITS,
+    Group,
+    array_of,
+    data_of,
+    numbers,
+    text_of,
+    write_array,
+)
+from smooth_operator.teleop.recording.hdf5_tracks import (
+    read_arm,
+    read_states,
+    read_wrist,
+    write_arm,
+    write_states,
+    write_wrist,
+)
+from smooth_operator.teleop.recording.hdf5_tree import Hdf5Group, h5py_of, read_tree
 from smooth_operator.teleop.recording.staging import staged_file
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FORMAT: Final = "smooth-operator"
 VERSION: Final = 1
 
-_POSE_UNITS: Final = "m, quaternion wxyz"
 _OPTIONAL: Final = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
-
-_Group = Any  # of h5py, which comes without types
 
 
 def write_hdf5_episode(path: Path, episode: Episode) -> None:
@@ -92,11 +105,11 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
             group = file.create_group("commands")
             _write_commands(group, episode.commands, episode.stages_ms)
             if episode.wrist is not None:
-                _write_wrist(group, episode.wrist)
+                write_wrist(group, episode.wrist)
             if episode.arm is not None:
-                _write_arm(group, episode.arm)
+                write_arm(group, episode.arm)
         if episode.states is not None:
-            _write_states(file.create_group("state"), episode.states)
+            write_states(file.create_group("state"), episode.states)
         if episode.config is not None:  # not an attribute, since these end at 64 KiB
             file.create_dataset("configuration", data=to_json(episode.config))
 
@@ -129,7 +142,7 @@ def read_hdf5_episode(
             f"{top.describe()}. Save its landmarks with numpy.savez, or in a group 'hand' as "
             "'landmarks' (T, 21, 3) [m] and 'stamps' (T,) [s]"
         )
-    name = _text(top.attributes.get("name")) or path.stem
+    name = text_of(top.attributes.get("name")) or path.stem
     recording: HandRecording | None = None
     notes: tuple[str, ...] = ()
     if hand is not None:
@@ -143,15 +156,15 @@ def read_hdf5_episode(
     stages: dict[str, np.ndarray] = {}
     if commands is not None:
         trajectory, stages = _read_commands(commands, tree.get("commands/stages_ms"), path)
-        wrist = _read_wrist(commands, len(trajectory), path)
-        arm = _read_arm(commands, len(trajectory), path)
+        wrist = read_wrist(commands, len(trajectory), path)
+        arm = read_arm(commands, len(trajectory), path)
     config = None
     if "configuration" in top.arrays:
         texts = top.arrays["configuration"].texts
         config = _object(texts[0] if texts else None, f"{path}: 'configuration'")
-    task = _text(top.attributes.get("task"))
+    task = text_of(top.attributes.get("task"))
     group = tree.get("state")
-    states = None if group is None else _read_states(group, path)
+    states = None if group is None else read_states(group, path)
     return Episode(recording, trajectory, config, stages, task, name, notes, states, wrist, arm)
 
 
@@ -177,7 +190,7 @@ def is_own_hdf5(path: Path) -> bool:
         return False
 
 
-def _write_hand(group: _Group, recording: HandRecording, meta: dict[str, Any]) -> None:
+def _write_hand(group: Group, recording: HandRecording, meta: dict[str, Any]) -> None:
     group.attrs["side"] = recording.side
     group.attrs["landmark_names"] = list(LANDMARKS)
     group.attrs["meta"] = to_json(meta)
@@ -187,22 +200,22 @@ def _write_hand(group: _Group, recording: HandRecording, meta: dict[str, Any]) -
         ("valid", None),
         ("metacarpals", "m"),
         ("orientations", "quaternion wxyz"),
-        ("T_world_wrist", _POSE_UNITS),
+        ("T_world_wrist", POSE_UNITS),
     ):
         value = getattr(recording, name)
         if value is not None:
-            _write(group, name, value, units)
+            write_array(group, name, value, units)
     if recording.world is not None:
         group.attrs["world"] = recording.world
 
 
-def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> None:
-    _write(group, "joint_positions", np.asarray(commands.joint_positions, np.float64), "rad")
+def _write_commands(group: Group, commands: CommandTrajectory, stages: Any) -> None:
+    write_array(group, "joint_positions", np.asarray(commands.joint_positions, np.float64), "rad")
     names = h5py_of().string_dtype()
     group.create_dataset("joint_names", data=list(commands.joint_names), dtype=names)
-    _write(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
-    _write(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
-    _write(group, "status", np.asarray(commands.status, np.int8), None)
+    write_array(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
+    write_array(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
+    write_array(group, "status", np.asarray(commands.status, np.int8), None)
     known = {int(status): status.name for status in Status}
     group["status"].attrs["status_names"] = [known.get(i, "") for i in range(max(known) + 1)]
     for stage, times in stages.items():
@@ -216,105 +229,26 @@ def _write_commands(group: _Group, commands: CommandTrajectory, stages: Any) -> 
         data.attrs["stage"] = stage
 
 
-def _write_wrist(group: _Group, wrist: WristTrack) -> None:
-    _write(group, "wrist", wrist.poses, _POSE_UNITS)
-    group["wrist"].attrs["world"] = wrist.world
-    _write(group, "wrist_engaged", np.asarray(wrist.engaged, bool), None)
-    _write(group, "wrist_valid", np.asarray(wrist.valid, bool), None)
-
-
-def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
-    if "wrist" not in group.arrays:
-        return None
-    poses = _numbers(group, "wrist", (count, 7), path)
-    engaged = _array(group, "wrist_engaged", (count,), "b", path)
-    valid = _array(group, "wrist_valid", (count,), "b", path)
-    world = _text(group.arrays["wrist"].attributes.get("world"))
-    return WristTrack(poses, engaged, valid, BASE if world is None else world)
-
-
-def _write_arm(group: _Group, arm: ArmTrack) -> None:
-    _write(group, "arm", arm.positions, "rad")
-    _write(group, "arm_measured", arm.measured, "rad")
-    _write(group, "arm_wrist", arm.poses, _POSE_UNITS)
-    group["arm"].attrs["name"] = arm.name
-    group["arm"].attrs["joint_names"] = ",".join(arm.joint_names)
-
-
-def _read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
-    if "arm" not in group.arrays:
-        return None
-    said = group.arrays["arm"].attributes
-    names = tuple((_text(said.get("joint_names")) or "").split(","))
-    shape = (count, len(names))
-    return ArmTrack(
-        _text(said.get("name")) or "arm",
-        names,
-        _numbers(group, "arm", shape, path),
-        _numbers(group, "arm_measured", shape, path),
-        _numbers(group, "arm_wrist", (count, 7), path),
-    )
-
-
-def _write_states(group: _Group, states: StateTrajectory) -> None:
-    _write(group, "joint_positions", np.asarray(states.positions, np.float64), "rad")
-    _write(group, "stamps", np.asarray(states.stamps, np.float64), "s")
-    texts = h5py_of().string_dtype()
-    group.create_dataset("joint_names", data=list(states.names), dtype=texts)
-    if states.actuators:
-        group.create_dataset("actuator_names", data=list(states.actuators), dtype=texts)
-    for name in ("currents", "touch"):
-        values = getattr(states, name)
-        if values is not None:
-            _write(group, name, np.asarray(values, np.float64), None)
-
-
-def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
-    positions = _numbers(group, "joint_positions", (None, None), path)
-    count = len(positions)
-    optional: dict[str, Any] = {
-        name: _numbers(group, name, (count, None), path) if name in group.arrays else None
-        for name in ("currents", "touch")
-    }
-    names, actuators = (
-        tuple(map(str, group.arrays[key].texts or ())) if key in group.arrays else ()
-        for key in ("joint_names", "actuator_names")
-    )
-    stamps = _numbers(group, "stamps", (count,), path)
-    try:
-        return StateTrajectory(stamps, positions, names, actuators, **optional)
-    except RecordingError as error:
-        raise RecordingError(f"{path}: {group.name}: {error}") from error
-
-
-def _write(group: _Group, name: str, value: np.ndarray, units: str | None) -> None:
-    # Shuffled bytes of neighbouring samples compress far better than the samples themselves.
-    packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if value.size else {}
-    data = group.create_dataset(name, data=value, **packed)
-    if units is not None:
-        data.attrs["units"] = units
-
-
 def _read_hand(
     group: Hdf5Group, path: Path, name: str, rate: float | None, side: Side | None
 ) -> HandRecording:
-    landmarks = _numbers(group, "landmarks", (None, 21, 3), path)
+    landmarks = numbers(group, "landmarks", (None, 21, 3), path)
     count = len(landmarks)
     if "stamps" in group.arrays:
-        stamps = _numbers(group, "stamps", (count,), path)
+        stamps = numbers(group, "stamps", (count,), path)
     else:
         stamps = stamps_from_rate(count, rate, str(path))
     check_stamps(stamps, str(path))
     check_rate(stamps, rate, str(path))
     optional: dict[str, Any] = {
-        key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
+        key: numbers(group, key, (count, *shape), path) if key in group.arrays else None
         for key, shape in _OPTIONAL.items()
     }
-    optional["world"] = _text(group.attributes.get("world"))
-    valid = _array(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
-    label = _text(group.attributes.get("side"))
+    optional["world"] = text_of(group.attributes.get("world"))
+    valid = array_of(group, "valid", (count, 21), "b", path) if "valid" in group.arrays else None
+    label = text_of(group.attributes.get("side"))
     found, assumed = check_side([] if label is None else [label], side, str(path))
-    meta = _object(_text(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
+    meta = _object(text_of(group.attributes.get("meta")) or "{}", f"{path}: meta of 'hand'")
     meta |= {"format": "hdf5", "side_assumed": assumed}
     return HandRecording(landmarks, stamps, found, valid=valid, name=name, meta=meta, **optional)
 
@@ -322,9 +256,9 @@ def _read_hand(
 def _read_commands(
     group: Hdf5Group, timed: Hdf5Group | None, path: Path
 ) -> tuple[CommandTrajectory, dict[str, np.ndarray]]:
-    positions = _numbers(group, "joint_positions", (None, None), path)
+    positions = numbers(group, "joint_positions", (None, None), path)
     count, joints = positions.shape
-    names = _data(group, "joint_names", path)
+    names = data_of(group, "joint_names", path)
     if names.shape != (joints,):
         raise RecordingError(
             f"{path}: joint_names must have shape {(joints,)} to fit joint_positions "
@@ -332,57 +266,22 @@ def _read_commands(
         )
     if names.texts is None or None in names.texts:
         raise RecordingError(f"{path}: {names.name} must hold text, not {names.type[:80]}")
-    status = _array(group, "status", (count,), "iu", path)
+    status = array_of(group, "status", (count,), "iu", path)
     labels = group.arrays["status"].attributes.get("status_names")
     labels = [str(label) for label in labels] if isinstance(labels, list) else None
     commands = CommandTrajectory(
         joint_positions=positions,
         joint_names=tuple(map(str, names.texts)),
-        stamps=_numbers(group, "stamps", (count,), path),
-        latency_ms=_numbers(group, "latency_ms", (count,), path),
+        stamps=numbers(group, "stamps", (count,), path),
+        latency_ms=numbers(group, "latency_ms", (count,), path),
         status=translate_status(status, labels, str(path)),
     )
     stages: dict[str, np.ndarray] = {}
     for key in () if timed is None else timed.arrays:
         assert timed is not None
-        stage = _text(timed.arrays[key].attributes.get("stage")) or key
-        stages[stage] = _numbers(timed, key, (count,), path)
+        stage = text_of(timed.arrays[key].attributes.get("stage")) or key
+        stages[stage] = numbers(timed, key, (count,), path)
     return commands, stages
-
-
-def _numbers(group: Hdf5Group, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
-    return _array(group, name, shape, "fiu", path).astype(np.float64, copy=False)
-
-
-def _array(
-    group: Hdf5Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
-) -> np.ndarray:
-    """An array of numbers of the shape and kinds that are expected."""
-    found = _data(group, name, path)
-    fits = len(found.shape) == len(shape) and all(
-        asked in (None, size) for asked, size in zip(shape, found.shape, strict=True)
-    )
-    if not fits:
-        asked = ", ".join("any" if size is None else str(size) for size in shape)
-        raise RecordingError(
-            f"{path}: {found.name} must have shape ({asked}), not {tuple(found.shape)}"
-        )
-    if found.kind not in kinds or found.data is None:
-        what = "true or false" if kinds == "b" else "numbers"
-        raise RecordingError(f"{path}: {found.name} must hold {what}, not {found.type[:80]}")
-    return found.data
-
-
-def _data(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
-    if name not in group.arrays:
-        raise RecordingError(
-            f"{path}: it lacks the array {group.name}/{name}; the group holds {group.describe()}"
-        )
-    return group.arrays[name]
-
-
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) else None
 
 
 def _object(text: str | None, what: str) -> dict[str, Any]:
