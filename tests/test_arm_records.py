@@ -63,6 +63,22 @@ def test_hdf5_keeps_the_arm(log: Path, tmp_path: Path) -> None:
     _check(read_hdf5_episode(path).arm)
 
 
+def test_lerobot_keeps_the_arm(log: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
+    from smooth_operator.teleop.recording.lerobot import (
+        open_dataset,
+        read_dataset_episode,
+        write_dataset,
+    )
+
+    path = tmp_path / "dataset"
+    write_dataset(path, [lambda: read_log_episode(log)], fps=100)
+    dataset = open_dataset(path)
+    assert dataset.info["features"]["arm_positions"]["names"] == list(JOINTS)
+    assert dataset.info["features"]["arm_wrist"]["shape"] == [7]
+    _check(read_dataset_episode(dataset, 0).arm)
+
+
 def test_a_message_of_another_number_of_joints_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "bad.mcap"
     with LogWriter(path) as writer:

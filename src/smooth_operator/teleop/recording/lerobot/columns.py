@@ -29,6 +29,9 @@ What these can't hold, without loss:
 ``wrist_command``       float64 (7,)           of the robot hand, in the robot's base, the same
 ``wrist_engaged``       bool                   whether the operator's wrist moved it
 ``wrist_valid``         bool                   whether the operator's wrist was known
+``arm_positions``       float64 (a,)           commanded joint positions of the arm [rad]
+``arm_measured``        float64 (a,)           measured when the command was sent [rad]
+``arm_wrist``           float64 (7,)           wrist of the hand at ``arm_positions``, in the base
 ``joint_positions``     float64 (n,)           as ``action``
 ``command_stamp``       float64                of the command [s]; NaN where there is none
 ``status``              int64                  code of the command's status; -1 where there is none
@@ -82,6 +85,9 @@ UNITS: Final = {
     "wrist_command": "m, quaternion wxyz, of the robot hand in the robot's base",
     "wrist_engaged": "whether the operator's wrist moved the robot's",
     "wrist_valid": "whether the operator's wrist was known",
+    "arm_positions": "rad, commanded joint positions of the arm",
+    "arm_measured": "rad, measured joint positions of the arm",
+    "arm_wrist": "m, quaternion wxyz, of the robot hand at arm_positions, in the arm's base",
     "joint_positions": "rad, as action, without loss",
     "command_stamp": "s, NaN in a frame without a command",
     "status": "why the command is what it is; -1 in a frame without a command",
@@ -106,6 +112,7 @@ class Layout:
         measured: names of the joints that the robot hand measured; None without.
         wrist: with the human wrist.
         wrist_command: with the commanded one.
+        arm: names of the joints of the arm that carries the hand; None without.
     """
 
     hand: bool
@@ -116,6 +123,7 @@ class Layout:
     measured: tuple[str, ...] | None = None
     wrist: bool = False
     wrist_command: bool = False
+    arm: tuple[str, ...] | None = None
 
     @classmethod
     def of(cls, episode: Episode) -> Layout:
@@ -130,6 +138,7 @@ class Layout:
             None if episode.states is None else tuple(episode.states.names),
             recording is not None and recording.T_world_wrist is not None,
             episode.wrist is not None,
+            None if episode.arm is None else episode.arm.joint_names,
         )
 
     def widened(self, other: Layout, names: tuple[str, str]) -> Layout:
@@ -165,6 +174,11 @@ class Layout:
                 f"{names[0]} and {names[1]} measured different joints; write each robot hand to "
                 "its own LeRobot dataset"
             )
+        if self.arm != other.arm:
+            raise RecordingError(
+                f"{names[0]} and {names[1]} have different arms, or one has none; write each "
+                "robot to its own LeRobot dataset"
+            )
         more = tuple(stage for stage in other.stages if stage not in self.stages)
         return Layout(
             self.hand,
@@ -175,6 +189,7 @@ class Layout:
             self.measured,
             self.wrist or other.wrist,
             self.wrist_command or other.wrist_command,
+            self.arm,
         )
 
     def features(self) -> dict[str, dict[str, Any]]:
@@ -211,6 +226,10 @@ class Layout:
             add("wrist_command", "float64", POSE_NAMES)
             add("wrist_engaged", "bool")
             add("wrist_valid", "bool")
+        if self.arm is not None:
+            add("arm_positions", "float64", self.arm)
+            add("arm_measured", "float64", self.arm)
+            add("arm_wrist", "float64", POSE_NAMES)
         if self.joints is not None:
             add("joint_positions", "float64", self.joints)
             add("command_stamp", "float64")
@@ -297,6 +316,10 @@ def episode_columns(
         columns["action"] = np.concatenate(parts, axis=1)
         columns["wrist_engaged"] = spread(none if wrist is None else wrist.engaged, False)
         columns["wrist_valid"] = spread(none if wrist is None else wrist.valid, False)
+        if episode.arm is not None:
+            columns["arm_positions"] = spread(episode.arm.positions, np.nan)
+            columns["arm_measured"] = spread(episode.arm.measured, np.nan)
+            columns["arm_wrist"] = spread(episode.arm.poses, np.nan)
     if episode.states is not None:
         measured, when = episode.states.at(episode.stamps)
         columns |= {"observation.state": measured, "measured_positions": measured}

@@ -18,6 +18,7 @@ from smooth_operator.errors import (
     brief,
     listed,
 )
+from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,
@@ -209,7 +210,10 @@ def read_dataset_episode(
     states = None
     if "measured_positions" in dataset.info["features"]:
         states = _states(table, dataset.info["features"], file)
-    return Episode(recording, commands, config, stages, task, name, notes, states, wrist)
+    arm = None
+    if commands is not None and "arm_positions" in dataset.info["features"]:
+        arm = _arm(table, dataset.info["features"], own, file)
+    return Episode(recording, commands, config, stages, task, name, notes, states, wrist, arm)
 
 
 def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
@@ -343,6 +347,15 @@ def _wrist(table: Any, own: dict[str, Any], file: Path) -> WristTrack:
     )
     poses = numbers(table, "wrist_command", 7, file)[there].astype(np.float64)
     return WristTrack(poses, engaged, valid, str(own.get("wrist_world") or BASE)[:64])
+
+
+def _arm(table: Any, features: dict[str, Any], own: dict[str, Any], file: Path) -> ArmTrack:
+    """The arm in the rows that have a command."""
+    names = tuple(_names(features["arm_positions"]))
+    there = numbers(table, "status", 1, file)[:, 0] != NO_COMMAND
+    sizes = {"arm_positions": len(names), "arm_measured": len(names), "arm_wrist": 7}
+    rows = [numbers(table, key, n, file)[there].astype(float) for key, n in sizes.items()]
+    return ArmTrack(str(own.get("arm") or "arm")[:64], names, rows[0], rows[1], rows[2])
 
 
 def _states(table: Any, features: dict[str, Any], file: Path) -> StateTrajectory:

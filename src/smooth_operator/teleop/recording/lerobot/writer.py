@@ -226,6 +226,7 @@ def _own(episode: Episode) -> dict[str, Any]:
         "world": None if episode.recording is None else episode.recording.world,
         "wrist_command": layout.wrist_command,
         "wrist_world": None if episode.wrist is None else episode.wrist.world,
+        "arm": None if episode.arm is None else episode.arm.name,
         "stages": list(layout.stages),
         "meta": episode.meta,
         "configuration": episode.config,
