@@ -47,7 +47,7 @@ class InspireHand:
             SPEED_SET: self.speed,
             ANGLE_ACT: np.rint(self.servos.positions()).astype(int).tolist(),
             FORCE_ACT: np.rint(-load / 2).astype(int).tolist(),
-            CURRENT: np.rint(np.minimum(np.abs(load) * 2, 1500)).astype(int).tolist(),
+            CURRENT: np.rint(np.minimum(np.abs(load) * 3, 1500)).astype(int).tolist(),
             ERROR: _packed(self.errors),
             STATUS: _packed([2 if abs(x) < 5 else 1 for x in load]),
             TEMP: _packed(self.temperatures),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -33,6 +34,9 @@ def rig(
     if why := missing(request.param):
         pytest.skip(why)
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    # Locks of buses are files there. A pty that another run of the tests has lost, and still has
+    # locked, gives its name to the next one.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     made = RIGS[request.param](tmp_path, monkeypatch)
     made.patience(3.0)  # the machine may be busy
     yield made
@@ -209,8 +213,8 @@ def test_a_hold_stops_the_hand_on_its_way(rig: Rig) -> None:
 
 
 def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
-    rig.patience(0.1)
-    with Driven(rig, lost_s=0.15) as driven:
+    rig.patience(0.05)
+    with Driven(rig, lost_s=0.1) as driven:
         driven.ask(0.2)
         until(lambda: driven.statistics()["cycles"] > 3, "following")
         rig.lose()
@@ -230,15 +234,14 @@ def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
 
 
 def test_wrong_answers_move_nothing_and_pass(rig: Rig) -> None:
-    rig.patience(0.25)
+    rig.patience(0.2)
     with Opened(rig) as opened:
         rig.faults.garble = True
-        for _ in range(2):
-            if rig.reports:  # what it reports by itself is dropped where it is damaged
+        if rig.reports:  # what it reports by itself is dropped where it is damaged
+            opened.device.read()
+        else:
+            with pytest.raises(WrongAnswerError, match=f"^{rig.driver}"):
                 opened.device.read()
-            else:
-                with pytest.raises(WrongAnswerError, match=f"^{rig.driver}"):
-                    opened.device.read()
         rig.faults.garble = False
 
         def right() -> bool:
@@ -265,7 +268,7 @@ def test_a_slow_bus_costs_the_loop_nothing(rig: Rig) -> None:
 
 
 def test_nothing_on_the_wire_is_one_sentence(rig: Rig) -> None:
-    rig.patience(0.2)
+    rig.patience(0.1)
     rig.lose()
     with pytest.raises(SinkError) as caught, Opened(rig):
         pass

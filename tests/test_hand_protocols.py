@@ -40,6 +40,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     drivers = "smooth_operator.teleop.hardware.drivers"
     for name in ("ability._TIMEOUT", "linker._TIMEOUT", "inspire._TIMEOUT", "allegro._STALE_S"):
         monkeypatch.setattr(f"{drivers}.{name}", 3.0)
+    monkeypatch.setattr(f"{drivers}.allegro._ASK_S", 0.05)
 
 
 def table(name: str, **settings: object) -> ActuatorMap:
@@ -80,7 +81,7 @@ def test_inspire_sets_its_limits_and_says_what_the_motors_report() -> None:
         assert reading.currents is not None
         assert reading.touch is not None
         assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
-        assert reading.currents.tolist() == [0, 0, 0, 1200, 0, 0]
+        assert reading.currents.tolist() == [0, 0, 0, 1500, 0, 0]
         assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]
     finally:
         device.close()

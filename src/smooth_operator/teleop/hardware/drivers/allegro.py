@@ -34,6 +34,9 @@ _ANGLES, _HEAT, _INFORMATION, _SERIAL, _ERROR = 0x20, 0x38, 0x80, 0x88, 0xEE
 _OPENING_S: Final = 1.0
 """How long the first angles may take [s]."""
 
+_ASK_S: Final = 1.0
+"""How often temperatures and status are asked for [s]."""
+
 _STANDS: Final = 0.3
 """Slower than this a joint stands [rad/s]."""
 
@@ -359,7 +362,7 @@ class _Control:
             for finger in range(4):
                 data = struct.pack("<4h", *torque[4 * finger : 4 * finger + 4])
                 self._bus.send(_TORQUE + finger << 2, data)
-        if now - self._asked > 1.0:
+        if now - self._asked > _ASK_S:
             self._asked = now
             for request in (_INFORMATION, *range(_HEAT, _HEAT + 4)):
                 self._bus.send(request << 2, remote=True)
