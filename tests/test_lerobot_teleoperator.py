@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +18,8 @@ from lerobot_stand_in import REAL, TELEOPERATOR, use_plugins
 from ticks import make_tick
 
 from smooth_operator import load_hand
-from smooth_operator.teleop.sinks.zmq_sink import ZmqSink
+from smooth_operator.teleop.sinks.tick import ArmCommand
+from smooth_operator.teleop.sinks.zmq_sink import ZmqSink, command_message
 
 pytest.importorskip("zmq")
 PORTS = iter(range(15710, 15760))
@@ -121,6 +123,20 @@ def test_both_hands_and_the_wrist_have_keys_of_their_own(session: Callable[..., 
     now.wrist = {"pose": [0.3, 0.2, 0.1, half, 0, 0, half], "valid": True, "engaged": True}
     now.device.connect()
     assert now.device.get_action()["tcp.qz"] == half
+
+
+def test_joints_of_an_arm_are_among_the_keys(session: Callable[..., Session]) -> None:
+    """As the sink zmq sends them."""
+    arm = ArmCommand("panda", ("joint1", "joint2"), np.array([0.3, -0.4]), np.zeros(2), np.zeros(7))
+    hand = load_hand("mimic_p050")
+    message = command_message(replace(make_tick(hand), arm=arm), 0.2)
+    now = session(joints={"index_mcp2pp": "index", "arm_joint2": "shoulder"})
+    now.names, now.angles = message["names"], message["positions"]
+    send = now.send
+    now.send = lambda **more: send(arm=message["arm"], **more)
+    now.device.connect()
+    assert now.device.get_action()["shoulder.pos"] == -0.4
+    assert now.device.get_action().keys() == {"index.pos", "shoulder.pos"}
 
 
 def test_without_names_all_joints_are_known_once_commands_come(

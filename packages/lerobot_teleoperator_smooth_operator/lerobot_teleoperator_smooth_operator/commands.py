@@ -13,6 +13,9 @@ from typing import Any
 FORMAT = 1
 """Version of the messages that this plug-in reads."""
 
+ARM_PREFIX = "arm_"
+"""Before the names of an arm's joints, which may be those of a hand's."""
+
 _SPAN_S = 30.0
 """Time in which the quickest message is looked for; longer, and two clocks drift apart [s]."""
 
@@ -22,7 +25,7 @@ class Command:
     """A command of one hand.
 
     Attributes:
-        names: (n) model's joints.
+        names: (n) model's joints; with an arm its joints too, ``arm_joint1``, ...
         positions: (n) angles [rad].
         wrist: target of the wrist in the robot's base: x y z [m], quaternion w x y z; None
             where the message has none.
@@ -144,6 +147,9 @@ class Newest:
     def _command(self, side: str, message: dict[str, Any]) -> Command:
         names = tuple(map(str, message["names"]))
         positions = tuple(map(float, message["positions"]))
+        if "arm" in message:  # that carries the hand
+            names += tuple(f"{ARM_PREFIX}{name}" for name in message["arm"]["names"])
+            positions += tuple(map(float, message["arm"]["positions"]))
         if len(names) != len(positions) or not all(map(math.isfinite, positions)):
             raise ValueError(f"{len(names)} joints and the positions {positions}")
         arrived = self._clock()

@@ -16,7 +16,8 @@ class SmoothOperatorConfig(TeleoperatorConfig):
         side: ``right``, ``left`` or ``both``; with ``both`` each key begins with ``right_`` or
             ``left_``.
         joints: model's joint -> robot's joint, ``{right_i-mcp: index_mcp}``; its key is
-            ``index_mcp.pos``. Empty for all joints, by the model's names.
+            ``index_mcp.pos``. With ``teleop --arm`` also ``{arm_joint1: joint1}``. Empty for all
+            joints, by the model's names.
         left_joints: the same for the left hand with ``both``; empty for ``joints``.
         unit: of the robot's keys: ``radians``, ``degrees``, ``range_m100_100`` (-100 to 100) or
             ``range_0_100``.
