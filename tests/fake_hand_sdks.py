@@ -109,6 +109,9 @@ class WujiHand:
         self.world.touch()
         self.world.effort_limit = np.asarray(value_array, float)
 
+    def write_joint_target_position(self, value_array: Any, timeout: float = 0.5) -> None:
+        WujiController(self.world).set_joint_target_position(value_array)
+
     def write_joint_enabled(self, value: bool, timeout: float = 0.5) -> None:
         self.world.touch()
         self.world.servos.positions()

@@ -8,7 +8,9 @@ sense of a joint are those of the maker's URDF.
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -22,6 +24,8 @@ from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 20
 _SHAPE: Final = (5, 4)
+_SETTLING: Final = 5.0
+"""Time constants of the filter between the first target and the motors' power."""
 _SLOW: Final = 50
 """Temperatures and error codes are asked for once in so many cycles, in turns."""
 
@@ -169,11 +173,14 @@ class WujiDevice:
             if self._controller is None:
                 import wujihandpy
 
-                # The filter starts at the target, so that nothing moves when the motors go on.
+                # The first target is where the hand is. It is set before the motors go on, and the
+                # filter gets the time to reach it: from wherever that starts, nothing moves.
+                self._hand.write_joint_target_position(target)
                 self._controller = self._hand.realtime_controller(
                     enable_upstream=True, filter=wujihandpy.filter.LowPass(cutoff_freq=self._cutoff)
                 )
                 self._controller.set_joint_target_position(target)
+                time.sleep(_SETTLING / (2 * math.pi * self._cutoff))
                 self._hand.write_joint_enabled(True)
             self._controller.set_joint_target_position(target)
 
