@@ -6,6 +6,8 @@ time for one.
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -45,5 +47,5 @@ def inverse(matrix: Matrix) -> Matrix:
 
 def angle_between(one: Matrix, other: Matrix) -> float:
     """Angle of the rotation from one to the other [rad]."""
-    cosine = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    cosine = (float((one[:3, :3] * other[:3, :3]).sum()) - 1.0) / 2.0
+    return math.acos(min(max(cosine, -1.0), 1.0))
