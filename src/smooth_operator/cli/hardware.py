@@ -18,7 +18,7 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink, is_driver, real_hand
 from smooth_operator.teleop.hardware.serial_port import serial_ports
 from smooth_operator.teleop.hardware.table_file import (
     list_tables,
@@ -41,7 +41,7 @@ def list_hardware(options: List) -> None:
             kind = entry.load()
         except SmoothOperatorError:
             continue  # of a plugin that is broken, or needs an extra to be looked at
-        if isinstance(kind, type) and issubclass(kind, HardwareSink):
+        if is_driver(kind):
             drivers[name] = entry.summary
     tables, broken = [], []
     for path in list_tables():
@@ -120,8 +120,8 @@ def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, Act
         ConfigError: it is no real hand, or its table can't be used.
         SmoothOperatorError: there is no such sink, hand or setting.
     """
-    sink = build_sink(device)
-    if not isinstance(sink, HardwareSink):
+    sink = real_hand(build_sink(device))
+    if sink is None:
         raise ConfigError(
             f"{device!r} is no real hand; smooth-operator hardware list names the drivers"
         )

@@ -11,7 +11,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
 from smooth_operator.teleop.hardware.bus_lock import BusLock
-from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.hardware_sink import real_hand
 from smooth_operator.teleop.hardware.table_check import HELP, TableCheck, blank_table
 from smooth_operator.teleop.hardware.table_file import user_tables_folder, write_table
 from smooth_operator.teleop.sinks.registry import build_sink
@@ -29,8 +29,8 @@ def check_hardware(options: Check) -> None:
     if options.ids is None:
         sink, table, hand = opened(options.device, options.side, options.hand)
     else:
-        found = build_sink(options.device)
-        if not isinstance(found, HardwareSink) or options.hand is None:
+        found = real_hand(build_sink(options.device))
+        if found is None or options.hand is None:
             raise ConfigError("--ids is for a real hand without a table; say its model with --hand")
         sink, hand = found, load_hand(options.hand, options.side)
         ids, low, high = _ids(options.ids), *options.ends

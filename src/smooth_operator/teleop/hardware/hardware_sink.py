@@ -208,3 +208,13 @@ class HardwareSink(Sink):
     def _set(self, **values: object) -> None:
         for name, value in values.items():  # the settings are frozen, an open sink is more
             object.__setattr__(self, name, value)
+
+
+def real_hand(sink: object) -> HardwareSink | None:
+    """A sink if it moves a real hand; None for any other."""
+    return sink if isinstance(sink, HardwareSink) else None
+
+
+def is_driver(kind: object) -> bool:
+    """Whether something is a class of sinks that move a real hand."""
+    return isinstance(kind, type) and issubclass(kind, HardwareSink)
