@@ -80,6 +80,16 @@ def test_the_dialogue_finds_joint_ends_and_sense(table: ActuatorMap, hand: Hand)
     assert not any("Ctrl" in question for question in asked)
 
 
+def test_the_last_command_ends_the_question(table: ActuatorMap, hand: Hand) -> None:
+    ask, _ = answers("", "40", "40", "", "", "s")
+    said: list[str] = []
+    with ActuatorMover(FakeHand(table), table, seconds=0.02) as mover:
+        made = TableCheck(mover, hand, ask, said.append).run(table)
+    assert made is not None
+    assert made.actuators[0].ends == table.actuators[0].ends
+    assert sum("is reached: taken as the end" in line for line in said) == 2
+
+
 @pytest.mark.parametrize("given", [("q",), ("s", "s"), ("", "q"), ("", "k", "q")])
 def test_nothing_confirmed_is_no_table(
     table: ActuatorMap, hand: Hand, given: tuple[str, ...]

@@ -111,6 +111,9 @@ class TableCheck:
         self._mover.move(index, start)
         while True:
             at = self._mover.position(index)
+            if way * (stated - at) < 0.25 * abs(step):
+                self._say(f"its {side} command, {stated:g} {unit}, is reached: taken as the end")
+                return float(stated)
             answer = self._ask(
                 f"Towards its {side} command, now {at:.6g} {unit}. Enter for a step, a number of "
                 f"steps, e if this is the end, k to keep {stated:g}, q to end: "
