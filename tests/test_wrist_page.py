@@ -57,6 +57,21 @@ def server() -> Iterator[viser.ViserServer]:
     close_server(made)
 
 
+def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something() -> None:
+    def shown(**arm: Any) -> str:
+        hand = {"mode": "tracking", "latched": None, "wrist": None, "arm": arm}
+        return live_texts.modes({"right": hand})
+
+    assert "arm: follows<" in shown(state="following", position_error=0.002, clearance=0.2)
+    braking = shown(state="braking", position_error=0.041, clearance=0.021)
+    assert "brakes, too near to something, the wrist is 41 mm off, 21 mm from touching" in braking
+    still = shown(state="holding", position_error=float("nan"), clearance=float("inf"))
+    assert "arm: holds<" in still
+    assert "data-arm" not in live_texts.modes(
+        {"right": {"mode": "tracking", "latched": None, "wrist": None, "arm": None}}
+    )
+
+
 def test_a_line_says_whether_there_is_a_wrist_and_what_it_does() -> None:
     def line(**wrist: Any) -> str:
         hand = {"mode": "tracking", "latched": None, "wrist": {**SEEN, **wrist}}

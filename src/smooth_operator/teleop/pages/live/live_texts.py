@@ -26,6 +26,14 @@ _STATES: Final = {
     "closed": "■",
     "failed": "⚠",
 }
+_ARM_STATES: Final = {
+    "following": "follows",
+    "holding": "holds",
+    "braking": "brakes, too near to something",
+    "stopped": "stopped",
+}
+_OFF: Final = 0.01  # a wrist that is farther off is worth a word [m]
+_NEAR: Final = 0.03  # [m]
 _SLOW_S: Final = 0.25
 _BOX: Final = "padding:0.35em 0.8em;font-size:0.875em;font-variant-numeric:tabular-nums"
 _SMALL: Final = "padding:0.2em 0.8em;font-size:0.8em;font-variant-numeric:tabular-nums"
@@ -44,7 +52,10 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
             f"<b>{sign} {side}: {words}</b>"
             + ("" if latched is None else "<br><span data-latched>pinch latches: "
                f"{html.escape(', '.join(latched) or 'none')}</span>")
-            + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span></div>"
+            + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span>"
+            + ("" if state.get("arm") is None else
+               f"<br><span data-arm>{_arm(state['arm'])}</span>")
+            + "</div>"
         )  # fmt: skip
     return f'<div id="live-modes" role="status" style="{_BOX}">{"".join(rows) or "…"}</div>'
 
@@ -63,6 +74,17 @@ def _wrist(seen: Mapping[str, Any] | None) -> str:
         else "the robot's is held"
     )
     return f"wrist in {html.escape(seen['world'])}: {what}"
+
+
+def _arm(arm: Mapping[str, Any]) -> str:
+    """What an arm does, how far its wrist is off, and how near it is to something."""
+    said = [_ARM_STATES.get(arm["state"], html.escape(arm["state"]))]
+    error, clearance = arm["position_error"], arm["clearance"]
+    if error is not None and error > _OFF:  # False for NaN
+        said.append(f"the wrist is {1e3 * error:.0f} mm off")
+    if clearance is not None and clearance < _NEAR:
+        said.append(f"{1e3 * clearance:.0f} mm from touching something")
+    return f"arm: {', '.join(said)}"
 
 
 def summary(status: Mapping[str, Any]) -> str:
