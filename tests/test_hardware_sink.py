@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 import textwrap
 import threading
 import time
@@ -19,6 +20,7 @@ from ticks import make_tick
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.sinks.runner import SinkRunner
@@ -333,6 +335,23 @@ def test_two_programs_on_one_bus(
     again = make()
     again.open({"right": hand}, {})  # a process that died has no lock
     again.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_a_link_in_place_of_the_lock_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
+    bus = "some bus"
+    BusLock(bus).release()
+    (lock,) = (tmp_path / "smooth-operator-buses").iterdir()
+    lock.unlink()
+    mine = tmp_path / "mine.txt"
+    mine.write_text("keep this")
+    lock.symlink_to(mine)
+    with pytest.raises(SinkError, match="can't make the lock file"):
+        BusLock(bus)
+    assert mine.read_text() == "keep this"
 
 
 def test_what_can_not_be_opened_is_said_when_it_is_opened(

@@ -36,7 +36,11 @@ class BusLock:
             folder.mkdir(exist_ok=True)
             with contextlib.suppress(OSError):
                 folder.chmod(0o1777)  # other users lock their buses here, too
-            self._file: IO[bytes] | None = path.open("a+b")
+            # In a folder that all users write to, a link could point at anybody's file.
+            flags = (
+                os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            )
+            self._file: IO[bytes] | None = os.fdopen(os.open(path, flags, 0o666), "r+b")
             with contextlib.suppress(OSError):
                 path.chmod(0o666)
         except OSError as error:
@@ -53,6 +57,7 @@ class BusLock:
                 + "; end that one first: two programs on one bus would fight over the hand"
             ) from error
         self._file.truncate(1)
+        self._file.seek(1)
         self._file.write(str(os.getpid()).encode())
         self._file.flush()
 
