@@ -734,15 +734,17 @@ def test_the_page_comes_back_by_itself(cache: Path, chromium: Any, emulator: str
         page.get_by_text("linked", exact=True).wait_for()
         other = new_headset(chromium, emulator)
         told = page.get_by_text("Another headset took over")
-        for _ in range(3):  # a busy machine may keep it from connecting: people try again
+        paired = second.link.session  # more than 1 if a busy machine made the page try twice
+        for _ in range(3):  # it may keep the other from connecting, too: people try again
             other.goto("about:blank")
             other.goto(f"{first.address}/#{CODE}")
-            if shown(told, 15.0) or second.link.session != 1:
+            if shown(told, 15.0):
                 break
         told.wait_for()
-        eventually(lambda: second.link.session == 2)
+        taken = second.link.session
+        assert taken > paired
         page.wait_for_timeout(700)
-        assert second.link.session == 2  # it does not fight back
+        assert second.link.session == taken  # it does not fight back
     finally:
         second.stop()
         for opened in (page, other):
