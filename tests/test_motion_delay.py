@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +12,7 @@ from ticks import make_tick
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.teleop.runtime.motion_delay import MotionDelay
+from smooth_operator.teleop.runtime.motion_delay import MotionDelay, _Track
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.types import JointCommand
@@ -73,3 +75,29 @@ def test_it_is_in_the_summary_of_a_run(hand: Hand) -> None:
     state = HandState("right", hand.name, 0.0, hand.joint_names, np.zeros(len(hand.joint_names)))
     statistics.add(replace(make_tick(hand), state=state), 0.0, 0.0)
     assert statistics.summary()["motion_delay_ms"] == {"right": None}
+
+
+def test_a_reader_never_sees_a_time_that_is_not_written_yet() -> None:
+    """The page reads while the loop writes."""
+    tracks = [_Track(1)]
+    ended = threading.Event()
+
+    def write() -> None:
+        while not ended.is_set():
+            track = tracks[0] = _Track(1)
+            for number in range(60):
+                track.add(0.01 * number, np.zeros(1))
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for _ in range(150):
+            times, positions = tracks[0].newest()
+            assert np.isfinite(times).all()
+            assert len(times) == len(positions)
+    finally:
+        sys.setswitchinterval(before)
+        ended.set()
+        writer.join()

@@ -63,8 +63,8 @@ class _Track:
 
     def newest(self) -> tuple[np.ndarray, np.ndarray]:
         """Times and positions in order."""
-        times = self._times.copy()
-        order = np.argsort(times)[: min(self._count, _KEPT)]
+        times = self._times.copy()  # the loop may write on: what is in the copy counts, no count
+        order = np.argsort(times)[: np.count_nonzero(np.isfinite(times))]
         return times[order], self._positions[order]
 
 
