@@ -81,8 +81,8 @@ class Subscription:
 class InProcess:
     """The loop of smooth-operator on a thread of this process.
 
-    It compiles and solves here, beside LeRobot's own loop: on a busy machine a ``teleop`` process
-    of its own is smoother.
+    It compiles and solves here, in the process of LeRobot's own loop: on a busy machine a
+    ``teleop`` process of its own is smoother.
 
     Args:
         source: where hand frames come from, as after ``--source``.

@@ -213,7 +213,7 @@ class SmoothOperator(Teleoperator):
         self._feed = feed
 
     def get_action(self) -> dict[str, float]:
-        """The newest command, as the robot wants it; returns at once.
+        """The newest command, as the robot wants it; does not wait.
 
         Raises:
             DeviceNotConnectedError: not connected, or no command has come for ``hold_s``.

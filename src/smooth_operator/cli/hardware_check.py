@@ -58,7 +58,7 @@ def check_hardware(options: Check) -> None:
 def _ask(question: str) -> str:
     try:
         return input(question)
-    except EOFError:  # nobody there: as the answer to end
+    except EOFError:  # no input: as the answer to end
         return "q"
 
 

@@ -16,6 +16,16 @@ from smooth_operator.lab.physics.settings import PhysicsSettings
 from smooth_operator.simulation.scenes.grasp_objects import GraspObject
 from smooth_operator.types import HandRecording, Side
 
+LET_GO: Final = Figure(
+    "let_go", "", "up", "Of the objects that were held until the human opened, the share that was "
+    "free within 150 ms.", short="let go",
+)  # fmt: skip
+AT_LIMIT: Final = Figure(
+    "at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
+    short="at the limit",
+)  # fmt: skip
+"""Figures of both measures."""
+
 _UNITS, _QUICK_UNITS = 5, 1
 _GRASP_S: Final = 10.0  # about as much work as so much of a recording [s]
 

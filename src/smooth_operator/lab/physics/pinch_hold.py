@@ -14,6 +14,8 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.physics.grasp_rows import (
+    AT_LIMIT,
+    LET_GO,
     grasp_row,
     named_recordings,
     object_figures,
@@ -55,16 +57,14 @@ class PinchHold:
     figures: Final = (
         Figure("held", "", "up", "Share of pinches and objects in which the object was held for "
                "1 s under gravity and pushes of 0.3 N."),
-        Figure("let_go", "", "up", "Of the objects that were held until the human opened, the "
-               "share that was free within 150 ms.", short="let go"),
+        LET_GO,
         Figure("dropped", "", "down", "Share of pinches and objects in which thumb and finger had "
                "the object and lost it while the human still held."),
         Figure("overlap_mm", "mm", "", "How far the pads would be inside each other at the "
                "command of the tightest moment, without an object; negative: how far apart.",
                short="commanded overlap"),
         Figure("force_n", "N", "", "Force of the pinch while the object is held.", short="force"),
-        Figure("at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
-               short="at the limit"),
+        AT_LIMIT,
         *object_figures(GRASP_OBJECTS),
     )  # fmt: skip
     code: Final = (

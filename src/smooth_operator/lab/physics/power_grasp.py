@@ -12,6 +12,8 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.physics.grasp_rows import (
+    AT_LIMIT,
+    LET_GO,
     grasp_row,
     named_recordings,
     object_figures,
@@ -52,13 +54,11 @@ class PowerGrasp:
     figures: Final = (
         Figure("held", "", "up", "Share of closings and objects in which the object was held for "
                "1 s under gravity and pushes of 0.3 N."),
-        Figure("let_go", "", "up", "Of the objects that were held until the human opened, the "
-               "share that was free within 150 ms.", short="let go"),
+        LET_GO,
         Figure("dropped", "", "down", "Share of closings and objects in which the hand had the "
                "object and lost it while the human still held."),
         Figure("force_n", "N", "", "Force of the grasp while the object is held.", short="force"),
-        Figure("at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
-               short="at the limit"),
+        AT_LIMIT,
         *object_figures(POWER_GRASP_OBJECTS),
     )  # fmt: skip
     code: Final = (

@@ -204,17 +204,17 @@ class LogWriter:
         timing = {"stamp": stamp, "latency_ms": as_json.number(latency_ms), "stages": parts}
         why = {"stamp": stamp, "status": int(status), "reason": Status(status).reason}
         # The command last, so that in a log that is cut off it never lacks its timing and status.
-        beside: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
+        records: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
         if loop is not None:
-            beside.append((LOOP, loop.message(stamp)))
+            records.append((LOOP, loop.message(stamp)))
         if wrist is not None:
-            beside.append((WRIST, as_json.wrist_message(stamp, wrist)))
-            beside += self._foxglove.wrist(wrist, as_json.nanoseconds(stamp))
+            records.append((WRIST, as_json.wrist_message(stamp, wrist)))
+            records += self._foxglove.wrist(wrist, as_json.nanoseconds(stamp))
         if arm is not None:
-            beside.append((ARM, arm_message(stamp, arm)))
-        beside += self._foxglove.command(names, positions, as_json.nanoseconds(stamp))
+            records.append((ARM, arm_message(stamp, arm)))
+        records += self._foxglove.command(names, positions, as_json.nanoseconds(stamp))
         message = {"stamp": stamp, "names": names, "positions": as_json.numbers(positions)}
-        self._append(*beside, (COMMAND, message))
+        self._append(*records, (COMMAND, message))
         self._names = names
 
     def write_state(self, state: HandState) -> None:

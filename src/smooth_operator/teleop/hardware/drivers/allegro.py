@@ -296,7 +296,7 @@ class _Control:
             self._stop()
             self._bus.send(_PERIOD << 2, bytes(6))
         except SinkError:
-            pass  # the hand is gone: nobody hears it
+            pass  # the hand is gone and receives nothing
         self._bus.close()
 
     def _stop(self) -> None:

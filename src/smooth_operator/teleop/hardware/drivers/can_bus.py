@@ -54,7 +54,7 @@ class CanBus:
         """Put a frame on the bus.
 
         Raises:
-            DeviceLostError: the adapter is gone, or nobody on the bus acknowledges.
+            DeviceLostError: the adapter is gone, or no device on the bus acknowledges.
         """
         message = self._can.Message(
             arbitration_id=identifier, data=data, is_extended_id=False, is_remote_frame=remote

@@ -194,7 +194,7 @@ class InspireDevice:
         self._resting = True
 
     def relax(self) -> None:
-        """As ``hold``: the screws give way to nobody."""
+        """As ``hold``: the screws can't be turned from outside."""
         self.hold()
 
     def close(self) -> None:
