@@ -59,8 +59,7 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         # not by role: the knob of one that can't be moved is not drawn
         sliders = page.locator('[role="slider"]')
         assert sliders.count() == len(hand.joint_names)
-        # there is a hand, and all of it: parts of the scene come one after the other
-        page.wait_for_timeout(2_000)
+        # there is a hand
         rest = settled(page, SHOWN, HEIGHT, lambda p: (p.max(axis=-1) > 60).mean() > 0.02)
 
         moved = 1 + int(np.argmax(np.ptp(hand.limits, axis=1)[1:]))
@@ -69,7 +68,7 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         eventually(lambda: np.isclose(served.joint_positions[moved], high, atol=0.02))
         others = np.arange(len(hand.limits)) != moved
         np.testing.assert_array_equal(served.joint_positions[others], hand.neutral[others])
-        settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
+        there = settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
         # the sliders of joints that follow go along and can't be moved by hand
         every = hand.full_configuration(served.joint_positions)
         followers = [i for i in range(len(hand.joint_names)) if i not in hand.actuated]
@@ -80,8 +79,15 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         if followers:
             assert np.abs(every - hand.full_configuration(hand.neutral))[followers].max() > 0.1
 
-        page.get_by_role("button", name="Neutral pose").click()
+        # There and back again, from a picture that surely has the whole hand: parts of the scene
+        # come one after the other, and the first one may have been taken before the last part came.
+        neutral = page.get_by_role("button", name="Neutral pose")
+        neutral.click()
         eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
+        rest = settled(page, SHOWN, HEIGHT, lambda p: changed(p, there) > 0.002)
+        sliders.nth(moved).press("End")
+        settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
+        neutral.click()
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) < 0.001)
         page.get_by_label("shape", exact=True).uncheck()
         eventually(lambda: not any(node.visible for node in served._looks[0].nodes.values()))

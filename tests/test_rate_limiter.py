@@ -126,6 +126,23 @@ def test_frames_that_were_held_up_do_not_hold_up_the_next() -> None:
     assert played(arrivals, 2.0).ages().max() < SLACK
 
 
+@pytest.mark.parametrize("excess", [0.0, 0.0005, 0.005])
+@pytest.mark.parametrize("stall", [0.7, 1.2, 3.0])
+def test_a_wait_that_a_stall_left_behind_does_not_stay(stall: float, excess: float) -> None:
+    arrivals = np.arange(3000) * PERIOD / (1 + excess)
+    for at in (200, 700, 701, 1100):  # nothing comes for a while, then all of it comes late
+        arrivals[at : at + 5] += stall * PERIOD
+        arrivals[at : at + 5] = np.maximum(
+            arrivals[at : at + 5], arrivals[at] + 1e-4 * np.arange(5)
+        )
+    arrivals = np.sort(arrivals)
+    result = played(arrivals, arrivals[-1])
+    ages = result.ages() / PERIOD
+    assert np.percentile(ages, 99) < 0.1 + SLACK
+    assert np.percentile(ages[1200:], 99.9) < 0.1 + SLACK  # half a period when none was replaced
+    assert len(ages) > 0.985 * len(arrivals)
+
+
 def test_half_the_frames_of_a_tracker_twice_as_fast_are_answered_as_they_come() -> None:
     result = played(np.arange(0.0, 5.0, PERIOD / 2), 5.0)
     assert np.all(result.ages()[5:] < SLACK)

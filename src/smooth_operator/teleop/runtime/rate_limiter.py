@@ -17,6 +17,11 @@ waiting."""
 KEPT: Final = 0.5
 """How much of the time that a command came late may be made up for, over the period: a frame that
 was late does not delay those after it."""
+WAITS: Final = 0.1
+"""Longest wait of a frame for its turn, over the period: one that would wait for longer is replaced
+by the next one, if no turn is lost by that. A tracker at the rate that has lost its phase, such as
+after a stall, so gets it back for one frame, and does not keep that wait for the rest of the run.
+"""
 LONGEST: Final = 2.0
 """Longest time between two commands, over the period."""
 EXTRA: Final = 1 + BORROWED + KEPT
@@ -56,8 +61,9 @@ class RateLimiter:
     def answers(self, received: float, following: float | None) -> float:
         """When a frame is to be answered, if no newer one comes until then [s].
 
-        A frame that comes after the turn has begun is answered as it comes. One that came before is
-        replaced by the next frame if that comes so soon after the beginning that no turn is lost.
+        A frame that comes after the turn has begun is answered as it comes. One that came before,
+        by more than ``WAITS``, is replaced by the next frame if that comes so soon after the
+        beginning that no turn is lost.
         So of a tracker that is faster than the pace, the frames that are answered are fresh.
 
         Args:
@@ -67,10 +73,14 @@ class RateLimiter:
         opens, latest = self.opens, self._last + LONGEST * self.period
         if received >= opens:
             return received
-        if following is None or not 0 <= following - opens <= KEPT * self.period:
+        waits = opens - received > WAITS * self.period
+        if (
+            following is None
+            or not 0 <= following - opens <= (1.0 if waits else KEPT) * self.period
+        ):
             return opens
         patience = SHORTEST * (following - received)  # trackers are uneven
-        return following + patience if following <= latest else opens
+        return min(following + patience, latest) if following <= latest else opens
 
     def keeps(self, following: float | None) -> float:
         """When a command is due though no frame has come [s].
