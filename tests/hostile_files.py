@@ -490,7 +490,7 @@ def _datasets(
     faults: list[str],
     watch: Watch,
 ) -> Counter[str]:
-    from smooth_operator.teleop.recording.lerobot import write_dataset
+    from smooth_operator.episode_files.lerobot import write_dataset
 
     write_dataset(folder / "set", [good_episode])
     counts: Counter[str] = Counter()

@@ -42,6 +42,7 @@ SHARED = {
     "formats": 3,
     "parallel": 3,
     "web": 3,
+    "episode_files": 4,
     "hand_files": 4,
     "poses": 4,
     "result_cache": 4,

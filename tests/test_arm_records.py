@@ -54,7 +54,7 @@ def test_a_log_gives_back_what_the_arm_was_sent_and_where_it_was(log: Path) -> N
 
 def test_hdf5_keeps_the_arm(log: Path, tmp_path: Path) -> None:
     pytest.importorskip("h5py", reason="the extra hdf5 is not installed")
-    from smooth_operator.teleop.recording.hdf5 import read_hdf5_episode, write_hdf5_episode
+    from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 
     episode = read_log_episode(log)
     _check(episode.arm)
@@ -65,7 +65,7 @@ def test_hdf5_keeps_the_arm(log: Path, tmp_path: Path) -> None:
 
 def test_lerobot_keeps_the_arm(log: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
-    from smooth_operator.teleop.recording.lerobot import (
+    from smooth_operator.episode_files.lerobot import (
         open_dataset,
         read_dataset_episode,
         write_dataset,

@@ -32,8 +32,8 @@ from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_episode, read_log, write_episode
 from smooth_operator.teleop.recording.convert import Format
-from smooth_operator.teleop.recording.lerobot import write_dataset
-from smooth_operator.teleop.recording.lerobot.stats import column_statistics, joint_statistics
+from smooth_operator.episode_files.lerobot import write_dataset
+from smooth_operator.episode_files.lerobot.stats import column_statistics, joint_statistics
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FRAMES = 40
@@ -462,9 +462,9 @@ def test_dataset_read_with_pyarrow_alone(tmp_path: Path) -> None:
 
 
 def test_dataset_in_several_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.recording.lerobot.writer._FILE_MB", 0)
-    monkeypatch.setattr("smooth_operator.teleop.recording.lerobot.writer._CHUNKS_SIZE", 2)
-    monkeypatch.setattr("smooth_operator.teleop.recording.lerobot.writer._KEPT_BYTES", 0)
+    monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._FILE_MB", 0)
+    monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._CHUNKS_SIZE", 2)
+    monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._KEPT_BYTES", 0)
     values = [episode(seed=i, name=f"take {i}") for i in range(3)]
     write_dataset(tmp_path / "d", [lambda v=v: v for v in values])  # type: ignore[misc]
     files = sorted((tmp_path / "d" / "data").rglob("*.parquet"))

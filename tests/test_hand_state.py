@@ -106,7 +106,7 @@ def test_measured_joints_survive_a_conversion(log: Path, tmp_path: Path, suffix:
 
 def test_a_dataset_observes_the_measured_joints(log: Path, tmp_path: Path, hand: Hand) -> None:
     pytest.importorskip("pyarrow", reason="the extra lerobot is not installed")
-    from smooth_operator.teleop.recording.lerobot.writer import write_dataset
+    from smooth_operator.episode_files.lerobot.writer import write_dataset
 
     episode = read_episode(log)
     path = tmp_path / "dataset"

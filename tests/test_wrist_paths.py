@@ -20,10 +20,10 @@ from smooth_operator.lab.paper.degraded_recordings import led
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.teleop.recording.convert import read_episode
-from smooth_operator.teleop.recording.hdf5 import read_hdf5_episode, write_hdf5_episode
+from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 from smooth_operator.teleop.recording.log_episode import read_log_episode, write_log_episode
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.recording.npz import read_npz_episode, write_npz_episode
+from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
@@ -210,8 +210,8 @@ def test_a_log_holds_both_wrists(tmp_path: Path) -> None:
 
 def test_a_lerobot_dataset_holds_both_wrists(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
-    from smooth_operator.teleop.recording.lerobot.reader import open_dataset, read_dataset_episode
-    from smooth_operator.teleop.recording.lerobot.writer import write_dataset
+    from smooth_operator.episode_files.lerobot.reader import open_dataset, read_dataset_episode
+    from smooth_operator.episode_files.lerobot.writer import write_dataset
 
     sent = episode()
     bare = replace(

@@ -29,7 +29,7 @@ from smooth_operator.teleop.recording.convert import (
     read_episode,
     write_episode,
 )
-from smooth_operator.teleop.recording.lerobot import write_dataset
+from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
 from smooth_operator.teleop.sources.webcam.video_file import is_video
 from smooth_operator.teleop.sources.webcam.video_recording import track_video

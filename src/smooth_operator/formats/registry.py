@@ -111,7 +111,7 @@ LOG: Final = Reader(
 )
 HDF5: Final = Reader(
     "this program's own .h5 file",
-    Entry(f"{_RECORDING}.hdf5:read_hdf5_recording"),
+    Entry("smooth_operator.episode_files.hdf5:read_hdf5_recording"),
     (b"\x89HDF\r\n\x1a\n",),
     (".h5", ".hdf5"),
 )

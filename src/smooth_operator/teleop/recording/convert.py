@@ -16,14 +16,14 @@ from smooth_operator.formats.commands import config_path
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.sniff import file_kind, is_dataset
-from smooth_operator.teleop.recording.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
-from smooth_operator.teleop.recording.lerobot import (
+from smooth_operator.episode_files.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
+from smooth_operator.episode_files.lerobot import (
     Dataset,
     is_own_dataset,
     open_dataset,
     read_dataset_episode,
 )
-from smooth_operator.teleop.recording.npz import is_own_npz, read_npz_episode, write_npz_episode
+from smooth_operator.episode_files.npz import is_own_npz, read_npz_episode, write_npz_episode
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]
@@ -139,7 +139,7 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
     if kind == "lerobot":
         raise ConfigError(
             f"{path}: a LeRobot dataset is a folder of episodes, not a file; write it with "
-            "smooth_operator.teleop.recording.lerobot.write_dataset"
+            "smooth_operator.episode_files.lerobot.write_dataset"
         )
     if kind == "mcap":
         _logs().write_log_episode(path, episode)

@@ -20,7 +20,7 @@ from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, read_log
 from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
-from smooth_operator.teleop.recording.staging import staged_file
+from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status

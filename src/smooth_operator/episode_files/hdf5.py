@@ -57,8 +57,8 @@ from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.teleop.recording.egodex import read_egodex
-from smooth_operator.teleop.recording.hdf5_arrays import (
+from smooth_operator.episode_files.egodex import read_egodex
+from smooth_operator.episode_files.hdf5_arrays import (
     POSE_UNITS,
     Group,
     array_of,
@@ -67,7 +67,7 @@ from smooth_operator.teleop.recording.hdf5_arrays import (
     text_of,
     write_array,
 )
-from smooth_operator.teleop.recording.hdf5_tracks import (
+from smooth_operator.episode_files.hdf5_tracks import (
     read_arm,
     read_states,
     read_wrist,
@@ -75,8 +75,8 @@ from smooth_operator.teleop.recording.hdf5_tracks import (
     write_states,
     write_wrist,
 )
-from smooth_operator.teleop.recording.hdf5_tree import Hdf5Group, h5py_of, read_tree
-from smooth_operator.teleop.recording.staging import staged_file
+from smooth_operator.episode_files.hdf5_tree import Hdf5Group, h5py_of, read_tree
+from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FORMAT: Final = "smooth-operator"

@@ -11,7 +11,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import BASE, WristTrack
-from smooth_operator.teleop.recording.hdf5_arrays import (
+from smooth_operator.episode_files.hdf5_arrays import (
     POSE_UNITS,
     Group,
     array_of,
@@ -19,7 +19,7 @@ from smooth_operator.teleop.recording.hdf5_arrays import (
     text_of,
     write_array,
 )
-from smooth_operator.teleop.recording.hdf5_tree import Hdf5Group, h5py_of
+from smooth_operator.episode_files.hdf5_tree import Hdf5Group, h5py_of
 
 
 def write_wrist(group: Group, wrist: WristTrack) -> None:

@@ -14,15 +14,15 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.teleop.recording.lerobot.arrow import arrow, column, parquet
-from smooth_operator.teleop.recording.lerobot.card import dataset_card
-from smooth_operator.teleop.recording.lerobot.columns import Layout, episode_columns
-from smooth_operator.teleop.recording.lerobot.stats import (
+from smooth_operator.episode_files.lerobot.arrow import arrow, column, parquet
+from smooth_operator.episode_files.lerobot.card import dataset_card
+from smooth_operator.episode_files.lerobot.columns import Layout, episode_columns
+from smooth_operator.episode_files.lerobot.stats import (
     Statistics,
     column_statistics,
     joint_statistics,
 )
-from smooth_operator.teleop.recording.staging import staged_folder
+from smooth_operator.episode_files.staging import staged_folder
 
 CODEBASE_VERSION: Final = "v3.0"
 CHUNK_PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

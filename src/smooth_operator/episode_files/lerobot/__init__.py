@@ -12,17 +12,17 @@
 
 LeRobot's own columns are in its own types. What they can't hold is in further columns, whose names
 begin with neither ``observation`` nor ``action``, since LeRobot makes inputs and outputs of a
-policy of all that do. They are listed in ``smooth_operator.teleop.recording.lerobot.columns``.
+policy of all that do. They are listed in ``smooth_operator.episode_files.lerobot.columns``.
 
 LeRobot has one number of frames a second and no other clock: ``timestamp`` is
 ``frame_index / fps``, as its own recorder writes it, and the true time of each frame is in
 ``stamp``.
 """
 
-from smooth_operator.teleop.recording.lerobot.reader import Dataset as Dataset
-from smooth_operator.teleop.recording.lerobot.reader import open_dataset as open_dataset
-from smooth_operator.teleop.recording.lerobot.reader import (
+from smooth_operator.episode_files.lerobot.reader import Dataset as Dataset
+from smooth_operator.episode_files.lerobot.reader import open_dataset as open_dataset
+from smooth_operator.episode_files.lerobot.reader import (
     read_dataset_episode as read_dataset_episode,
 )
-from smooth_operator.teleop.recording.lerobot.writer import is_own_dataset as is_own_dataset
-from smooth_operator.teleop.recording.lerobot.writer import write_dataset as write_dataset
+from smooth_operator.episode_files.lerobot.writer import is_own_dataset as is_own_dataset
+from smooth_operator.episode_files.lerobot.writer import write_dataset as write_dataset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from smooth_operator.teleop.recording.lerobot.columns import UNITS
+from smooth_operator.episode_files.lerobot.columns import UNITS
 
 # The head is what the hub reads to show the frames as a table.
 _HEAD: Final = """---
