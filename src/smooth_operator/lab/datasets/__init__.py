@@ -1,0 +1,1 @@
+"""Data sets of human hands into episodes of robot hands: readers, retargeting, filters, writers."""

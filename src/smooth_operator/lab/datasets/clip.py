@@ -1,0 +1,126 @@
+"""A clip: one or two human hands over some seconds, with camera, objects, task and origin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.errors import RecordingError
+from smooth_operator.types import HandRecording, Side, unit_poses
+
+CAMERA: Final = "camera"
+"""Name of the world of clips whose hands are known in the frame of the camera only: x right, y
+down, z into the picture [m]."""
+
+SIDES: Final[tuple[Side, Side]] = ("right", "left")
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectTrack:
+    """A rigid object over a clip.
+
+    Attributes:
+        name: of the object.
+        T_world_object: (T, 7) its poses in the clip's world, NaN where it is not known.
+        mesh: file of its shape [m], in the object's frame; None if it is not known.
+        scale: factor from the units of the mesh's file to metres.
+    """
+
+    name: str
+    T_world_object: Float[np.ndarray, "T 7"]
+    mesh: Path | None = None
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        found = np.asarray(self.T_world_object, np.float64)
+        if found.ndim != 2 or found.shape[1] != 7:
+            raise RecordingError(
+                f"object {self.name!r}: poses must have shape (frames, 7), not {found.shape}"
+            )
+        object.__setattr__(self, "T_world_object", unit_poses(found))
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One or two hands with the same stamps, and what else is known of the scene.
+
+    Attributes:
+        name: of the clip among those of its source, with slashes: ``part1/pick_place/12``.
+        hands: side -> recording. All have the same stamps; ``T_world_wrist`` and ``world`` are
+            filled in where the layout knows the wrist.
+        layout: name of the reader, as in ``DATASETS``.
+        source: the files that it was read from, the first one being the clip's own.
+        task: what is done, in words; None if unknown.
+        confidence: side -> (T,) how sure the tracker is of the hand, 0 to 1; NaN where unknown.
+        T_world_camera: (T, 7) poses of the camera, its axes x right, y down, z into the picture;
+            None if unknown.
+        objects: what is moved, with the same number of frames.
+        shape: side -> MANO's shape parameters (10,) of the sequence, where the layout has them.
+        video: the file that shows the clip; None if there is none.
+        video_start_s: time in the video of the first frame [s].
+        meta: what else the layout says, as JSON has it.
+
+    Raises:
+        RecordingError: there is no hand, or parts do not fit each other.
+    """
+
+    name: str
+    hands: Mapping[Side, HandRecording]
+    layout: str
+    source: tuple[Path, ...] = ()
+    task: str | None = None
+    confidence: Mapping[Side, Float[np.ndarray, " T"]] = field(default_factory=dict)
+    T_world_camera: Float[np.ndarray, "T 7"] | None = None
+    objects: tuple[ObjectTrack, ...] = ()
+    shape: Mapping[Side, Float[np.ndarray, "10"]] = field(default_factory=dict)
+    video: Path | None = None
+    video_start_s: float = 0.0
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.hands:
+            raise RecordingError(f"{self.name}: a clip needs at least one hand")
+        stamps = self.stamps
+        for side, hand in self.hands.items():
+            if hand.side != side:
+                raise RecordingError(f"{self.name}: the {side} hand is a {hand.side} one")
+            if not np.array_equal(hand.stamps, stamps):
+                raise RecordingError(f"{self.name}: its hands have different stamps")
+        rows: dict[str, Any] = {f"object {o.name!r}": o.T_world_object for o in self.objects}
+        rows |= {f"confidence of the {side} hand": c for side, c in self.confidence.items()}
+        if self.T_world_camera is not None:
+            rows["T_world_camera"] = self.T_world_camera
+        for what, values in rows.items():
+            if len(values) != len(stamps):
+                raise RecordingError(
+                    f"{self.name}: {what} has {len(values)} frames, the hands {len(stamps)}"
+                )
+
+    def __len__(self) -> int:
+        """Frames."""
+        return len(self.stamps)
+
+    @property
+    def stamps(self) -> Float[np.ndarray, " T"]:
+        """(T,) of the frames [s]."""
+        return next(iter(self.hands.values())).stamps
+
+    @property
+    def world(self) -> str | None:
+        """Name of the frame of wrists, objects and camera; None if no wrist is known."""
+        return next((hand.world for hand in self.hands.values() if hand.world is not None), None)
+
+    def T_camera_wrist(self, side: Side) -> Float[np.ndarray, "T 7"] | None:
+        """(T, 7) poses of a wrist in the camera's frame; None if they can't be known."""
+        wrist = self.hands[side].T_world_wrist if side in self.hands else None
+        if wrist is None or self.world == CAMERA:
+            return wrist
+        if self.T_world_camera is None:
+            return None
+        return poses.relative(self.T_world_camera, wrist)

@@ -1,0 +1,88 @@
+"""The layouts of data sets by name, built-in and of plugins: how one is recognised and read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Protocol
+
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.plugins import Entry, Registry
+
+_READERS: Final = "smooth_operator.lab.datasets.readers"
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """What a reader may need to know and its files do not say.
+
+    Attributes:
+        rate: frames a second [Hz], for layouts without times; None for the layout's own.
+        mano: folder with the user's MANO model files, ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``.
+        objects: folder with the meshes of objects; None for the layout's own place.
+    """
+
+    rate: float | None = None
+    mano: Path | None = None
+    objects: Path | None = None
+
+
+@dataclass(frozen=True, order=True)
+class ClipRef:
+    """A clip that has not been read: cheap to list, to send to a worker, and to sort.
+
+    Attributes:
+        name: of the clip, unique in its source.
+        path: the file or folder that holds it.
+        key: which part of the file, for a file that holds several.
+        layout: name of its reader in ``DATASETS``.
+        size: bytes or frames, for the order of the work; 0 if unknown.
+    """
+
+    name: str
+    path: Path
+    key: str = ""
+    layout: str = ""
+    size: int = field(default=0, compare=False)
+
+
+class DatasetReader(Protocol):
+    """A layout of files."""
+
+    what: str
+    """What it reads, for messages: ``an HDF5 file of EgoDex``."""
+
+    expects: str
+    """The files and arrays that it needs, by name, for messages."""
+
+    def matches(self, path: Path) -> bool:
+        """Whether a file or folder is of this layout. It opens as little as it can.
+
+        Folders are asked before what is in them. One that matches is not looked into further.
+        """
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The clips of a file or folder that matches, by name; reads no arrays."""
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """One clip.
+
+        Raises:
+            RecordingError: the files differ from the layout; says by name what was expected, what
+                was found, and what to do.
+            MissingExtraError: a library is missing.
+        """
+
+
+DATASETS: Final = Registry(
+    "dataset",
+    {
+        name: Entry(f"{_READERS}.{where}", what)
+        for name, where, what in (
+            ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
+        )
+    },
+    needs=("what", "expects", "matches", "clips", "read"),
+)
+"""Name -> ``DatasetReader``. A path belongs to the first that matches; ``--layout`` names one."""
