@@ -17,12 +17,12 @@ import numpy as np
 import tyro
 
 from smooth_operator import HandRecording, SmoothOperatorError
+from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording.convert import read_episode, write_episode
-from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.types import CommandTrajectory
 
 FORMATS = {"`.npz`": "e.npz", "HDF5": "e.h5", "LeRobot v3.0": "e", "MCAP": "e.mcap"}

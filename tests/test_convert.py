@@ -18,6 +18,8 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from smooth_operator.cli import main
+from smooth_operator.episode_files.lerobot import write_dataset
+from smooth_operator.episode_files.lerobot.stats import column_statistics, joint_statistics
 from smooth_operator.errors import (
     ConfigError,
     MissingExtraError,
@@ -32,8 +34,6 @@ from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_episode, read_log, write_episode
 from smooth_operator.teleop.recording.convert import Format
-from smooth_operator.episode_files.lerobot import write_dataset
-from smooth_operator.episode_files.lerobot.stats import column_statistics, joint_statistics
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FRAMES = 40

@@ -13,6 +13,8 @@ from mcap.reader import make_reader
 from ticks import make_tick
 
 from smooth_operator import load_hand, poses, read_recording
+from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
+from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.human.palm_axes import FLAT_HAND
@@ -20,10 +22,8 @@ from smooth_operator.lab.paper.degraded_recordings import led
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.teleop.recording.convert import read_episode
-from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 from smooth_operator.teleop.recording.log_episode import read_log_episode, write_log_episode
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode

@@ -11,6 +11,7 @@ from pathlib import Path
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.outputs import folder_for, read_configuration
+from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.checks import check_rate
 from smooth_operator.formats.episode import Episode
@@ -29,7 +30,6 @@ from smooth_operator.teleop.recording.convert import (
     read_episode,
     write_episode,
 )
-from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
 from smooth_operator.teleop.sources.webcam.video_file import is_video
 from smooth_operator.teleop.sources.webcam.video_recording import track_video

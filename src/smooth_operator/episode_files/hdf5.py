@@ -42,21 +42,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
-from smooth_operator.formats.arm_track import ArmTrack
-from smooth_operator.formats.checks import (
-    check_rate,
-    check_recording,
-    check_side,
-    check_stamps,
-    stamps_from_rate,
-)
-from smooth_operator.formats.commands import translate_status
-from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.wrist_track import WristTrack
-from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
-from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.episode_files.egodex import read_egodex
 from smooth_operator.episode_files.hdf5_arrays import (
     POSE_UNITS,
@@ -77,6 +62,21 @@ from smooth_operator.episode_files.hdf5_tracks import (
 )
 from smooth_operator.episode_files.hdf5_tree import Hdf5Group, h5py_of, read_tree
 from smooth_operator.episode_files.staging import staged_file
+from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
+from smooth_operator.formats.arm_track import ArmTrack
+from smooth_operator.formats.checks import (
+    check_rate,
+    check_recording,
+    check_side,
+    check_stamps,
+    stamps_from_rate,
+)
+from smooth_operator.formats.commands import translate_status
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.wrist_track import WristTrack
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 FORMAT: Final = "smooth-operator"

@@ -7,8 +7,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.errors import RecordingError
 from smooth_operator.episode_files.hdf5_tree import Hdf5Array, Hdf5Group
+from smooth_operator.errors import RecordingError
 
 POSE_UNITS: Final = "m, quaternion wxyz"
 

@@ -7,10 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.errors import RecordingError
-from smooth_operator.formats.arm_track import ArmTrack
-from smooth_operator.formats.states import StateTrajectory
-from smooth_operator.formats.wrist_track import BASE, WristTrack
 from smooth_operator.episode_files.hdf5_arrays import (
     POSE_UNITS,
     Group,
@@ -20,6 +16,10 @@ from smooth_operator.episode_files.hdf5_arrays import (
     write_array,
 )
 from smooth_operator.episode_files.hdf5_tree import Hdf5Group, h5py_of
+from smooth_operator.errors import RecordingError
+from smooth_operator.formats.arm_track import ArmTrack
+from smooth_operator.formats.states import StateTrajectory
+from smooth_operator.formats.wrist_track import BASE, WristTrack
 
 
 def write_wrist(group: Group, wrist: WristTrack) -> None:

@@ -14,11 +14,11 @@ from typing import IO, Any, Final
 
 import numpy as np
 
+from smooth_operator.episode_files import hdf5_process
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import damaged
 from smooth_operator.formats.bounds import Allowance
 from smooth_operator.io.documents import check_plain_file, parse_json
-from smooth_operator.episode_files import hdf5_process
 
 _SECONDS: Final = 3
 """Seconds of processor time that reading may take, and"""

@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from smooth_operator.episode_files.lerobot.arrow import numbers, read_table
+from smooth_operator.episode_files.lerobot.columns import NO_COMMAND
+from smooth_operator.episode_files.lerobot.writer import OWN_COLUMN
 from smooth_operator.errors import (
     UPGRADE,
     ConfigError,
@@ -33,9 +36,6 @@ from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import BASE, WristTrack
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.io.documents import parse_json, read_json
-from smooth_operator.episode_files.lerobot.arrow import numbers, read_table
-from smooth_operator.episode_files.lerobot.columns import NO_COMMAND
-from smooth_operator.episode_files.lerobot.writer import OWN_COLUMN
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 _FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?(\d{1,2})d?)?\}", re.ASCII)

@@ -10,10 +10,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.formats.episode import Episode
-from smooth_operator.io.documents import read_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.episode_files.lerobot.arrow import arrow, column, parquet
 from smooth_operator.episode_files.lerobot.card import dataset_card
 from smooth_operator.episode_files.lerobot.columns import Layout, episode_columns
@@ -23,6 +19,10 @@ from smooth_operator.episode_files.lerobot.stats import (
     joint_statistics,
 )
 from smooth_operator.episode_files.staging import staged_folder
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.formats.episode import Episode
+from smooth_operator.io.documents import read_json
+from smooth_operator.io.jsonable import to_json
 
 CODEBASE_VERSION: Final = "v3.0"
 CHUNK_PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

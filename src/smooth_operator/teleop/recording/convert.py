@@ -10,12 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
-from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.formats.checks import reading_notes
-from smooth_operator.formats.commands import config_path
-from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.formats.sniff import file_kind, is_dataset
 from smooth_operator.episode_files.hdf5 import is_own_hdf5, read_hdf5_episode, write_hdf5_episode
 from smooth_operator.episode_files.lerobot import (
     Dataset,
@@ -24,6 +18,12 @@ from smooth_operator.episode_files.lerobot import (
     read_dataset_episode,
 )
 from smooth_operator.episode_files.npz import is_own_npz, read_npz_episode, write_npz_episode
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.formats.commands import config_path
+from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.sniff import file_kind, is_dataset
 from smooth_operator.types import Side, as_side
 
 Format: TypeAlias = Literal["mcap", "npz", "hdf5", "lerobot"]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import check_rate, check_side
@@ -20,7 +21,6 @@ from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, read_log
 from smooth_operator.teleop.recording.log_records import read_summary
 from smooth_operator.teleop.recording.schemas import SCHEMAS
-from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
