@@ -1,8 +1,8 @@
 """Hands of the EgoDex data set: HDF5 files of 4 x 4 transforms in ARKit's world.
 
 A file has the group ``transforms`` with an array (T, 4, 4) for each joint (``rightHand``,
-``rightIndexFingerTip``, ...), and perhaps ``confidences`` with an array (T,) for each. Both hands
-are in one file; times are not.
+``rightIndexFingerTip``, ...) and for the camera, and perhaps ``confidences`` with an array (T,) for
+each joint. Both hands are in one file; times are not.
 """
 
 from __future__ import annotations
@@ -12,17 +12,27 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from smooth_operator.episode_files.hdf5_process import EGODEX_JOINTS
 from smooth_operator.episode_files.hdf5_tree import Hdf5Group
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.checks import check_recording, check_side, stamps_from_rate
 from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
-from smooth_operator.poses import WORLD_AXES, WRIST_AXES, from_matrices, points_to_ours, to_ours
+from smooth_operator.poses import (
+    WORLD_AXES,
+    WRIST_AXES,
+    from_matrices,
+    is_rigid,
+    points_to_ours,
+    to_ours,
+)
 from smooth_operator.types import HandRecording, Side
 
 WORLD: Final = "egodex"
+RATE_HZ: Final = 30.0
+"""Frames a second of the data set, which its files do not say."""
+
 _AXES: Final = WORLD_AXES["openxr"]
 _WRISTS: Final[Mapping[Side, Float[np.ndarray, "3 3"]]] = {
     "right": WRIST_AXES["arkit_right"],
@@ -45,27 +55,80 @@ def read_egodex(
         RecordingError: joints are missing or have another shape; there is no rate.
     """
     found, assumed = check_side([], side, str(path))
-    names = EGODEX_JOINTS[found]
-    joints = np.stack([_array(tree["transforms"], name, path) for name in names], axis=1)
-    joints[~_tracked(tree.get("confidences"), names, joints)] = np.nan
-    points = points_to_ours(joints[..., :3, 3], _AXES)
-    recording = HandRecording(
-        points[:, FROM_WEBXR_25],
-        stamps_from_rate(len(points), rate, str(path)),
-        found,
-        metacarpals=points[:, METACARPALS_WEBXR_25],
-        name=path.stem,
-        meta={"format": "egodex", "side_assumed": assumed},
-        T_world_wrist=to_ours(from_matrices(joints[:, 0]), _AXES, _WRISTS[found]),
-        world=WORLD,
-    )
+    recording = egodex_hand(tree, path, rate, found)
+    recording.meta["side_assumed"] = assumed
     check_recording(recording, str(path))
     return recording
 
 
-def _array(group: Hdf5Group, name: str, path: Path) -> Float[np.ndarray, "T 4 4"]:
-    stored = group.arrays.get(name)
-    count = group.arrays[min(group.arrays)].shape[0] if group.arrays else 0
+def egodex_hand(
+    tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side
+) -> HandRecording:
+    """The same before its units and stamps are checked; joints that ARKit lost are NaN.
+
+    Raises:
+        RecordingError: as ``read_egodex``.
+    """
+    names = EGODEX_JOINTS[side]
+    joints = np.stack([egodex_transforms(tree, name, path) for name in names], axis=1)
+    seen = np.isfinite(joints).all(axis=(2, 3))
+    sure = egodex_confidences(tree, side, len(joints))
+    if sure is not None:
+        seen &= ~(sure <= 0.0)  # NaN: the file does not say
+    joints[~seen] = np.nan
+    points = points_to_ours(joints[..., :3, 3], _AXES)
+    return HandRecording(
+        points[:, FROM_WEBXR_25],
+        stamps_from_rate(len(points), rate, str(path)),
+        side,
+        metacarpals=points[:, METACARPALS_WEBXR_25],
+        name=path.stem,
+        meta={"format": "egodex"},
+        T_world_wrist=to_ours(_poses(joints[:, 0]), _AXES, _WRISTS[side]),
+        world=WORLD,
+    )
+
+
+def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray, "T 7"] | None:
+    """(T, 7) poses of the camera in the same world, x right, y down, z into the picture.
+
+    Its axes in the file are those already: the inverse of ``transforms/camera`` and the 3 x 3
+    ``camera/intrinsic`` project joints to pixels. None if it is not there.
+
+    Raises:
+        RecordingError: it has another shape.
+    """
+    if "camera" not in tree["transforms"].arrays:
+        return None
+    return to_ours(_poses(egodex_transforms(tree, "camera", path)), _AXES, np.eye(3))
+
+
+def egodex_confidences(
+    tree: Mapping[str, Hdf5Group], side: Side, count: int
+) -> Float[np.ndarray, "T 25"] | None:
+    """How sure ARKit is of each joint, 0 to 1; NaN for a joint without, None if no joint has it."""
+    group = tree.get("confidences")
+    held = {} if group is None else group.arrays
+    sure = np.full((count, len(EGODEX_JOINTS[side])), np.nan)
+    for column, name in enumerate(EGODEX_JOINTS[side]):
+        stored = held.get(name)
+        if stored is not None and stored.data is not None and stored.shape == (count,):
+            sure[:, column] = stored.data
+    return None if np.isnan(sure).all() else sure
+
+
+def egodex_transforms(
+    tree: Mapping[str, Hdf5Group], name: str, path: Path
+) -> Float[np.ndarray, "T 4 4"]:
+    """The transforms of a joint or of the camera, as they are in the file.
+
+    Raises:
+        RecordingError: there are none, or another number than of the other joints.
+    """
+    group = tree["transforms"]
+    first = next((n for pair in EGODEX_JOINTS.values() for n in pair if n in group.arrays), name)
+    stored, example = group.arrays.get(name), group.arrays.get(first)
+    count = example.shape[0] if example is not None and example.shape else 0
     if stored is None or stored.data is None or stored.shape != (count, 4, 4):
         what = "nothing" if stored is None else f"{stored.type[:80]} {stored.shape}"
         raise RecordingError(
@@ -75,13 +138,9 @@ def _array(group: Hdf5Group, name: str, path: Path) -> Float[np.ndarray, "T 4 4"
     return stored.data.astype(np.float64)
 
 
-def _tracked(
-    group: Hdf5Group | None, names: tuple[str, ...], joints: Float[np.ndarray, "T 25 4 4"]
-) -> Bool[np.ndarray, "T 25"]:
-    """Which joints ARKit saw; all that are finite in a file that does not say."""
-    seen = np.asarray(np.isfinite(joints).all(axis=(2, 3)))
-    for column, name in enumerate(names):
-        stored = None if group is None else group.arrays.get(name)
-        if stored is not None and stored.data is not None and stored.shape == seen[:, 0].shape:
-            seen[:, column] &= stored.data > 0
-    return seen
+def _poses(matrices: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T 7"]:
+    """NaN where a matrix is no rigid transform."""
+    good = is_rigid(matrices)
+    poses = np.full((len(matrices), 7), np.nan)
+    poses[good] = from_matrices(matrices[good])
+    return poses

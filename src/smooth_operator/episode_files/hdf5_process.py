@@ -32,10 +32,14 @@ EGODEX_JOINTS = {
 }
 """Side -> the 25 joints of a hand in EgoDex, in WebXR's order."""
 
-EGODEX_GROUPS = ("transforms", "confidences")
-GROUPS = ("hand", "commands", "commands/stages_ms", "state", *EGODEX_GROUPS)
+GROUPS = (
+    *("hand", "commands", "commands/stages_ms", "state"),
+    *("transforms", "confidences", "camera"),
+)
 ARRAYS = {
-    **dict.fromkeys(EGODEX_GROUPS, EGODEX_JOINTS["right"] + EGODEX_JOINTS["left"]),
+    "transforms": (*EGODEX_JOINTS["right"], *EGODEX_JOINTS["left"], "camera"),
+    "confidences": EGODEX_JOINTS["right"] + EGODEX_JOINTS["left"],
+    "camera": ("intrinsic",),
     "/": ("configuration",),
     "hand": ("landmarks", "stamps", "valid", "metacarpals", "orientations", "T_world_wrist"),
     "commands": (

@@ -1,4 +1,4 @@
-"""Recordings that headset apps make, as recordings of one hand: ``READERS`` has them.
+"""Recordings that headset apps make, as recordings of a hand or of both: ``READERS`` has them.
 
 - Tracking Streamer (Vision Pro) saves ``tracking.jsonl``, a JSON object a line: ``timestamp`` [s],
   ``leftHand`` and ``rightHand`` with the wrist in ARKit's world and 24 joints in the wrist's axes,
@@ -13,7 +13,7 @@ Frames in which the app had nothing new of the hand are left out.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -55,6 +55,9 @@ class _Collected:
     def __init__(self, path: Path, side: Side | None, wrist: bool = False) -> None:
         self._path, self._side = path, side
         self._frames: dict[Side, list[HandFrame]] = {"left": [], "right": []}
+        self._moments: dict[Side, list[int]] = {"left": [], "right": []}
+        self._together: set[Side] = set()  # hands of the moment that is read
+        self._moment = 0
         self._repeats, self._repeated = Repeats(wrist), 0
         self._allowance = Allowance.of(path, path.stat().st_size)
         self._damaged = 0
@@ -63,12 +66,17 @@ class _Collected:
     def add(self, frame: HandFrame | None) -> None:
         if frame is None or self._side not in (None, frame.side):
             return
+        if frame.side in self._together:  # the next of this hand is of the next moment
+            self._together.clear()
+            self._moment += 1
+        self._together.add(frame.side)
         new = self._repeats.new(frame)
         if new is None:
             self._repeated += 1
         else:
             frames = self._frames[frame.side]
             frames.append(new)
+            self._moments[frame.side].append(self._moment)
             self._allowance.take(frame.side, len(frames) * _FRAME_BYTES)
 
     def damaged(self, error: Exception) -> None:
@@ -88,24 +96,48 @@ class _Collected:
         Raises:
             RecordingError: there is none, or there are both and none was asked for.
         """
-        where = str(self._path)
-        found = [side for side, frames in self._frames.items() if frames]
+        found = self._seen()
         if len(found) > 1:
             raise RecordingError(
-                f"{where}: it holds both hands; say --side right or --side left (in Python: "
+                f"{self._path}: it holds both hands; say --side right or --side left (in Python: "
                 "side='right')"
             )
+        frames = self._frames[found[0]]
+        if all(frame.stamp is not None for frame in frames):
+            return self._made(found[0], np.array([frame.time for frame in frames]), form)
+        return self._made(found[0], stamps_from_rate(len(frames), rate, str(self._path)), form)
+
+    def recordings(self, rate: float | None, form: str) -> dict[Side, HandRecording]:
+        """The hands that are there, each with its own frames, by one clock.
+
+        Without stamps, hands that came between two of the same side are of one moment.
+
+        Raises:
+            RecordingError: there is none, or there are neither stamps nor a rate.
+        """
+        found = self._seen()
+        if all(frame.stamp is not None for side in found for frame in self._frames[side]):
+            stamps = {side: np.array([f.time for f in self._frames[side]]) for side in found}
+        else:
+            even = stamps_from_rate(self._moment + 1, rate, str(self._path))
+            stamps = {side: even[self._moments[side]] for side in found}
+        return {side: self._made(side, stamps[side], form) for side in found}
+
+    def _seen(self) -> list[Side]:
+        """The hands that are there.
+
+        Raises:
+            RecordingError: there is none.
+        """
+        found = [side for side, frames in self._frames.items() if frames]
         if not found:
             which = "hand" if self._side is None else f"{self._side} hand"
             why = f"; {self._damaged} lines can't be read: {self._reason}" if self._damaged else ""
-            raise RecordingError(f"{where}: there is no {which} in it{why}")
-        frames = self._frames[found[0]]
-        stamped = all(frame.stamp is not None for frame in frames)
-        stamps = (
-            np.array([frame.time for frame in frames])
-            if stamped
-            else stamps_from_rate(len(frames), rate, where)
-        )
+            raise RecordingError(f"{self._path}: there is no {which} in it{why}")
+        return found
+
+    def _made(self, side: Side, stamps: Float[np.ndarray, " T"], form: str) -> HandRecording:
+        frames = self._frames[side]
         meta: dict[str, Any] = {"format": form}
         if self._repeated:
             meta["repeated_frames"] = self._repeated
@@ -114,7 +146,7 @@ class _Collected:
         return HandRecording(
             np.stack([frame.landmarks for frame in frames]),
             stamps,
-            found[0],
+            side,
             valid=np.stack([frame.valid for frame in frames if frame.valid is not None]),
             metacarpals=_stacked(frames, "metacarpals"),
             orientations=_stacked(frames, "orientations"),
@@ -138,6 +170,10 @@ def read_avp_recording(
     Raises:
         RecordingError: there is no such hand in it, or there are both and ``side`` is None.
     """
+    return _avp(path, side).recording(rate, "avp")
+
+
+def _avp(path: Path, side: Side | None) -> _Collected:
     found = _Collected(path, side, wrist=True)
     for message in _objects(path, found):
         try:
@@ -146,7 +182,7 @@ def read_avp_recording(
                     found.add(_avp_hand(message, key, hand_side))
         except RecordingError as error:
             found.damaged(error)
-    return found.recording(rate, "avp")
+    return found
 
 
 def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None:
@@ -176,6 +212,10 @@ def read_hts_lines(
     Raises:
         RecordingError: there is no such hand in it, or there are both and ``side`` is None.
     """
+    return _hts(path, side).recording(rate, "hts")
+
+
+def _hts(path: Path, side: Side | None) -> _Collected:
     found, hands = _Collected(path, side), HtsHands()
     with path.open("rb") as stream:
         for whole in stream:
@@ -185,7 +225,7 @@ def read_hts_lines(
                     found.add(hands.add(parse_line(line), 0.0))
                 except RecordingError as error:
                     found.damaged(error)
-    return found.recording(rate, "hts")
+    return found
 
 
 def read_hts_json(
@@ -198,6 +238,10 @@ def read_hts_json(
     Raises:
         RecordingError: there is no such hand in it, or there are both and ``side`` is None.
     """
+    return _hts_json(path, side).recording(rate, "hts_json")
+
+
+def _hts_json(path: Path, side: Side | None) -> _Collected:
     frames, packets = _Collected(path, side), _Collected(path, side)
     hands, whole = HtsHands(), False
     for message in _objects(path, frames):
@@ -210,7 +254,28 @@ def read_hts_json(
         except (RecordingError, ValueError, TypeError, KeyError, AttributeError) as error:
             frames.damaged(error)
             packets.damaged(error)
-    return (frames if whole else packets).recording(rate, "hts_json")
+    return frames if whole else packets
+
+
+_COLLECTORS: Final[Mapping[str, Callable[[Path, Side | None], _Collected]]] = {
+    "avp": _avp,
+    "hts": _hts,
+    "hts_json": _hts_json,
+}
+
+
+def read_both_hands(path: Path, rate: float | None, form: str) -> dict[Side, HandRecording]:
+    """The hands of a recording, each with its own frames, by one clock.
+
+    Args:
+        path: the file.
+        rate: frames a second [Hz], for a file without stamps.
+        form: name of its reader: ``avp``, ``hts`` or ``hts_json``.
+
+    Raises:
+        RecordingError: there is no hand in it, or it has no stamps and there is no rate.
+    """
+    return _COLLECTORS[form](path, None).recordings(rate, form)
 
 
 def _sdk_frame(data: Any) -> HandFrame | None:

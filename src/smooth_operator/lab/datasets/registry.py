@@ -80,6 +80,11 @@ DATASETS: Final = Registry(
     {
         name: Entry(f"{_READERS}.{where}", what)
         for name, where, what in (
+            ("egodex", "egodex:EGODEX", "EgoDex: HDF5 of both hands, camera and task"),
+            ("avp", "headsets:AVP_RECORDING", "Tracking Streamer (Vision Pro): tracking.jsonl"),
+            ("hts", "headsets:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
+            ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
+            ("egohandkit", "egohandkit:EGOHANDKIT", "EgoHandKit: hand_tracking.parquet"),
             ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },

@@ -1,0 +1,182 @@
+"""Clips of EgoHandKit: both hands of a video in the camera's frame, from ``hand_tracking.parquet``.
+
+Source: ``hmr_backends/utils/hand_tracking_parquet.py`` of RoboCoin-BAAI/EgoHandKit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.episode_files.lerobot.arrow import arrow, parquet, read_table
+from smooth_operator.errors import MissingExtraError, RecordingError, brief, listed
+from smooth_operator.formats.checks import check_stamps, stamps_from_rate
+from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
+from smooth_operator.lab.datasets.readers.both_hands import checked_hands, shares, wrist_of_points
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.types import HandRecording, Side
+
+_COLUMNS: Final = ("frame_idx", "left_present", "right_present", "left_joints_3d",
+                   "right_joints_3d")  # fmt: skip
+_SAID: Final = {
+    b"coordinate_system": b"opencv_x_right_y_down_z_forward",
+    b"joint_order": b"openpose21",
+}
+_NUMBERS: Final = 3 * NUM_LANDMARKS
+
+
+class EgoHandKit:
+    """One file, one clip."""
+
+    what = "hand_tracking.parquet of EgoHandKit"
+    expects = (
+        "a .parquet file with the columns frame_idx, timestamp_ns, and for left and right "
+        "left_present, left_joints_3d (21 x 3) [m] and left_confidence"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether it is a Parquet file with the columns of both hands."""
+        if path.suffix.lower() != ".parquet" or not path.is_file():
+            return False
+        try:
+            names = parquet().read_schema(path).names
+        except MissingExtraError:
+            return path.name == "hand_tracking.parquet"
+        except (arrow().ArrowException, OSError, ValueError, MemoryError):
+            return False
+        return set(_COLUMNS) <= set(names)
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The file."""
+        yield ClipRef(_name(path), path, layout="egohandkit", size=path.stat().st_size)
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hands in the frame of the camera, the wrists from the palm's landmarks.
+
+        Raises:
+            RecordingError: it is damaged, lacks a column, or says another frame or order; it has no
+                times and there is no rate.
+            MissingExtraError: pyarrow is not installed.
+        """
+        path = ref.path
+        try:
+            table = read_table(path)
+        except MissingExtraError as error:
+            raise MissingExtraError("a Parquet file", "lerobot") from error
+        self._check(table, path)
+        stamps = _stamps(table, path, options.rate)
+        hands = {}
+        for side in SIDES:
+            points = _points(table, side, path)
+            hands[side] = HandRecording(
+                points,
+                stamps,
+                side,
+                name=ref.name,
+                meta={"format": "egohandkit"},
+                T_world_wrist=wrist_of_points(points, side),
+                world=CAMERA,
+            )
+        found = checked_hands(hands, str(path), self.expects, each_frame=True)
+        return Clip(
+            ref.name,
+            found,
+            "egohandkit",
+            (path,),
+            confidence={
+                side: shares(_column(table, f"{side}_confidence", path, nulls=True))
+                for side in found
+                if f"{side}_confidence" in table.column_names
+            },
+            meta=_sources(table),
+        )
+
+    def _check(self, table: Any, path: Path) -> None:
+        missing = [name for name in _COLUMNS if name not in table.column_names]
+        if missing:
+            raise RecordingError(
+                f"{path}: it lacks {listed(missing)}; it has {listed(table.column_names)}; "
+                f"expected is {self.expects}"
+            )
+        said = table.schema.metadata or {}
+        for key, value in _SAID.items():
+            if said.get(key, value) != value:
+                raise RecordingError(
+                    f"{path}: its metadata say {key.decode()} = "
+                    f"{brief(said[key].decode(errors='replace'))}; {value.decode()!r} is read"
+                )
+
+
+def _name(path: Path) -> str:
+    """The sequence's folder, where the file lies in its subfolder ``final``."""
+    folder = path.parent
+    if path.stem != "hand_tracking":
+        return path.stem
+    return (folder.parent.name if folder.name == "final" else folder.name) or path.stem
+
+
+def _points(table: Any, side: Side, path: Path) -> Float[np.ndarray, "T 21 3"]:
+    """NaN in the rows without the hand."""
+    pa, name = arrow(), f"{side}_joints_3d"
+    points = np.full((table.num_rows, _NUMBERS), np.nan)
+    flat = _combined(table, name)
+    there = flat.is_valid().to_numpy(zero_copy_only=False)
+    while isinstance(flat, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray):
+        flat = flat.flatten()  # leaves rows of null out
+    if not pa.types.is_floating(flat.type) or len(flat) != there.sum() * _NUMBERS:
+        raise RecordingError(
+            f"{path}: the column {name!r} must hold 21 x 3 numbers a row, not "
+            f"{str(table.schema.field(name).type)[:80]}"
+        )
+    points[there] = flat.to_numpy(zero_copy_only=False).reshape(-1, _NUMBERS)
+    present = _column(table, f"{side}_present", path)
+    points[present == 0] = np.nan
+    return points.reshape(-1, NUM_LANDMARKS, 3)
+
+
+def _stamps(table: Any, path: Path, rate: float | None) -> Float[np.ndarray, " T"]:
+    """Those of the file; where a frame lacks one, frames by the rate."""
+    times = table.column_names.count("timestamp_ns") and table.column("timestamp_ns")
+    if times and table.num_rows and not times.null_count:
+        stamps = _column(table, "timestamp_ns", path) * 1e-9
+    else:
+        number = _column(table, "frame_idx", path)
+        even = stamps_from_rate(table.num_rows, rate, str(path))
+        stamps = even if rate is None else (number - number[:1]) / rate
+    check_stamps(stamps, str(path))
+    return stamps
+
+
+def _column(table: Any, name: str, path: Path, *, nulls: bool = False) -> Float[np.ndarray, " T"]:
+    """A column of one number a row; what is null is NaN."""
+    pa, values = arrow(), _combined(table, name)
+    kind = values.type
+    known = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
+    if not any(known) and not (nulls and pa.types.is_null(kind)):
+        raise RecordingError(
+            f"{path}: the column {name!r} must hold a number a row, not {str(kind)[:80]}"
+        )
+    if values.null_count and not nulls:
+        raise RecordingError(f"{path}: the column {name!r} has {values.null_count} rows of null")
+    return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
+
+
+def _combined(table: Any, name: str) -> Any:
+    pa, column = arrow(), table.column(name)
+    return pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+
+
+def _sources(table: Any) -> dict[str, Any]:
+    """Which model gave the hands: ``hawor``, ``mint``, ``mixed``."""
+    if "source" not in table.column_names:
+        return {}
+    names = sorted({str(name)[:64] for name in table.column("source").unique().to_pylist()[:16]})
+    return {"source": names}
+
+
+EGOHANDKIT: Final = EgoHandKit()

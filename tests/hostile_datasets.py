@@ -1,0 +1,202 @@
+"""Damaged files of data sets of hands: each is read soundly or refused; run as a script.
+
+``python tests/hostile_datasets.py TRIES [SEED] [LAYOUT ...]`` has so many mutants of each layout's
+files read in a process with limits, and prints what came of them. Read soundly means: numbers where
+a landmark is valid, stamps that increase, and no hand that shows the other one in most of its
+frames. ``test_dataset_readers.py`` reads a few in its own process.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dataset_files as files
+import fuzzing
+import numpy as np
+from hostile_files import mutate_hdf5
+
+Mutate = Callable[[random.Random, bytes], bytes]
+FEWEST = 5
+"""Whole frames without which a side is not judged."""
+
+
+def read_soundly(layout: str, path: Path) -> None:
+    """Reads a file as the command does.
+
+    Raises:
+        SmoothOperatorError: it is refused.
+        AssertionError: it is not read soundly.
+    """
+    from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+
+    reader = DATASETS.load(layout)
+    reader.matches(path)
+    for ref in reader.clips(path):
+        clip = reader.read(ref, ReadingOptions(rate=files.RATE))
+        assert clip.hands
+        assert (np.diff(clip.stamps) > 0).all()
+        for side, hand in clip.hands.items():
+            assert np.isfinite(hand.landmarks[hand.valid]).all()
+            wrong, whole = files.wrong_frames(hand.landmarks, hand.valid, side)
+            assert whole < FEWEST or wrong < whole / 2, f"{wrong} of {whole} frames of {side}"
+        json.dumps(clip.meta, allow_nan=False)
+
+
+def _reader(layout: str) -> Callable[[Path], None]:
+    return lambda path: read_soundly(layout, path)
+
+
+egodex, avp, hts, landmarks, egohandkit = map(
+    _reader, ("egodex", "avp", "hts", "landmarks", "egohandkit")
+)
+
+
+def mutate_values(rng: random.Random, data: bytes) -> bytes:
+    """An HDF5 file's arrays get extreme numbers or exchange their places; or as others are."""
+    import h5py
+
+    if rng.random() < 0.5:
+        return mutate_hdf5(rng, data)
+    stream = io.BytesIO(data)
+    with h5py.File(stream, "r+") as file:
+        names: list[str] = []
+        file["transforms"].visit(names.append)
+        for _ in range(rng.choice((1, 3, 20))):
+            one, other = (f"transforms/{rng.choice(names)}" for _ in range(2))
+            kind = rng.randrange(4)
+            if kind == 0:
+                value = rng.choice((0.0, -1.0, np.nan, np.inf, 1e308, 1e30, 1000.0))
+                file[one][rng.randrange(len(file[one]))] = value
+            elif kind == 1:
+                content = file[one][()]
+                del file[one]
+                file[one] = content[: rng.randrange(len(content))]
+            elif kind == 2 and one != other:
+                file.move(one, "transforms/x")
+                file.move(other, one)
+                file.move("transforms/x", other)
+            else:
+                file[one][...] = file[one][...] * rng.choice((-1.0, 0.0, 1000.0))
+    return stream.getvalue()
+
+
+def mutate_parquet(rng: random.Random, data: bytes) -> bytes:
+    """A column of another type, of extreme numbers or dropped; metadata; or bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if rng.random() < 0.5:
+        return fuzzing.mutate_bytes(rng, data)
+    table = pq.read_table(io.BytesIO(data))
+    rows = table.num_rows
+    for _ in range(rng.choice((1, 1, 3))):
+        at = rng.randrange(table.num_columns)
+        name = table.column_names[at]
+        kind = rng.randrange(5)
+        if kind == 0:
+            table = table.drop_columns([name]) if table.num_columns > 1 else table
+        elif kind == 1:
+            new = rng.choice((
+                pa.nulls(rows), pa.array([[1]] * rows), pa.array(["x" * 3000] * rows),
+                pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([1e308] * rows),
+                pa.array([float("nan")] * rows), pa.array([{"a": 1}] * rows),
+                pa.array([[[1e308] * 3] * 21] * rows), pa.array([[[0.0] * 3] * 20] * rows),
+            ))  # fmt: skip
+            table = table.set_column(at, name, new)
+        elif kind == 2:
+            other = rng.randrange(table.num_columns)
+            table = table.set_column(at, name, table.column(other))
+        elif kind == 3:
+            table = table.take(pa.array([rng.randrange(rows) for _ in range(rows)]))
+        else:
+            key = rng.choice((b"coordinate_system", b"joint_order"))
+            table = table.replace_schema_metadata({key: rng.choice((b"\xff", b"opengl", b""))})
+    stream = io.BytesIO()
+    pq.write_table(table, stream)
+    return stream.getvalue()
+
+
+def mutate_lines(rng: random.Random, data: bytes) -> bytes:
+    """Lines of JSON: values of one, or whole lines."""
+    lines = data.split(b"\n")
+    if rng.random() < 0.3:
+        return fuzzing.mutate_bytes(rng, data)
+    for _ in range(rng.choice((1, 1, 4))):
+        at = rng.randrange(len(lines))
+        kind = rng.randrange(6)
+        if kind == 0:
+            del lines[at]
+            lines = lines or [b""]
+        elif kind == 1:
+            lines.insert(rng.randrange(len(lines)), lines[at])
+        else:
+            lines[at] = fuzzing.mutate_json(rng, lines[at])
+    return b"\n".join(lines)
+
+
+def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
+    """Layout -> (name, content, how it is damaged) of its good files."""
+
+    def made(name: str, write: Callable[[Path], Any]) -> tuple[str, bytes]:
+        write(folder / name)
+        return name, (folder / name).read_bytes()
+
+    about = {"llm_description": "x", "llm_type": "reversible", "which_llm_description": "2"}
+    return {
+        "egodex": [(*made("0.hdf5", lambda p: files.egodex_file(p, about=about)), mutate_values)],
+        "avp": [(*made("t.jsonl", files.avp_file), mutate_lines)],
+        "hts": [
+            (*made("t.hts", files.hts_file), fuzzing.mutate_bytes),
+            (*made("t.hts", lambda p: files.hts_file(p, stamped=False)), fuzzing.mutate_text),
+        ],
+        "landmarks": [(*made("a.npz", files.landmarks_file), fuzzing.mutate_npz)],
+        "egohandkit": [(*made("a.parquet", files.egohandkit_file), mutate_parquet)],
+    }
+
+
+def campaign(tries: int, seed: int, only: tuple[str, ...] = ()) -> list[str]:
+    """Has mutants read, prints what came of them, and gives a line for each fault."""
+    faults: list[str] = []
+    with (
+        tempfile.TemporaryDirectory() as name,
+        fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
+    ):
+        folder = Path(name)
+        for layout, good in seeds(folder).items():
+            if only and layout not in only:
+                continue
+            counts: Counter[str] = Counter()
+            seconds = megabytes = 0.0
+            for i in range(-len(good), tries):
+                rng = random.Random(f"{layout} {seed} {i}")
+                file, content, mutate = good[i % len(good)]
+                path = folder / "mutant" / file
+                path.parent.mkdir(exist_ok=True)
+                path.write_bytes(mutate(rng, content) if i >= 0 else content)
+                verdict = process.read(f"hostile_datasets:{layout}", path)
+                if i < 0:
+                    assert verdict.outcome in ("read", "slow"), (layout, file, verdict)  # imports
+                    continue
+                counts[verdict.outcome] += 1
+                seconds = max(seconds, verdict.seconds)
+                megabytes = max(megabytes, verdict.megabytes)
+                if not verdict.sound:
+                    faults.append(f"{layout} {file} seed {seed} try {i}: {verdict}")
+            print(
+                f"{layout:12} {counts.total():6} {dict(counts)}; at most {seconds:.1f} s of the "
+                f"processor and {megabytes:.0f} MB"
+            )
+    return faults
+
+
+if __name__ == "__main__":
+    found = campaign(int(sys.argv[1]), int((sys.argv[2:] or ["0"])[0]), tuple(sys.argv[3:]))
+    print("\n".join(found))
