@@ -40,7 +40,8 @@ def read_soundly(layout: str, path: Path) -> None:
     reader = DATASETS.load(layout)
     reader.matches(path)
     for ref in reader.clips(path):
-        clip = reader.read(ref, ReadingOptions(rate=files.RATE))
+        options = ReadingOptions(rate=files.RATE, mano=path.parent.parent / "mano")
+        clip = reader.read(ref, options)
         assert clip.hands
         assert (np.diff(clip.stamps) > 0).all()
         for side, hand in clip.hands.items():
@@ -54,9 +55,9 @@ def _reader(layout: str) -> Callable[[Path], None]:
     return lambda path: read_soundly(layout, path)
 
 
-egodex, avp, hts, landmarks, egohandkit = map(
-    _reader, ("egodex", "avp", "hts", "landmarks", "egohandkit")
-)
+egodex, avp, hts, landmarks = map(_reader, ("egodex", "avp", "hts", "landmarks"))
+egohandkit, predictions = map(_reader, ("egohandkit", "predictions"))
+hawor, dynhamr = map(_reader, ("hawor", "dynhamr"))
 
 
 def mutate_values(rng: random.Random, data: bytes) -> bytes:
@@ -142,6 +143,37 @@ def mutate_lines(rng: random.Random, data: bytes) -> bytes:
     return b"\n".join(lines)
 
 
+def mutate_pickle(rng: random.Random, data: bytes) -> bytes:
+    """Values of a pickle's lists and tables are replaced, dropped or doubled; or bytes."""
+    import pickle
+
+    if rng.random() < 0.4:
+        return fuzzing.mutate_bytes(rng, data)
+    value = pickle.loads(data)
+    strange = (None, 0, 1, -1, 1e308, float("nan"), 10**30, "", "right", [], {}, [[]], b"x", (),
+               np.zeros(0), np.zeros((21, 3)), np.full((1, 21, 3), 1e30), np.array("x"),
+               np.zeros((21, 3), np.float16), True, 10**6, 999_999)  # fmt: skip
+    for _ in range(rng.choice((1, 1, 3, 20))):
+        holder, key = value, None
+        while isinstance(holder, list | dict) and holder:
+            key = rng.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
+            if not isinstance(holder[key], list | dict) or rng.random() < 0.15:
+                break
+            holder = holder[key]
+        if key is None or not isinstance(holder, list | dict) or not holder:
+            break
+        kind = rng.randrange(4)
+        if kind == 0:
+            del holder[key]
+        elif kind == 1 and isinstance(holder, list):
+            holder.insert(rng.randrange(len(holder)), holder[key])
+        elif kind == 1 and isinstance(holder, dict):
+            holder[rng.choice(("x", "is_right", "joints_cam", 7))] = holder.pop(key)
+        else:
+            holder[key] = rng.choice(strange)
+    return pickle.dumps(value)
+
+
 def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
     """Layout -> (name, content, how it is damaged) of its good files."""
 
@@ -159,6 +191,29 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         ],
         "landmarks": [(*made("a.npz", files.landmarks_file), fuzzing.mutate_npz)],
         "egohandkit": [(*made("a.parquet", files.egohandkit_file), mutate_parquet)],
+        "predictions": [
+            ("a.pkl", files.pickled(files.wilor_frames()), mutate_pickle),
+            ("a.json", json.dumps(files.plain(files.wilor_frames())).encode(), fuzzing.mutate_json),
+            ("wilor_hands.json", files.egotouch_lines().encode(), mutate_lines),
+            ("b.json", json.dumps(files.hawor_tags()).encode(), fuzzing.mutate_json),
+            ("c.pkl", files.pickled(files.hamer_arrays()), mutate_pickle),
+            ("a.npz", files.detections_npz(), fuzzing.mutate_npz),
+        ],
+    }
+
+
+def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
+    """The same of the layouts in MANO's parameters; the model files are in ``folder/mano``."""
+    import mano_files
+    import test_dataset_reconstructions as made
+
+    mano_files.write_models(folder / "mano")
+    path = made.hawor_folder(folder / "kitchen")
+    stream = io.BytesIO()
+    np.savez(stream, **made.dyn_hamr_arrays())
+    return {
+        "hawor": [(path.name, path.read_bytes(), fuzzing.mutate_bytes)],
+        "dynhamr": [("a.npz", stream.getvalue(), fuzzing.mutate_npz)],
     }
 
 
@@ -170,7 +225,7 @@ def campaign(tries: int, seed: int, only: tuple[str, ...] = ()) -> list[str]:
         fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
     ):
         folder = Path(name)
-        for layout, good in seeds(folder).items():
+        for layout, good in (seeds(folder) | reconstruction_seeds(folder)).items():
             if only and layout not in only:
                 continue
             counts: Counter[str] = Counter()

@@ -87,3 +87,23 @@ def test_the_parts_of_a_plugin_show_up_and_work(run: Callable[..., str], tmp_pat
     positions = np.array([row.split(",")[2].split() for row in rows[1:]], float)
     assert len(positions) > 10
     assert np.ptp(positions, axis=0).max() > 0.05
+
+
+def test_a_layout_of_data_sets(python: Path, tmp_path: Path) -> None:
+    for side in ("right", "left"):
+        recording = SyntheticOperator(seed=4, side=side, rate_hz=RATE).record(0.2)
+        (tmp_path / "take").mkdir(exist_ok=True)
+        points = recording.landmarks.reshape(-1, 63)
+        np.savetxt(tmp_path / "take" / f"{side}.csv", points, delimiter=",")
+    code = f"""
+from pathlib import Path
+from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+path = Path({str(tmp_path / "take")!r})
+layout, = (name for name in DATASETS if DATASETS.load(name).matches(path))
+ref, = DATASETS.load(layout).clips(path)
+clip = DATASETS.load(layout).read(ref, ReadingOptions(rate={RATE}))
+print(layout, DATASETS[layout].summary, len(clip), *clip.hands)
+"""
+    done = subprocess.run([python, "-c", code], capture_output=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "two_csv from toy-retargeting 10 right left"
