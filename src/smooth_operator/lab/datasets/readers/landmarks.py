@@ -115,7 +115,8 @@ def _hand(arrays: StoredArrays, side: Side, stamps: np.ndarray, world: str) -> H
     if f"valid_{side}" in arrays:
         valid &= _shaped(arrays, f"valid_{side}", (count, 21), "b").astype(bool)
     else:  # "no hand in view" is all zeros in some trackers
-        valid &= points[:, picked].any(axis=(1, 2))[:, None]
+        there: np.ndarray = np.any(points[:, picked], axis=(1, 2))
+        valid &= there[:, None]
     wrist = f"T_world_wrist_{side}"
     tracked = wrist in arrays
     return HandRecording(
