@@ -1,0 +1,351 @@
+"""The restricted reader of pickles: what it reads, and that attacks are refused."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import random
+import struct
+import subprocess
+import sys
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import fuzzing
+import mano_files
+import numpy as np
+import pytest
+from mano_files import Pickled
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.lab.datasets.mano import pickle_machine, pickle_parts
+from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table
+
+
+def load(folder: Path, data: bytes, name: str = "a.pkl") -> Any:
+    path = folder / name
+    path.write_bytes(data)
+    return load_restricted(path)
+
+
+# --- what is read -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_plain_values_of_every_protocol(tmp_path: Path, protocol: int) -> None:
+    shared = [1, 2]
+    value = {
+        "text": "é\u20ac", "bytes": b"\x00\xff", "numbers": [0, -1, 255, 70_000, -(2**40), 2**70],
+        "floats": (1.5, -1e-300), "nested": {"a": [shared, shared, None, True, False]}, 3: "int",
+        (1, 2): "pair", "many": list(range(300)), "table": OrderedDict([("a", 1)]), "set": {1, 2},
+    }  # fmt: skip
+    found = load(tmp_path, pickle.dumps(value, protocol))
+    assert found == value
+    assert found["nested"]["a"][0] is found["nested"]["a"][1]
+
+
+def test_a_large_number_of_the_memo_takes_no_memory(tmp_path: Path) -> None:
+    assert load(tmp_path, b"\x80\x02]r\xff\xff\xff\x7f.") == []
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_arrays_of_every_protocol(tmp_path: Path, protocol: int) -> None:
+    rng = np.random.default_rng(0)
+    value = {
+        "f4": rng.normal(size=(3, 4)).astype(np.float32), "fortran": np.asfortranarray(np.eye(3)),
+        "big": np.arange(5, dtype=">i4"), "bool": np.array([True, False]), "none": np.zeros((0, 3)),
+        "one": np.float64(2.5), "text": np.array(["ab", "é"]), "int": np.int32(7),
+    }  # fmt: skip
+    found = load(tmp_path, pickle.dumps(value, protocol))
+    for name in ("f4", "fortran", "big", "bool", "none"):
+        np.testing.assert_array_equal(numbers(found[name]), value[name])
+    assert (found["one"], found["int"]) == (2.5, 7)
+    assert list(found["text"]) == ["ab", "é"]
+
+
+def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    a, dense = rng.normal(size=(4, 5)), rng.normal(size=(3, 6)) * (rng.random((3, 6)) > 0.5)
+    value = {
+        b"ch": mano_files.Ch(a),
+        b"select": mano_files.Select(mano_files.Ch(a), np.array([3, 1]), (2, 1)),
+        b"sparse": mano_files.Csc(dense), b"tensor": mano_files.Tensor(a), b"u\xe9": b"latin",
+    }  # fmt: skip
+    found = load(tmp_path, Pickled(3).put(value).done())
+    np.testing.assert_array_equal(numbers(found["ch"]), a)
+    np.testing.assert_array_equal(numbers(found["select"]), a.ravel()[[3, 1]][:, None])
+    np.testing.assert_array_equal(numbers(found["sparse"]), dense)
+    np.testing.assert_array_equal(numbers(found["tensor"]), a.astype(np.float32))
+    assert found["ué"] == "latin"
+    scipy_sparse = pytest.importorskip("scipy.sparse")
+    for form in (scipy_sparse.csc_matrix, scipy_sparse.csr_matrix):
+        np.testing.assert_array_equal(numbers(load(tmp_path, pickle.dumps(form(dense), 2))), dense)
+
+
+def test_numpy_files_with_tables_in_them(tmp_path: Path) -> None:
+    table_ = {"right": {"rot": np.ones((2, 3))}, "name": "box"}
+    np.save(tmp_path / "a.npy", table_, allow_pickle=True)  # type: ignore[arg-type]
+    np.savez(tmp_path / "a.npz", body=table_, plain=np.arange(3))  # type: ignore[arg-type]
+    np.savez_compressed(tmp_path / "b.npz", list=np.array(["a", {"b": 1}], dtype=object))
+    np.testing.assert_array_equal(load_restricted(tmp_path / "a.npy")["right"]["rot"], 1.0)
+    found = load_restricted(tmp_path / "a.npz", names=("body", "absent"))
+    assert found.keys() == {"body"}
+    assert found["body"]["name"] == "box"
+    assert load_restricted(tmp_path / "b.npz")["list"] == ["a", {"b": 1}]
+    by_hand = load(tmp_path, mano_files.npy_of_object({"x": np.eye(2)}), "c.npy")
+    np.testing.assert_array_equal(by_hand["x"], np.eye(2))
+
+
+def test_what_is_expected_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="f: it lacks poses; it has a, so"):
+        table({"a": 1}, "f", ["poses"])
+    with pytest.raises(RecordingError, match="a table was expected there, not a list"):
+        table([], "f")
+    with pytest.raises(RecordingError, match=r"shape \(any, 3\) were expected, not \(2, 4\)"):
+        array(np.zeros((2, 4)), "f", (None, 3))
+    for value in ({"a": 1}, "text", [["x"]], [[1], [2, 3]], [[[[[1]]]]], None, np.array(["a"])):
+        with pytest.raises(RecordingError, match=r"^f"):
+            array(value, "f", (None,))
+
+
+# --- attacks ------------------------------------------------------------------------------------
+
+
+class Evil:
+    def __init__(self, *reduced: Any) -> None:
+        self.reduced = reduced
+
+    def __reduce__(self) -> Any:
+        return self.reduced
+
+
+def _ran(folder: Path) -> Path:
+    return folder / "ran"
+
+
+def attacks(folder: Path) -> dict[str, bytes]:
+    ran = _ran(folder)
+    code = f"open({str(ran)!r}, 'w').close()"
+    objects = np.empty(1, dtype=object)
+    objects[0] = Evil(os.system, (f"touch {ran}",))
+    found = {
+        "system": pickle.dumps(Evil(os.system, (f"touch {ran}",)), 2),
+        "system0": f"cposix\nsystem\n(S'touch {ran}'\ntR.".encode(),
+        "inst": f"(S'touch {ran}'\nios\nsystem\n.".encode(),
+        "obj": b"(" + f"cos\nsystem\nS'touch {ran}'\no.".encode(),
+        "eval": pickle.dumps(Evil(eval, (code,)), 4),
+        "exec": pickle.dumps(Evil(exec, (code,)), 2),
+        "popen": pickle.dumps(Evil(subprocess.Popen, (["touch", str(ran)],)), 4),
+        "getattr": pickle.dumps(Evil(getattr, ("", "join")), 4),
+        "import": pickle.dumps(Evil(__import__, ("antigravity",)), 2),
+        "numpy": b"cnumpy\nload\n(S'x'\ntR.",
+        "numpy testing": b"cnumpy.testing._private.utils\nrunstring\n(S'1'\n}tR.",
+        "dotted": b"\x80\x04\x8c\x05numpy\x8c\x0edtype.__class__\x93.",
+        "stack global": b"\x80\x04\x8c\x02os\x8c\x06system\x93\x8c\x01x\x85R.",
+        "torch": _tensor((4,), (1,)).replace(b"\x6c\xfc\x9c\x46", b"\x6c\xfc\x9c\x47"),
+        "class of chumpy called": b"cchumpy.ch\nsystem\n(S'x'\ntR(dS'a'\nI1\nsb" + b"b.",
+        "new object": b"\x80\x02cposix\nsystem\n)\x81.",
+        "build of a dict": b"}(S'__class__'\nI1\nud" + b"b.",
+        "extension": b"\x80\x02\x82\x01.",
+        "persistent": b"Pabc\n.",
+        "buffer": b"\x80\x05\x97.",
+        "ndarray called": b"cnumpy\nndarray\n(I1000000000\ntR.",
+        "array of a class": b"cnumpy.core.multiarray\n_reconstruct\n"
+        b"(cbuiltins\nset\n(I0\ntS'b'\ntR.",
+        "objects": pickle.dumps(objects, 2),
+        "objects in a table": pickle.dumps({"a": np.array([{}, 1], dtype=object)}, 2),
+        "fields": pickle.dumps(np.zeros(2, dtype=[("a", "f8")]), 2),
+        "dates": pickle.dumps(np.zeros(2, dtype="M8[s]"), 2),
+    }
+    # memory
+    huge = {
+        "bytes": b"\x80\x04\x8e" + struct.pack("<Q", 1 << 40) + b".",
+        "text": b"\x80\x04\x8d" + struct.pack("<Q", 1 << 62) + b".",
+        "bytearray": b"\x80\x05\x96" + struct.pack("<Q", 1 << 40) + b".",
+        "old bytes": b"\x80\x03B\xff\xff\xff\xff.",
+        "old text": b"\x80\x02T\xff\xff\xff\x7f.",
+        "negative text": b"\x80\x02T\xff\xff\xff\xff.",
+        "frame": b"\x80\x04\x95" + struct.pack("<Q", 1 << 60) + b"N.",
+        "long": b"\x80\x02\x8b\xff\xff\xff\x7f.",
+        "digits": b"I" + b"9" * 5000 + b"\n.",
+        "sets": b"\x80\x04" + b"\x8f" * 200_000 + b".",
+        "lists": b"\x80\x02" + b"]" * 200_000 + b".",
+        "memos": b"\x80\x04N" + b"\x94" * 200_000 + b".",
+        "shape": _array_state((1 << 39, 1 << 39), b""),
+        "no size": _array_state((1 << 39,), b"", "S0"),
+        "stride": _tensor((1_000_000, 1_000_000), (0, 0)),
+        "beyond": _tensor((5,), (1 << 38,)),
+        "arrays again": _again(),
+        "sparse": _sparse((1 << 30, 1 << 30)),
+    }  # fmt: skip
+    # recursion
+    deep = {
+        "deep lists": b"\x80\x02" + b"](" * 100_000 + b"e" * 100_000 + b".",
+        "deep tuples": b"\x80\x02)" + b"\x85" * 100_000 + b".",
+        "holds itself": b"\x80\x02]q\x00h\x00a.",
+        "table holds itself": b"\x80\x02}q\x00K\x01h\x00s.",
+        "keys of tuples": b"\x80\x02)" + b"2\x86" * 60 + b"q\x00}h\x00Ns.",
+        "lists of lists": _doubled(),
+    }
+    return found | huge | deep
+
+
+def _array_state(shape: tuple[int, ...], raw: bytes, code: str = "f8") -> bytes:
+    out = Pickled().glob("numpy.core.multiarray", "_reconstruct").raw(b"(").glob("numpy", "ndarray")
+    out.put((0,)).put(b"b").raw(b"tR(").put(1).put(shape).glob("numpy", "dtype")
+    return out.put((code.encode(), 0, 1)).raw(b"R").put(False).put(raw).raw(b"tb").done()
+
+
+def _tensor(size: tuple[int, ...], stride: tuple[int, ...]) -> bytes:
+    class Odd(mano_files.Tensor):
+        pass
+
+    data = Pickled(3).put({"a": Odd(np.zeros(4))}).done()
+    plain = Pickled(3).put((4,)).put((1,)).out.getvalue()[2:]
+    assert plain in data
+    return data.replace(plain, Pickled(3).put(size).put(stride).out.getvalue()[2:])
+
+
+def _again() -> bytes:
+    """One array's state, built from the same bytes a thousand times."""
+    raw = bytes(8 << 20)
+    out = Pickled().put(raw).raw(b"q\x000")
+    out.raw(b"](")
+    for _ in range(1000):
+        out.glob("numpy.core.multiarray", "_reconstruct").raw(b"(").glob("numpy", "ndarray")
+        out.put((0,)).put(b"b").raw(b"tR(").put(1).put((1 << 20,)).dtype(np.dtype("f8"))
+        out.put(False).raw(b"h\x00tb")
+    return out.raw(b"e").done()
+
+
+def _sparse(shape: tuple[int, int]) -> bytes:
+    made = mano_files.Csc(np.eye(2))
+    data = Pickled().put({"a": made}).done()
+    plain = Pickled().put((2, 2)).out.getvalue()[2:]
+    assert plain in data
+    return data.replace(plain, Pickled().put(shape).out.getvalue()[2:])
+
+
+def _doubled() -> bytes:
+    """Forty levels of lists that each hold the one below twice: 2^40 numbers."""
+    out = Pickled().raw(b"]K\x01aq\x00")
+    for _ in range(40):
+        out.raw(b"0](h\x00h\x00eq\x00")
+    return out.done()
+
+
+def use(found: Any) -> None:
+    """Stand-ins are read when they are wanted, and so refused then."""
+    numbers(found["a"] if isinstance(found, dict) and "a" in found else found)
+
+
+NAMES = sorted(attacks(Path("x")))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_attack_is_refused(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pickle_parts, "FREE_BYTES", 1 << 20)  # the same refusals, sooner
+    data = attacks(tmp_path)[name]
+    with pytest.raises(RecordingError) as caught:
+        use(load(tmp_path, data))
+    assert len(str(caught.value)) < 500
+    assert not _ran(tmp_path).exists()
+    if name in ("system", "eval", "exec", "popen", "import", "numpy", "stack global", "obj"):
+        assert "which is no data" in str(caught.value)
+
+
+def test_what_is_asked_for_is_named(tmp_path: Path) -> None:
+    for data, name in (
+        (pickle.dumps(Evil(os.system, ("true",)), 2), f"{os.system.__module__}.system"),
+        (pickle.dumps(Evil(eval, ("1",)), 4), "builtins.eval"),
+        (b"cchumpy\nx\n(tR.", "chumpy.x"),
+    ):
+        with pytest.raises(RecordingError, match=name) as caught:
+            numbers(load(tmp_path, data))
+        assert "os" not in vars(pickle_machine)
+        assert caught
+
+
+def test_the_reader_imports_nothing_that_a_file_names(tmp_path: Path) -> None:
+    (tmp_path / "trap.py").write_text(f"open({str(_ran(tmp_path))!r}, 'w').close()\n")
+    (tmp_path / "a.pkl").write_bytes(b"ctrap\nx\n.")
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from pathlib import Path\n"
+        "from smooth_operator.lab.datasets.mano.unpickle import load_restricted\n"
+        "before = set(sys.modules)\n"
+        "try:\n    load_restricted(Path(sys.argv[1]) / 'a.pkl')\n"
+        "except Exception as error:\n    print(type(error).__name__, error)\n"
+        "print(sorted(set(sys.modules) - before))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert "RecordingError" in done.stdout
+    assert "'trap.x', which is no data" in done.stdout
+    assert done.stdout.strip().endswith("[]")
+    assert not _ran(tmp_path).exists()
+
+
+def test_attacks_within_numpy_files(tmp_path: Path) -> None:
+    evil = np.empty((), dtype=object)
+    evil[()] = Evil(os.system, (f"touch {_ran(tmp_path)}",))
+    np.save(tmp_path / "a.npy", evil, allow_pickle=True)
+    np.savez(tmp_path / "b.npz", a=evil)
+    nested = np.empty((), dtype=object)
+    nested[()] = {"a": np.array([{}], dtype=object)}
+    np.save(tmp_path / "c.npy", nested, allow_pickle=True)
+    for name, said in (("a.npy", "no data"), ("b.npz", "no data"), ("c.npy", "array of objects")):
+        with pytest.raises(RecordingError, match=said):
+            load_restricted(tmp_path / name)
+    assert not _ran(tmp_path).exists()
+    fields = np.zeros(2, dtype=[("a", object)])
+    np.save(tmp_path / "d.npy", fields, allow_pickle=True)
+    with pytest.raises(RecordingError, match="fields of objects"):
+        load_restricted(tmp_path / "d.npy")
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    for data in (b"", b".", b"N", b"\x80", b"\x80\x09N.", b"hello", b"\x93NUMPY", b"PK\x03\x04xx"):
+        with pytest.raises(RecordingError, match=r"a\.pkl: "):
+            load(tmp_path, data)
+    with pytest.raises(RecordingError, match="No such file"):
+        load_restricted(tmp_path / "none.pkl")
+    with pytest.raises(RecordingError, match="a folder, not a plain file"):
+        load_restricted(tmp_path)
+
+
+def test_too_many_instructions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pickle_parts, "MOST_STEPS", 1000)
+    assert load(tmp_path, pickle.dumps(list(range(200)))) == list(range(200))
+    with pytest.raises(RecordingError, match="instructions"):
+        load(tmp_path, pickle.dumps(list(range(2000))))
+
+
+def test_mutants_are_read_or_refused(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    np.savez(stream, a=np.array({"x": np.eye(2)}, dtype=object), b=np.arange(4.0))
+    good = [
+        pickle.dumps({"a": np.eye(3), "b": [1, (2.0, "x")], "c": None}, 2),
+        pickle.dumps({"a": np.eye(3), "b": [1, (2.0, "x")], "c": None}, 5),
+        Pickled(3).put({"t": mano_files.Tensor(np.eye(3)), "s": mano_files.Csc(np.eye(3)),
+                        "c": mano_files.Select(mano_files.Ch(np.eye(3)), np.arange(4), (2, 2)),
+                        }).done(),
+        mano_files.npy_of_object({"x": np.eye(2)}),
+        stream.getvalue(),
+    ]  # fmt: skip
+    rng = random.Random(19)
+    refused = longest = 0
+    for number in range(400):
+        mutant = fuzzing.mutate_bytes(rng, good[number % len(good)])
+        try:
+            found = load(tmp_path, mutant)
+            for value in found.values() if isinstance(found, dict) else ():
+                numbers(value)
+        except RecordingError as error:
+            refused += 1
+            longest = max(longest, len(str(error)))
+    assert refused > 100
+    assert longest < fuzzing.LONGEST_MESSAGE
