@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,27 +17,26 @@ from smooth_operator.episode_files.lerobot.stats import (
     column_statistics,
     joint_statistics,
 )
+from smooth_operator.episode_files.lerobot.tables import (
+    CODEBASE_VERSION,
+    DATA_PATH,
+    EPISODES_PATH,
+    FILES_A_CHUNK,
+    OWN_COLUMN,
+    UNNAMED_TASK,
+    VIDEO_MB,
+    episodes_table,
+    tasks_table,
+)
 from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
 
-CODEBASE_VERSION: Final = "v3.0"
-CHUNK_PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-DATA_PATH: Final = f"data/{CHUNK_PATH}"
-EPISODES_PATH: Final = f"meta/episodes/{CHUNK_PATH}"
-OWN_COLUMN: Final = "smooth_operator"
-"""Column of ``meta/episodes`` with what LeRobot has no place for, as JSON."""
-
-UNNAMED_TASK: Final = "unnamed"
-"""LeRobot wants a task of every frame; this stands in for one that is not known."""
-
 MARK: Final = "meta/smooth_operator.json"
 PROGRAM: Final = "smooth-operator"
-_CHUNKS_SIZE: Final = 1000  # files a chunk, as LeRobot
 _FILE_MB: Final = 100  # at most in a file, as LeRobot
-_VIDEO_MB: Final = 200
 _PAUSE: Final = 3.0  # a step this many times the median is a pause of the tracker
 _KEPT_BYTES: Final = 256 << 20  # of episodes kept between the two passes, so not read again
 
@@ -129,8 +127,10 @@ def write_dataset(
                 done(episode)
         finally:
             files.close()
-        _write_episodes(stage, rows, statistics)
-        _write_tasks(stage, survey.tasks)
+        listed = stage / EPISODES_PATH.format(chunk_index=0, file_index=0)
+        listed.parent.mkdir(parents=True, exist_ok=True)
+        parquet().write_table(episodes_table(rows, statistics), listed)
+        parquet().write_table(tasks_table(survey.tasks), stage / "meta" / "tasks.parquet")
         joint = {
             name: joint_statistics([part[name] for part in statistics]).to_lists()
             for name in features
@@ -142,9 +142,9 @@ def write_dataset(
             "total_episodes": len(rows),
             "total_frames": first,
             "total_tasks": len(survey.tasks),
-            "chunks_size": _CHUNKS_SIZE,
+            "chunks_size": FILES_A_CHUNK,
             "data_files_size_in_mb": _FILE_MB,
-            "video_files_size_in_mb": _VIDEO_MB,
+            "video_files_size_in_mb": VIDEO_MB,
             "fps": fps,
             "splits": {"train": f"0:{len(rows)}"},
             "data_path": DATA_PATH,
@@ -249,60 +249,19 @@ class _DataFiles:
             self.close()
             self._number += 1
             self._bytes = 0
-            chunk, file = divmod(self._number, _CHUNKS_SIZE)
+            chunk, file = divmod(self._number, FILES_A_CHUNK)
             path = self._root / DATA_PATH.format(chunk_index=chunk, file_index=file)
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = parquet().ParquetWriter(path, table.schema)
         self._writer.write_table(table, row_group_size=table.num_rows)
         self._bytes += table.nbytes
-        return divmod(self._number, _CHUNKS_SIZE)
+        return divmod(self._number, FILES_A_CHUNK)
 
     def close(self) -> None:
         """Ends the file that is being written."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.close()
-
-
-def _write_episodes(
-    root: Path, rows: list[dict[str, Any]], statistics: list[dict[str, Statistics]]
-) -> None:
-    columns: dict[str, list[Any]] = {name: [row[name] for row in rows] for name in rows[0]}
-    lists = [{name: part.to_lists() for name, part in each.items()} for each in statistics]
-    for name, parts in lists[0].items():
-        for statistic in parts:
-            columns[f"stats/{name}/{statistic}"] = [each[name][statistic] for each in lists]
-    for name in ("chunk_index", "file_index"):
-        columns[f"meta/episodes/{name}"] = [0] * len(rows)
-    path = root / EPISODES_PATH.format(chunk_index=0, file_index=0)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    parquet().write_table(arrow().table(columns), path)
-
-
-def _write_tasks(root: Path, tasks: list[str]) -> None:
-    pa = arrow()
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
-    # LeRobot looks tasks up in the index of a pandas table; this is what makes one of the column.
-    pandas = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "columns": [
-            {
-                "name": name,
-                "field_name": name,
-                "pandas_type": kind,
-                "numpy_type": numpy,
-                "metadata": None,
-            }
-            for name, kind, numpy in (
-                ("task_index", "int64", "int64"),
-                ("task", "unicode", "object"),
-            )
-        ],
-        "creator": {"library": "pyarrow", "version": pa.__version__},
-    }
-    table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-    parquet().write_table(table, root / "meta" / "tasks.parquet")
 
 
 def _write_json(path: Path, value: Any) -> None:

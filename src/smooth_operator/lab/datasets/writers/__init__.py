@@ -1,0 +1,1 @@
+"""Output formats of data sets: LeRobot, WebDataset, Parquet, SPIDER, FlashDexRetarget."""

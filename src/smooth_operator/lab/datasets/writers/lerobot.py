@@ -1,0 +1,378 @@
+"""A LeRobot data set, version 3.0, whose state and action are those of the robot.
+
+::
+
+    meta/info.json, stats.json, tasks.parquet       as LeRobot has them; of all whole shards
+    meta/episodes/chunk-000/file-000.parquet        the episodes of one shard
+    meta/shards/, meta/configurations/              what a continued run needs; LeRobot ignores it
+    data/chunk-000/file-000.parquet                 the frames of a shard, many episodes in one
+    videos/observation.images.camera/chunk-000/     the source's videos, one file each
+    README.md                                       the columns and their units
+
+LeRobot has one number of frames a second. Clips that are more than a quarter of a frame away from
+it are resampled. Several writers can't share one data set, since its frames are numbered through:
+part i of n is a data set of its own, in ``part-0000i``, and LeRobot's ``aggregate_datasets`` makes
+one of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.episode_files.lerobot.arrow import arrow, column, parquet
+from smooth_operator.episode_files.lerobot.stats import (
+    Statistics,
+    column_statistics,
+    joint_statistics,
+)
+from smooth_operator.episode_files.lerobot.tables import (
+    CODEBASE_VERSION,
+    DATA_PATH,
+    EPISODES_PATH,
+    FILES_A_CHUNK,
+    OWN_COLUMN,
+    UNNAMED_TASK,
+    VIDEO_MB,
+    VIDEO_PATH,
+    episodes_table,
+    tasks_table,
+)
+from smooth_operator.errors import RecordingError, require
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.arrays import clip_document
+from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout
+from smooth_operator.lab.datasets.writers.lerobot_meta import (
+    card,
+    statistics_from_json,
+    statistics_to_json,
+    video_statistics,
+)
+from smooth_operator.lab.datasets.writers.registry import WritingOptions
+from smooth_operator.lab.datasets.writers.resampling import drift, mean_rate, resampled
+from smooth_operator.lab.datasets.writers.shards import (
+    MB,
+    ShardedWriter,
+    close_quietly,
+    drop_parquet,
+    hidden,
+    publish,
+    remove,
+)
+from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, VideoHead, place, video_head
+
+_FILE_MB: Final = 100  # at most in a file, as LeRobot
+_GROUP_BYTES: Final = 8 * MB  # of frames in a row group
+_OFF_GRID: Final = 0.25  # frames
+
+
+class _Writer(ShardedWriter):
+    def __init__(self, output: Path, options: WritingOptions) -> None:
+        self._layout: RobotLayout | None = None
+        self._episodes = self._frames = 0
+        self._tasks: dict[str, int] = {}
+        self._videos: dict[str, int] = {}
+        self._total: dict[str, Statistics] = {}
+        self._tasks_written = -1
+        fixed = {name: getattr(options, name) for name in ("rate", "action", "videos", "objects")}
+        fixed["absent"] = options.absent
+        fixed["joints"] = {side: list(names) for side, names in options.joints.items()}
+        if options.parts > 1:
+            output = output / f"part-{options.part:05d}"
+            options = replace(options, part=0, parts=1)
+        super().__init__(output, options, "lerobot", _FILE_MB, fixed)
+
+    def _path(self, template: str, number: int) -> Path:
+        chunk, file = divmod(number, FILES_A_CHUNK)
+        return self.output / template.format(chunk_index=chunk, file_index=file)
+
+    def _video_path(self, number: int) -> Path:
+        return self._path(VIDEO_PATH.replace("{video_key}", VIDEO_KEY), number)
+
+    # One shard.
+
+    def _begin(self, number: int) -> None:
+        path = self._path(DATA_PATH, number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file: IO[bytes] = hidden(path).open("wb")
+        self._parquet: Any = None
+        self._group: list[dict[str, np.ndarray]] = []
+        self._group_bytes = 0
+        self._rows: list[dict[str, Any]] = []
+        self._statistics: list[dict[str, Statistics]] = []
+        self._new_tasks: list[str] = []
+        self._new_videos: list[str] = []
+        self._shard_frames = 0
+
+    def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
+        head = self._head(clip)
+        if self._layout is None:
+            fps = self._fps(clip, head)
+            layout = RobotLayout.of(clip, self.options, fps)
+            layout.check(clip, absent=self.options.absent)
+            layout = replace(layout, video=None if head is None else head.feature())
+        else:
+            layout = self._layout
+            layout.check(clip, absent=self.options.absent)
+            self._check_video(clip, head, layout)
+        fps = layout.fps
+        if drift(clip.clip.stamps, fps) > _OFF_GRID:
+            clip = resampled(clip, fps)
+            self.note(f"resampled to {fps:g} frames a second")
+        columns = layout.columns(clip, self.options.action)
+        video, start = None, 0.0
+        if head is not None:
+            assert clip.clip.video is not None
+            start_frame = round(clip.clip.video_start_s * fps)
+            rest = head.frames - start_frame
+            if start_frame < 0 or rest < 1:
+                raise RecordingError(
+                    f"{clip.clip.name}: it begins {clip.clip.video_start_s:g} s into its video "
+                    f"{clip.clip.video}, which has {head.frames} frames"
+                )
+            if rest < len(clip.clip):
+                columns = {name: values[:rest] for name, values in columns.items()}
+                self.note("cut to the length of its video")
+            video, start = clip.clip.video, start_frame / fps
+        if len(clip.clip.objects) > layout.objects:
+            self.note(f"only the first {layout.objects} objects have columns")
+        # From here on nothing refuses the clip.
+        self._layout = layout
+        self._append(clip, entry, columns, video, start)
+
+    def _append(
+        self,
+        clip: RobotClip,
+        entry: dict[str, Any],
+        columns: dict[str, np.ndarray],
+        video: Path | None,
+        start: float,
+    ) -> None:
+        assert self._layout is not None
+        fps, count = self._layout.fps, len(columns["stamp"])
+        number, first = self._episodes + len(self._rows), self._frames + self._shard_frames
+        task = clip.clip.task or UNNAMED_TASK
+        if task not in self._tasks:
+            self._tasks[task] = len(self._tasks)
+            self._new_tasks.append(task)
+        frames = np.arange(count)
+        columns["timestamp"] = (frames / fps).astype(np.float32)
+        columns["frame_index"] = frames
+        columns["episode_index"] = np.full(count, number)
+        columns["index"] = frames + first
+        columns["task_index"] = np.full(count, self._tasks[task])
+        chunk, file = divmod(self._number, FILES_A_CHUNK)
+        row = {
+            "episode_index": number,
+            "tasks": [task],
+            "length": count,
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "dataset_from_index": first,
+            "dataset_to_index": first + count,
+            OWN_COLUMN: to_json(clip_document(clip, entry["key"], self.configuration(clip))),
+        }
+        if video is not None:
+            row |= self._linked(video, start, count / fps)
+        self._rows.append(row)
+        self._statistics.append({name: column_statistics(v) for name, v in columns.items()})
+        self._group.append(columns)
+        self._group_bytes += sum(values.nbytes for values in columns.values())
+        self._shard_frames += count
+        entry["episode"] = number
+        entry["frames"] = count
+        if self._group_bytes >= min(_GROUP_BYTES, self._limit):
+            self._flush()
+
+    def _flush(self) -> None:
+        if not self._group:
+            return
+        names = list(self._group[0])
+        joined = {name: np.concatenate([each[name] for each in self._group]) for name in names}
+        table = arrow().table({name: column(values) for name, values in joined.items()})
+        if self._parquet is None:
+            self._parquet = parquet().ParquetWriter(self._file, table.schema, compression="zstd")
+        self._parquet.write_table(table, row_group_size=table.num_rows)
+        self._group, self._group_bytes = [], 0
+
+    def _size(self) -> int:
+        return self._file.tell()
+
+    def _end(self, number: int) -> dict[str, Any]:
+        assert self._layout is not None
+        self._flush()
+        self._parquet.close()
+        self._file.close()
+        data, episodes = self._path(DATA_PATH, number), self._path(EPISODES_PATH, number)
+        episodes.parent.mkdir(parents=True, exist_ok=True)
+        chunk, file = divmod(number, FILES_A_CHUNK)
+        table = episodes_table(self._rows, self._statistics, chunk=chunk, file=file)
+        with hidden(episodes).open("wb") as stream:
+            parquet().write_table(table, stream)
+        publish(data)
+        publish(episodes)
+        together = {
+            name: joint_statistics([each[name] for each in self._statistics])
+            for name in self._statistics[0]
+        }
+        return {
+            "shard": data.relative_to(self.output).as_posix(),
+            "frames": self._shard_frames,
+            "tasks": self._new_tasks,
+            "videos": self._new_videos,
+            "layout": asdict(self._layout),
+            "statistics": {name: statistics_to_json(part) for name, part in together.items()},
+        }
+
+    def _drop(self) -> None:
+        drop_parquet(self._parquet)
+        close_quietly(self._file)
+        remove(hidden(self._path(DATA_PATH, self._number)))
+        for task in self._new_tasks:
+            del self._tasks[task]
+        for video in self._new_videos:
+            remove(self._video_path(self._videos.pop(video)))
+        if not self._episodes:
+            self._layout = None
+
+    def _clean(self, number: int) -> None:
+        remove(self._path(DATA_PATH, number))
+        remove(self._path(EPISODES_PATH, number))
+        left = len(self._videos)
+        while self._video_path(left).exists() or self._video_path(left).is_symlink():
+            remove(self._video_path(left))
+            left += 1
+
+    # All shards.
+
+    def _resume(self, index: Any) -> None:
+        self._episodes += len(index["clips"])
+        self._frames += index["frames"]
+        self._layout = RobotLayout.from_json(index["layout"])
+        for task in index["tasks"]:
+            self._tasks.setdefault(task, len(self._tasks))
+        for video in index["videos"]:
+            self._videos.setdefault(video, len(self._videos))
+        for name, part in index["statistics"].items():
+            new = statistics_from_json(part)
+            known = self._total.get(name)
+            self._total[name] = new if known is None else joint_statistics([known, new])
+
+    def _describe(self) -> None:
+        if self._layout is None or not self._episodes:
+            return
+        layout, meta = self._layout, self.output / "meta"
+        if len(self._tasks) != self._tasks_written:
+            with atomic_write(meta / "tasks.parquet") as file:
+                parquet().write_table(tasks_table(self._tasks), file)
+            self._tasks_written = len(self._tasks)
+        stats: dict[str, Any] = {name: part.to_lists() for name, part in self._total.items()}
+        features = layout.features()
+        if layout.video is not None:
+            features = {**features, VIDEO_KEY: dict(layout.video)}
+            stats[VIDEO_KEY] = video_statistics(self._frames)
+        whole = float(layout.fps).is_integer()
+        info = {
+            "codebase_version": CODEBASE_VERSION,
+            "robot_type": layout.robot or None,
+            "total_episodes": self._episodes,
+            "total_frames": self._frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": FILES_A_CHUNK,
+            "data_files_size_in_mb": _FILE_MB,
+            "video_files_size_in_mb": VIDEO_MB,
+            "fps": int(layout.fps) if whole else layout.fps,
+            "splits": {"train": f"0:{self._episodes}"},
+            "data_path": DATA_PATH,
+            "video_path": None if layout.video is None else VIDEO_PATH,
+            "features": features,
+        }
+        write_json(meta / "stats.json", stats, indent=4)
+        write_json(meta / "info.json", info, indent=4)
+        with atomic_write(self.output / "README.md") as file:
+            file.write(card(info).encode())
+
+    # Frames a second, and videos.
+
+    def _fps(self, clip: RobotClip, head: VideoHead | None) -> float:
+        if head is not None:
+            fps = float(head.rate)
+            if self.options.rate is not None and abs(self.options.rate / fps - 1.0) > 1e-6:
+                raise RecordingError(
+                    f"{clip.clip.name}: its video has {fps:g} frames a second, and "
+                    f"{self.options.rate:g} were asked for; LeRobot can't show it at another rate: "
+                    "leave the rate out, or write without videos"
+                )
+            return fps
+        if self.options.rate is not None:
+            return self.options.rate
+        rate = mean_rate(clip.clip.stamps)
+        if rate is None:
+            raise RecordingError(
+                f"{clip.clip.name}: one frame has no rate, and the data set has none yet; say it "
+                "with --rate"
+            )
+        return float(max(1, round(rate)))
+
+    def _head(self, clip: RobotClip) -> VideoHead | None:
+        if self.options.videos == "none":
+            return None
+        if clip.clip.video is None:
+            raise RecordingError(
+                f"{clip.clip.name}: it has no video; in a LeRobot data set either all episodes "
+                "have one or none: write without videos, or leave it out"
+            )
+        return video_head(clip.clip.video)
+
+    def _check_video(self, clip: RobotClip, head: VideoHead | None, layout: RobotLayout) -> None:
+        if head is None:
+            return
+        asked, found = layout.video, head.feature()
+        if asked is None or asked["shape"] != found["shape"]:
+            size = "none" if asked is None else f"{asked['shape'][1]} x {asked['shape'][0]}"
+            raise RecordingError(
+                f"{clip.clip.name}: its video has {head.width} x {head.height} pixels, those of "
+                f"the data set {size}; write each size to a data set of its own"
+            )
+        if abs(float(head.rate) / layout.fps - 1.0) > 1e-6:
+            raise RecordingError(
+                f"{clip.clip.name}: its video has {float(head.rate):g} frames a second, the data "
+                f"set {layout.fps:g}; write each rate to a data set of its own"
+            )
+
+    def _linked(self, video: Path, start: float, seconds: float) -> dict[str, Any]:
+        source = video.as_posix()
+        number = self._videos.get(source)
+        if number is None:
+            number = len(self._videos)
+            place(video, self._video_path(number), self.options.videos)
+            self._videos[source] = number
+            self._new_videos.append(source)
+        chunk, file = divmod(number, FILES_A_CHUNK)
+        return {
+            f"videos/{VIDEO_KEY}/chunk_index": chunk,
+            f"videos/{VIDEO_KEY}/file_index": file,
+            f"videos/{VIDEO_KEY}/from_timestamp": start,
+            f"videos/{VIDEO_KEY}/to_timestamp": start + seconds,
+        }
+
+
+class _LeRobot:
+    what = "a LeRobot data set (v3.0)"
+    loses = (
+        "It does not hold the human landmarks, metacarpal bases and shape; objects beyond the "
+        "number asked for; stamps but as a column, since clips are brought to one rate. Numbers "
+        "but the stamps are float32."
+    )
+
+    def open(self, output: Path, options: WritingOptions) -> _Writer:
+        require("a LeRobot data set", "lerobot", "pyarrow")
+        return _Writer(output, options)
+
+
+LEROBOT: Final = _LeRobot()

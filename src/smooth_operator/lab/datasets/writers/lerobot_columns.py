@@ -1,0 +1,245 @@
+"""The columns of a LeRobot data set of robot hands.
+
+Joints of both hands and poses of their wrists are ``observation.state``; ``action`` has the same
+names. What LeRobot would make inputs of a policy of, were it so called, begins with neither
+``observation`` nor ``action``. ``SIDE`` is ``right`` or ``left``.
+
+=======================  ===============  =========================================================
+``observation.state``    float32 (n,)     ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of the
+                                          robot's wrist [m, quaternion wxyz]
+``action``               float32 (n,)     the state of the next frame, or of the same one
+``stamp``                float64          true time of the frame [s]
+``SIDE_valid``           bool             whether the command answers a hand that was seen
+``SIDE_wrist_valid``     bool             whether the wrist was known
+``SIDE_status``          int64            ``Status`` of the command; -1: the clip lacks the hand
+``SIDE_confidence``      float32          of the tracker, 0 to 1; NaN if not known
+``SIDE_human_wrist``     float32 (7,)     pose of the human wrist; NaN if not known
+``camera``               float32 (7,)     pose of the camera; NaN if not known
+``objects``              float32 (7 k,)   poses of k objects; NaN where there is none
+=======================  ===============  =========================================================
+
+A policy can't take NaN: where a wrist is not known, state and action hold the last one, or the
+first that is; ``SIDE_wrist_valid`` is false there. A hand that the clip lacks is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smooth_operator import poses
+from smooth_operator.episode_files.lerobot.columns import INDICES, POSE_KEYS, POSE_NAMES
+from smooth_operator.errors import RecordingError
+from smooth_operator.lab.datasets.clip import SIDES
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.arrays import clip_valid
+from smooth_operator.lab.datasets.writers.registry import WritingOptions
+from smooth_operator.types import Side
+
+UNITS = {
+    "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
+    "action": "the same, of the frame that comes next",
+    "timestamp": "s, frame_index / fps",
+    "stamp": "s, true time of the frame",
+    "valid": "whether the command answers a hand that was seen",
+    "wrist_valid": "whether the wrist was known; where not, the last one is held",
+    "status": "why the command is what it is; -1: the clip lacks this hand",
+    "confidence": "of the tracker, 0 to 1; NaN: not known",
+    "human_wrist": "m, quaternion wxyz, in the clip's world",
+    "camera": "m, quaternion wxyz, axes x right, y down, z forward",
+    "objects": "m, quaternion wxyz, one object after the other",
+}
+"""Unit or meaning of each column, without its side."""
+
+
+@dataclass(frozen=True)
+class RobotLayout:
+    """What all clips of a data set share.
+
+    Attributes:
+        joints: side -> names of the joints of the robot hand.
+        wrist: with the robot's wrists.
+        objects: for how many objects there are columns.
+        fps: frames a second.
+        robot: names of the hands.
+        video: the video in the features; None without.
+    """
+
+    joints: Mapping[Side, tuple[str, ...]]
+    wrist: bool
+    objects: int
+    fps: float
+    robot: str
+    video: Mapping[str, Any] | None = None
+
+    @classmethod
+    def of(cls, clip: RobotClip, options: WritingOptions, fps: float) -> RobotLayout:
+        """From the first clip, and the options."""
+        found = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
+        joints = {**found, **options.joints}
+        return cls(
+            {side: tuple(joints[side]) for side in SIDES if side in joints},
+            _has_wrist(clip),
+            options.objects,
+            fps,
+            "+".join(dict.fromkeys(clip.hand_names[s] for s in SIDES if s in clip.hand_names)),
+        )
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> RobotLayout:
+        """From what ``to_json`` made of it."""
+        joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
+        return cls(
+            joints, value["wrist"], value["objects"], value["fps"], value["robot"], value["video"]
+        )
+
+    def check(self, clip: RobotClip, *, absent: str) -> None:
+        """Refuses a clip that these columns can't hold.
+
+        Raises:
+            RecordingError: it lacks a hand or the wrists, or its joints are others.
+        """
+        name = clip.clip.name
+        for side, commands in clip.commands.items():
+            if side not in self.joints:
+                raise RecordingError(
+                    f"{name}: it has a {side} hand, which the data set's columns lack; begin the "
+                    "data set with a clip of both hands, or write this one into another"
+                )
+            if tuple(commands.joint_names) != self.joints[side]:
+                raise RecordingError(
+                    f"{name}: its {side} commands are for other joints than those of the data set;"
+                    " write the clips of each robot hand to a data set of their own"
+                )
+        if not clip.commands:
+            raise RecordingError(f"{name}: it has no commands; leave it out")
+        known = _has_wrist(clip)
+        if self.wrist != known:
+            has = "it has wrists and the data set none" if known else "its wrists are not known"
+            raise RecordingError(
+                f"{name}: {has}; write clips with and without wrists to two data sets"
+            )
+        lacking = [side for side in self.joints if side not in clip.commands]
+        if lacking and absent == "refuse":
+            raise RecordingError(
+                f"{name}: it has no {lacking[0]} hand, and absent is 'refuse'; write the clips of "
+                "one hand to a data set of their own, or fill in"
+            )
+
+    def state_names(self) -> list[str]:
+        """Names of the components of state and action."""
+        names: list[str] = []
+        for side, joints in self.joints.items():
+            names += [f"{_sided(joint, side)}.pos" for joint in joints]
+            if self.wrist:
+                names += [f"{side}_{key}" for key in POSE_KEYS]
+        return names
+
+    def features(self) -> dict[str, dict[str, Any]]:
+        """The ``features`` of ``meta/info.json``, without the video."""
+        features: dict[str, dict[str, Any]] = {}
+
+        def add(name: str, dtype: str, names: list[str] | None = None) -> None:
+            shape = [1 if names is None else len(names)]
+            features[name] = {"dtype": dtype, "shape": shape, "names": names}
+
+        add("observation.state", "float32", self.state_names())
+        add("action", "float32", self.state_names())
+        add("stamp", "float64")
+        for side in self.joints:
+            add(f"{side}_valid", "bool")
+            if self.wrist:
+                add(f"{side}_wrist_valid", "bool")
+            add(f"{side}_status", "int64")
+            add(f"{side}_confidence", "float32")
+            if self.wrist:
+                add(f"{side}_human_wrist", "float32", list(POSE_NAMES))
+        add("camera", "float32", list(POSE_NAMES))
+        if self.objects:
+            names = [f"object{i}.{name}" for i in range(self.objects) for name in POSE_NAMES]
+            add("objects", "float32", names)
+        for name in INDICES:
+            add(name, "float32" if name == "timestamp" else "int64")
+        return features
+
+    def columns(self, clip: RobotClip, action: str) -> dict[str, np.ndarray]:
+        """(T,) or (T, k) of each feature but the indices, in its type.
+
+        Args:
+            clip: one that ``check`` lets pass.
+            action: ``next`` or ``same``.
+        """
+        human, count = clip.clip, len(clip.clip)
+        state: list[np.ndarray] = []
+        columns: dict[str, np.ndarray] = {"stamp": np.asarray(human.stamps, np.float64)}
+        for side, joints in self.joints.items():
+            commands = clip.commands.get(side)
+            there = commands is not None
+            positions = np.zeros((count, len(joints)))
+            columns[f"{side}_valid"] = clip_valid(clip, side) if there else np.zeros(count, bool)
+            columns[f"{side}_status"] = np.full(count, -1)
+            if commands is not None:
+                positions = _held(np.asarray(commands.joint_positions, np.float64))
+                columns[f"{side}_status"] = np.asarray(commands.status)
+            state.append(positions)
+            columns[f"{side}_confidence"] = np.asarray(
+                human.confidence.get(side, np.full(count, np.nan))
+            )
+            if self.wrist:
+                wrist = clip.T_world_wrist.get(side) if there else None
+                wrist = np.full((count, 7), np.nan) if wrist is None else wrist
+                known = columns[f"{side}_wrist_valid"] = poses.is_valid(wrist)
+                state.append(_held(wrist) if known.any() else np.tile(poses.IDENTITY, (count, 1)))
+                hand = human.hands.get(side)
+                seen = None if hand is None else hand.T_world_wrist
+                columns[f"{side}_human_wrist"] = (
+                    np.full((count, 7), np.nan) if seen is None else seen
+                )
+        columns["observation.state"] = flat = np.concatenate(state, axis=1)
+        # What a hand does next; the last frame stays where it is.
+        columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
+        camera = human.T_world_camera
+        columns["camera"] = np.full((count, 7), np.nan) if camera is None else camera
+        if self.objects:
+            tracks = np.full((count, self.objects, 7), np.nan)
+            for i, item in enumerate(human.objects[: self.objects]):
+                tracks[:, i] = item.T_world_object
+            columns["objects"] = tracks.reshape(count, -1)
+        with np.errstate(over="ignore"):
+            return {
+                name: columns[name].astype(feature["dtype"])
+                for name, feature in self.features().items()
+                if name not in INDICES
+            }
+
+
+def unit_of(column: str) -> str:
+    """Unit or meaning of a column."""
+    side, _, what = column.partition("_")
+    return UNITS.get(what if side in SIDES else column, "index")
+
+
+def _has_wrist(clip: RobotClip) -> bool:
+    return any(
+        poses.is_valid(clip.T_world_wrist[side]).any()
+        for side in clip.commands
+        if side in clip.T_world_wrist
+    )
+
+
+def _sided(joint: str, side: Side) -> str:
+    return joint if joint.lower().startswith(f"{side}_") else f"{side}_{joint}"
+
+
+def _held(rows: np.ndarray) -> np.ndarray:
+    """Rows with the last finite one where one is not; before the first, that one; zero if none."""
+    good = np.isfinite(rows).all(axis=1)
+    if good.all():
+        return rows
+    if not good.any():
+        return np.zeros_like(rows)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(rows)), -1))
+    return np.asarray(rows[np.where(last < 0, int(np.argmax(good)), last)])

@@ -1,0 +1,141 @@
+"""The output formats of data sets by name, built-in and of plugins, and how one is written."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Literal, Protocol
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.types import Side
+
+_WRITERS: Final = "smooth_operator.lab.datasets.writers"
+
+
+@dataclass(frozen=True)
+class WritingOptions:
+    """What a format may be asked for. Each takes what it has a use for.
+
+    Attributes:
+        joints: side -> names of the robot hand's joints, of every clip that will be written; empty:
+            those of the first clip. Formats with fixed columns (LeRobot) need them before that.
+        rate: frames a second [Hz] that all clips are brought to; None for the format's own choice:
+            LeRobot takes the first clip's, SPIDER 50, FlashDexRetarget 60, the others keep each
+            clip's stamps.
+        videos: LeRobot: ``none``; ``link``, hard links or symbolic ones; ``copy``.
+        action: LeRobot: ``next``, the state of the next frame; ``same``, of the same frame.
+        absent: LeRobot: what becomes of a clip that lacks a hand of ``joints``: ``fill``, zeros
+            with ``valid`` false; ``refuse``.
+        objects: LeRobot: for how many objects a frame has columns.
+        shard_mb: size at which a shard is full [MB]; None for the format's own choice.
+        part: number of this writer among ``parts``, which write to one folder at a time.
+        parts: how many writers share the folder.
+        name: of the data set, where the format has a place for it.
+        loose: SPIDER and FlashDexRetarget: files and folders as the program reads them, one or two
+            a clip, in place of tar files to unpack.
+    """
+
+    joints: Mapping[Side, tuple[str, ...]] = field(default_factory=dict)
+    rate: float | None = None
+    videos: Literal["none", "link", "copy"] = "none"
+    action: Literal["next", "same"] = "next"
+    absent: Literal["fill", "refuse"] = "fill"
+    objects: int = 2
+    shard_mb: float | None = None
+    part: int = 0
+    parts: int = 1
+    name: str = "smooth_operator"
+    loose: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.part < self.parts:
+            raise ConfigError(
+                f"part must be from 0 to parts - 1 = {self.parts - 1}, not {self.part}"
+            )
+        if self.rate is not None and not 0.0 < self.rate < float("inf"):
+            raise ConfigError(f"rate must be a number of frames a second above 0, not {self.rate}")
+        if self.shard_mb is not None and not self.shard_mb > 0.0:
+            raise ConfigError(f"shard_mb must be above 0, not {self.shard_mb}")
+        if self.objects < 0:
+            raise ConfigError(f"objects must be 0 or more, not {self.objects}")
+
+
+class DatasetWriter(Protocol):
+    """A data set that is being written.
+
+    It is closed when all is written. One that is not closed, or whose process is killed, leaves its
+    whole shards; the clip files of the shard that was being filled are lost. Opened again with the
+    same options, it goes on after the last whole shard.
+    """
+
+    @property
+    def written(self) -> Collection[str]:
+        """Keys (``RobotClip.key``) of the clips in whole shards, of all parts."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What a person should know of what was written so far: what was resampled, cut, filled."""
+
+    def write(self, clip: RobotClip) -> None:
+        """Adds a clip; one whose key was written before is passed over.
+
+        Raises:
+            RecordingError: the format can't hold this clip (no frames, no wrist, no object); says
+                why. The writer takes the next one.
+            OutputError: it can't be written: no space, no permission. The writer is of no use then.
+        """
+
+    def close(self) -> None:
+        """Ends the last shard and writes what describes them all.
+
+        Raises:
+            OutputError: it can't be written.
+        """
+
+    def __enter__(self) -> DatasetWriter: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        """Closes it; after an error it drops the shard that is not whole."""
+
+
+class DatasetFormat(Protocol):
+    """A format of output."""
+
+    what: str
+    """What it writes, for messages: ``a LeRobot dataset``."""
+
+    loses: str
+    """What of a clip it has no place for, in a sentence."""
+
+    def open(self, output: Path, options: WritingOptions) -> DatasetWriter:
+        """A writer into a folder, which is made; one that this format began is continued.
+
+        Raises:
+            MissingExtraError: a library is missing.
+            ConfigError: the folder was begun in another format or with other options.
+            OutputError: something else stands there, or it can't be written.
+        """
+
+
+WRITERS: Final = Registry(
+    "writer",
+    {
+        name: Entry(f"{_WRITERS}.{where}", what)
+        for name, where, what in (
+            ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
+            ("webdataset", "webdataset:WEBDATASET", "tar shards, a sample a clip"),
+            ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
+        )
+    },
+    needs=("what", "loses", "open"),
+)
+"""Name -> ``DatasetFormat``, open to plugins as ``smooth_operator.writers``."""

@@ -1,0 +1,315 @@
+"""Shards of a data set: whole files of many clips, each with an index that is written after it.
+
+::
+
+    OUT/meta/dataset.json                      format and options that the folder was begun with
+    OUT/meta/shards/part-00000-000012.json     the clips of a shard; without it, it does not count
+    OUT/meta/configurations/DIGEST.json        how the commands were made
+
+A shard is filled under a hidden name, and takes its own when it is full. So a process that is
+killed leaves whole shards; the next one removes what has no index and goes on from there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
+from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
+from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.arrays import clip_key
+from smooth_operator.lab.datasets.writers.registry import WritingOptions
+
+PROGRAM: Final = "smooth-operator"
+MARK: Final = "meta/dataset.json"
+INDEX: Final = "meta/shards"
+CONFIGURATIONS: Final = "meta/configurations"
+MB: Final = 1_000_000
+
+
+class ShardedWriter(ABC):
+    """A data set in shards; a format says what a shard is.
+
+    Args:
+        output: the folder.
+        options: what was asked for.
+        name: of the format in ``WRITERS``.
+        shard_mb: size of its shards, unless asked for otherwise [MB].
+        fixed: those of its settings that all clips of a folder must share.
+    """
+
+    def __init__(
+        self,
+        output: Path,
+        options: WritingOptions,
+        name: str,
+        shard_mb: float,
+        fixed: Mapping[str, Any],
+    ) -> None:
+        self.output = output
+        self.options = options
+        self._format = name
+        self._limit = int((options.shard_mb or shard_mb) * MB)
+        self._written: set[str] = set()
+        self._pending: list[dict[str, Any]] = []
+        self._pending_keys: set[str] = set()
+        self._configurations: dict[int, tuple[Mapping[str, Any], str]] = {}
+        self._counts: dict[str, int] = {}
+        self._open = False
+        self._number = 0
+        if output.exists() and not output.is_dir():
+            raise OutputError(f"can't write {str(output)!r}: a file stands there; name a folder")
+        with _about(output):
+            for folder in (INDEX, CONFIGURATIONS):
+                (output / folder).mkdir(parents=True, exist_ok=True)
+        self._begin_folder({"format": name, **fixed})
+        self._recover()
+
+    # What a format does.
+
+    @abstractmethod
+    def _begin(self, number: int) -> None:
+        """Starts a shard under a hidden name."""
+
+    @abstractmethod
+    def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
+        """Adds a clip to the shard, and what is to be known of it to its entry in the index.
+
+        Raises:
+            RecordingError: before anything of the clip is in the shard.
+        """
+
+    @abstractmethod
+    def _size(self) -> int:
+        """Bytes of the shard by now."""
+
+    @abstractmethod
+    def _end(self, number: int) -> dict[str, Any]:
+        """Gives the shard its name; what its index holds besides the clips."""
+
+    @abstractmethod
+    def _drop(self) -> None:
+        """Removes the shard that is not whole."""
+
+    @abstractmethod
+    def _clean(self, number: int) -> None:
+        """Removes what a killed process left: hidden files, and this shard, which has no index."""
+
+    def _resume(self, index: Mapping[str, Any]) -> None:  # noqa: B027 - most need nothing
+        """Takes a shard of this part into account that stands already, one after the other."""
+
+    def _describe(self) -> None:  # noqa: B027
+        """Writes what describes all shards; after each one."""
+
+    # What all share.
+
+    @property
+    def written(self) -> Collection[str]:
+        """Keys of the clips in whole shards, of all parts."""
+        return self._written
+
+    @property
+    def notes(self) -> list[str]:
+        """What a person should know, with the number of clips that it holds for."""
+        return [
+            f"{count} clip{'s' * (count != 1)}: {text}"
+            for text, count in sorted(self._counts.items())
+        ]
+
+    def note(self, text: str) -> None:
+        """Counts a clip for which something holds."""
+        self._counts[text] = self._counts.get(text, 0) + 1
+
+    def write(self, clip: RobotClip) -> None:
+        """Adds a clip; one whose key was written before is passed over."""
+        key = clip.key or clip_key(clip)
+        if key in self._written or key in self._pending_keys:
+            return
+        if not len(clip.clip):
+            raise RecordingError(f"{clip.clip.name}: it holds no frames; leave it out")
+        entry = {
+            "key": key,
+            "name": clip.clip.name,
+            "frames": len(clip.clip),
+            "task": clip.clip.task,
+        }
+        try:
+            if not self._open:
+                self._begin(self._number)
+                self._open = True
+            self._add(clip, entry)
+            self._pending.append(entry)
+            self._pending_keys.add(key)
+            if self._size() >= self._limit:
+                self._finish()
+        except (OSError, MemoryError) as error:
+            self._abandon()
+            if isinstance(error, OutputError) or not isinstance(error, OSError):
+                raise
+            raise output_error(self.output, error) from error
+
+    def close(self) -> None:
+        """Ends the last shard and writes what describes them all."""
+        try:
+            if self._open and self._pending:
+                self._finish()
+            self._abandon()
+            self._describe()
+        except OSError as error:
+            self._abandon()
+            if isinstance(error, OutputError):
+                raise
+            raise output_error(self.output, error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._abandon()
+
+    def configuration(self, clip: RobotClip) -> str:
+        """Digest of how the clip's commands were made; the file of that name is written once."""
+        known = self._configurations.get(id(clip.config))
+        if known is not None and known[0] is clip.config:
+            return known[1]
+        text = to_json(clip.config)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+        path = self.output / CONFIGURATIONS / f"{digest}.json"
+        if not path.exists():
+            with atomic_write(path) as file:
+                file.write(text.encode() + b"\n")
+        # A mapping's identity is its own only while it lives: it is kept, the last few of them.
+        if len(self._configurations) >= _KEPT:
+            self._configurations.clear()
+        self._configurations[id(clip.config)] = (clip.config, digest)
+        return digest
+
+    def shard_name(self, number: int) -> str:
+        """``part-00000-000012``."""
+        return f"part-{self.options.part:05d}-{number:06d}"
+
+    def _finish(self) -> None:
+        extra = self._end(self._number)
+        self._open = False
+        index = {"clips": self._pending, **extra}
+        write_json(self.output / INDEX / f"{self.shard_name(self._number)}.json", index)
+        self._written |= self._pending_keys
+        self._pending, self._pending_keys = [], set()
+        self._number += 1
+        self._resume(index)
+        self._describe()
+
+    def _abandon(self) -> None:
+        if self._open:
+            with contextlib.suppress(OSError):
+                self._drop()
+        self._open = False
+        self._pending, self._pending_keys = [], set()
+
+    def _begin_folder(self, fixed: dict[str, Any]) -> None:
+        path = self.output / MARK
+        asked = parse_json(to_json({"program": PROGRAM, "version": 1, **fixed}))
+        try:
+            found = read_json(path)
+        except FileNotFoundError:
+            write_json(path, asked)
+            return
+        except (OSError, DocumentError) as error:
+            raise OutputError(
+                f"{path}: can't be read ({error}); give a new folder, or remove this one"
+            ) from error
+        for name in sorted({*asked, *(found if isinstance(found, dict) else {})}):
+            mine, stood = asked.get(name), found.get(name) if isinstance(found, dict) else None
+            if mine != stood:
+                raise ConfigError(
+                    f"{self.output} was begun with {name} = {to_json(stood)}, not {to_json(mine)}; "
+                    "go on with the same, or write to another folder"
+                )
+
+    def _recover(self) -> None:
+        mine = f"part-{self.options.part:05d}-"
+        with _about(self.output):
+            for path in sorted((self.output / INDEX).glob("part-*.json")):
+                try:
+                    index = read_json(path, most_bytes=_MOST_INDEX)
+                    keys = {str(clip["key"]) for clip in index["clips"]}
+                except (DocumentError, KeyError, TypeError) as error:
+                    raise OutputError(
+                        f"{path}: no index of a shard ({error}); remove it, and its clips are "
+                        "written again"
+                    ) from error
+                self._written |= keys
+                if path.name.startswith(mine):
+                    if path.stem != self.shard_name(self._number):
+                        raise OutputError(
+                            f"{path}: the index {self.shard_name(self._number)} before it is "
+                            "missing; write to a new folder"
+                        )
+                    self._number += 1
+                    self._resume(index)
+            self._clean(self._number)
+
+
+_KEPT: Final = 64
+_MOST_INDEX: Final = 1 << 28
+
+
+@contextlib.contextmanager
+def _about(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def hidden(path: Path) -> Path:
+    """The name under which a file is filled."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def publish(path: Path) -> None:
+    """Gives a file that was filled under its hidden name its own, on the disk."""
+    temporary = hidden(path)
+    with temporary.open("rb+") as file:
+        os.fsync(file.fileno())  # or a power cut could leave the name on an empty file
+    os.replace(temporary, path)
+
+
+def remove(path: Path) -> None:
+    """Removes a file and the one under its hidden name, if they are there."""
+    for each in (path, hidden(path)):
+        with contextlib.suppress(FileNotFoundError):
+            each.unlink()
+
+
+def close_quietly(file: IO[bytes]) -> None:
+    """Closes a file that is given up, whose last bytes may not fit on the disk."""
+    with contextlib.suppress(OSError):
+        file.close()
+
+
+def drop_parquet(writer: Any) -> None:
+    """Gives up a Parquet file that is not whole."""
+    if writer is not None:
+        with contextlib.suppress(OSError):
+            writer.close()
+        writer.is_open = False  # or it would try again when it is collected

@@ -1,0 +1,404 @@
+"""The writer of LeRobot data sets: its files with pyarrow, and with LeRobot's own class.
+
+The tests marked ``lerobot`` need LeRobot; CI has a job with it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import struct
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robot_clips import JOINTS, robot_clip
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, video_head
+
+pytest.importorskip("pyarrow")
+
+HAS_LEROBOT = bool(importlib.util.find_spec("lerobot"))
+real = pytest.mark.skipif(not HAS_LEROBOT, reason="LeRobot is not installed")
+
+POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
+NAMES = [
+    name
+    for side in ("right", "left")
+    for name in [f"{side}_{j}.pos" for j in JOINTS] + [f"{side}_tcp.{p}" for p in POSE]
+]
+
+
+def write(output: Path, clips: list[RobotClip], **options: Any) -> list[str]:
+    with WRITERS.load("lerobot").open(output, WritingOptions(**options)) as writer:
+        for clip in clips:
+            writer.write(clip)
+    return list(writer.notes)
+
+
+def read(output: Path) -> tuple[dict[str, Any], Any, Any]:
+    """``info.json``, the frames and the episodes."""
+    from pyarrow import concat_tables, parquet
+
+    def table(folder: str) -> Any:
+        return concat_tables(
+            parquet.read_table(path, partitioning=None)
+            for path in sorted((output / folder).glob("*/*.parquet"))
+        )
+
+    return (
+        json.loads((output / "meta" / "info.json").read_text()),
+        table("data"),
+        table("meta/episodes"),
+    )
+
+
+def values(table: Any, name: str) -> np.ndarray:
+    return np.array(table.column(name).to_pylist())
+
+
+def test_state_and_action_are_those_of_the_robot(tmp_path: Path) -> None:
+    clips = [robot_clip(i, frames=20 + 5 * i, task=f"task {i % 2}") for i in range(4)]
+    assert write(tmp_path / "out", clips) == []
+    info, frames, episodes = read(tmp_path / "out")
+    assert info["fps"] == 30
+    assert info["robot_type"] == "mimic_p050"
+    assert info["total_episodes"] == 4
+    assert info["total_frames"] == frames.num_rows == 20 + 25 + 30 + 35
+    assert info["features"]["observation.state"]["names"] == NAMES
+    assert info["features"]["action"]["names"] == NAMES
+    state, action = values(frames, "observation.state"), values(frames, "action")
+    start = 0
+    for number, clip in enumerate(clips):
+        stop = start + len(clip.clip)
+        parts = [
+            part
+            for side in ("right", "left")
+            for part in (clip.commands[side].joint_positions, clip.T_world_wrist[side])
+        ]
+        exact = np.concatenate(parts, axis=1)
+        np.testing.assert_allclose(state[start:stop], exact, atol=1e-6)
+        np.testing.assert_array_equal(action[start : stop - 1], state[start + 1 : stop])
+        np.testing.assert_array_equal(action[stop - 1], state[stop - 1])
+        row = episodes.slice(number, 1).to_pylist()[0]
+        assert (row["dataset_from_index"], row["dataset_to_index"]) == (start, stop)
+        assert row["tasks"] == [f"task {number % 2}"]
+        own = json.loads(row["smooth_operator"])
+        assert own["key"] == clip.key
+        start = stop
+    np.testing.assert_array_equal(values(frames, "index"), np.arange(start))
+    np.testing.assert_array_equal(values(frames, "stamp")[:20], clips[0].clip.stamps)
+    np.testing.assert_allclose(values(frames, "timestamp")[20:23], [0, 1 / 30, 2 / 30])
+    tracks = values(frames, "objects")[:20]
+    np.testing.assert_allclose(tracks[:, :7], clips[0].clip.objects[0].T_world_object, atol=1e-6)
+    assert np.isnan(tracks[:, 7:]).all()
+    stats = json.loads((tmp_path / "out" / "meta" / "stats.json").read_text())
+    np.testing.assert_allclose(stats["action"]["mean"], action.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(stats["action"]["std"], action.std(axis=0), atol=1e-5)
+    assert stats["action"]["count"] == [start]
+
+
+def test_what_is_not_known_is_held_and_marked(tmp_path: Path) -> None:
+    clip = robot_clip(0)
+    wrist = clip.T_world_wrist["left"].copy()
+    wrist[:3] = wrist[7:9] = np.nan
+    valid = np.ones(40, bool)
+    valid[7:9] = False
+    clip = replace(
+        clip,
+        T_world_wrist={**clip.T_world_wrist, "left": wrist},
+        valid={**clip.valid, "left": valid},
+    )
+    write(tmp_path / "out", [clip, robot_clip(1, sides=("right",))], action="same")
+    _, frames, _ = read(tmp_path / "out")
+    state = values(frames, "observation.state")
+    assert np.isfinite(state).all()
+    np.testing.assert_array_equal(state, values(frames, "action"))
+    place = NAMES.index("left_tcp.x")
+    np.testing.assert_array_equal(state[:3, place], state[[3, 3, 3], place])
+    np.testing.assert_array_equal(state[7:9, place], state[[6, 6], place])
+    known = values(frames, "left_wrist_valid")
+    assert np.flatnonzero(~known[:40]).tolist() == [0, 1, 2, 7, 8]
+    assert np.flatnonzero(~values(frames, "left_valid")[:40]).tolist() == [7, 8]
+    assert not known[40:].any()  # the second clip has no left hand
+    assert not values(frames, "left_valid")[40:].any()
+    assert (values(frames, "left_status")[40:] == -1).all()
+    np.testing.assert_array_equal(state[40:, place : place + 7], [[0, 0, 0, 1, 0, 0, 0]] * 40)
+
+
+def test_clips_of_other_rates_are_resampled(tmp_path: Path) -> None:
+    clips = [robot_clip(0), robot_clip(1, frames=61, rate=60.0), robot_clip(2, frames=11, rate=10)]
+    assert write(tmp_path / "out", clips) == ["2 clips: resampled to 30 frames a second"]
+    _, frames, episodes = read(tmp_path / "out")
+    assert episodes.column("length").to_pylist() == [40, 31, 31]
+    exact = robot_clip(1, frames=31).commands["right"].joint_positions
+    found = values(frames, "observation.state")[40:71, :6]
+    np.testing.assert_allclose(found, exact, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("second", "options", "said"),
+    [
+        ({"wrists": False}, {}, "its wrists are not known"),
+        ({"sides": ("right",)}, {"absent": "refuse"}, "it has no left hand"),
+        ({}, {"videos": "link"}, "it has no video"),
+    ],
+)
+def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(
+    second: dict[str, Any], options: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    video = mp4(tmp_path / "film.mp4")
+    first, third = (robot_clip(i, video=video) for i in (0, 2))
+    with WRITERS.load("lerobot").open(tmp_path / "out", WritingOptions(**options)) as writer:
+        writer.write(first)
+        with pytest.raises(RecordingError, match=said):
+            writer.write(robot_clip(1, **second))
+        writer.write(third)
+    _, frames, episodes = read(tmp_path / "out")
+    assert episodes.num_rows == 2
+    assert frames.num_rows == 80
+
+
+def test_other_joints_are_refused(tmp_path: Path) -> None:
+    clip = robot_clip(0)
+    other = replace(clip.commands["left"], joint_names=JOINTS[::-1])
+    with pytest.raises(RecordingError, match="other joints"):
+        write(
+            tmp_path / "out",
+            [clip, replace(clip, key="b", commands={**clip.commands, "left": other})],
+        )
+
+
+def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path: Path) -> None:
+    clips = [robot_clip(0, sides=("left",)), robot_clip(1)]
+    write(tmp_path / "out", clips, joints={"right": JOINTS, "left": JOINTS})
+    info, frames, _ = read(tmp_path / "out")
+    assert info["features"]["action"]["names"] == NAMES
+    assert frames.num_rows == 80
+
+
+def test_parts_are_data_sets_of_their_own(tmp_path: Path) -> None:
+    for part in range(2):
+        write(tmp_path / "out", [robot_clip(part)], part=part, parts=2)
+    assert [read(tmp_path / "out" / f"part-{i:05d}")[0]["total_episodes"] for i in (0, 1)] == [1, 1]
+
+
+def test_many_clips_are_few_files(tmp_path: Path) -> None:
+    write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(300)])
+    files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert len(files) < 12
+    _, frames, _ = read(tmp_path / "out")
+    assert frames.num_rows == 900
+
+
+def mp4(path: Path, *, frames: int = 200, step: int = 512, scale: int = 15360) -> Path:
+    """The tables of an MP4 file of 64 x 48 pixels, box by box (ISO/IEC 14496-12); no picture."""
+
+    def box(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", 8 + len(content)) + kind + content
+
+    entry = b"\0" * 6 + struct.pack(">H", 1) + b"\0" * 16 + struct.pack(">HH", 64, 48) + b"\0" * 50
+    stsd = bytes(4) + struct.pack(">I", 1) + box(b"avc1", entry)
+    # The last frame lasts longer, as in files of many programs.
+    stts = bytes(4) + struct.pack(">IIIII", 2, frames - 1, step, 1, step * 3)
+    media = box(b"mdhd", bytes(12) + struct.pack(">II", scale, frames * step) + bytes(4))
+    media += box(b"hdlr", bytes(8) + b"vide" + bytes(13))
+    media += box(b"minf", box(b"stbl", box(b"stsd", stsd) + box(b"stts", stts)))
+    path.write_bytes(
+        box(b"ftyp", b"isom" + bytes(4))
+        + box(b"mdat", bytes(99))
+        + box(b"moov", box(b"trak", box(b"mdia", media)))
+    )
+    return path
+
+
+@pytest.mark.parametrize("how", ["link", "copy"])
+def test_a_video_of_several_clips_is_placed_once(how: str, tmp_path: Path) -> None:
+    film = mp4(tmp_path / "film.mp4")
+    clips = [robot_clip(i, video=film, video_start_s=2.0 * i) for i in range(3)]
+    clips.append(robot_clip(3, video=mp4(tmp_path / "other.mp4"), video_start_s=6.0))
+    assert write(tmp_path / "out", clips, videos=how) == ["1 clip: cut to the length of its video"]
+    info, _, episodes = read(tmp_path / "out")
+    assert info["features"][VIDEO_KEY]["shape"] == [48, 64, 3]
+    assert info["features"][VIDEO_KEY]["info"]["video.codec"] == "h264"
+    starts = episodes.column(f"videos/{VIDEO_KEY}/from_timestamp").to_pylist()
+    assert starts == [0.0, 2.0, 4.0, 6.0]
+    assert episodes.column(f"videos/{VIDEO_KEY}/file_index").to_pylist() == [0, 0, 0, 1]
+    assert episodes.column("length").to_pylist() == [40, 40, 40, 20]
+    placed = sorted((tmp_path / "out" / "videos" / VIDEO_KEY / "chunk-000").iterdir())
+    assert [path.name for path in placed] == ["file-000.mp4", "file-001.mp4"]
+    assert placed[0].read_bytes() == film.read_bytes()
+    assert (placed[0].stat().st_ino == film.stat().st_ino) == (how == "link")
+    stats = json.loads((tmp_path / "out" / "meta" / "stats.json").read_text())
+    assert np.shape(stats[VIDEO_KEY]["mean"]) == (3, 1, 1)
+
+
+def test_videos_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    film = mp4(tmp_path / "film.mp4")
+    faster = mp4(tmp_path / "faster.mp4", step=256)
+    assert float(video_head(faster).rate) == 60.0
+    with pytest.raises(RecordingError, match="60 frames a second, the data set 30"):
+        write(
+            tmp_path / "a", [robot_clip(0, video=film), robot_clip(1, video=faster)], videos="link"
+        )
+    with pytest.raises(RecordingError, match="15 were asked for"):
+        write(tmp_path / "b", [robot_clip(0, video=film)], videos="link", rate=15.0)
+    with pytest.raises(RecordingError, match="which has 200 frames"):
+        write(tmp_path / "c", [robot_clip(0, video=film, video_start_s=7.0)], videos="link")
+    with pytest.raises(RecordingError, match="no such video"):
+        write(tmp_path / "d", [robot_clip(0, video=tmp_path / "none.mp4")], videos="link")
+
+
+def test_damaged_videos_are_refused(tmp_path: Path) -> None:
+    whole = mp4(tmp_path / "film.mp4").read_bytes()
+    rng = np.random.default_rng(0)
+    path = tmp_path / "damaged.mp4"
+    read = 0
+    for _ in range(300):
+        data = bytearray(whole)
+        if rng.random() < 0.5:
+            del data[int(rng.integers(len(data))) :]
+        for _ in range(int(rng.integers(1, 6))):
+            if data:
+                data[int(rng.integers(len(data)))] = int(rng.integers(256))
+        path.write_bytes(data)
+        try:
+            head = video_head(path)
+        except RecordingError:
+            continue
+        read += 1
+        assert head.width > 0
+        assert head.frames >= 0
+    assert read < 290
+
+
+def film(path: Path, frames: int, rate: str) -> Path:
+    """A real video whose picture has its number's brightness."""
+    import av
+
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(rate))
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.options = {"crf": "10"}
+        for number in range(frames):
+            picture = np.full((48, 64, 3), 20 + 2 * number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+def load(root: Path, **options: Any) -> Any:
+    """A data set as LeRobot's own class opens it."""
+    os.environ["HF_HUB_OFFLINE"] = "1"
+    from lerobot.datasets import LeRobotDataset
+
+    return LeRobotDataset("test/clips", root=root, **options)
+
+
+@pytest.mark.lerobot
+@real
+def test_lerobots_own_class_opens_it(tmp_path: Path) -> None:
+    clips = [robot_clip(i, frames=30 + i, task=["a cup", "Чашка 🍵"][i % 2]) for i in range(6)]
+    write(tmp_path / "out", clips, shard_mb=0.02)
+    dataset = load(tmp_path / "out", delta_timestamps={"action": [0.0, 1 / 30, 2 / 30]})
+    assert dataset.num_episodes == 6
+    assert len(dataset) == sum(30 + i for i in range(6))
+    assert len(list((tmp_path / "out" / "data" / "chunk-000").iterdir())) > 1
+    start = 30 + 31
+    for number in (0, 17, 30 + 31 - 1, start + 5, len(dataset) - 1):
+        item = dataset[number]
+        assert item["action"].shape == (3, len(NAMES))
+        assert item["observation.state"].shape == (len(NAMES),)
+        assert bool(item["observation.state"].isfinite().all())
+    item = dataset[start + 5]
+    assert item["task"] == "a cup"
+    assert dataset[start - 1]["task"] == "Чашка 🍵"
+    exact = clips[2].commands["right"].joint_positions[6:9]
+    np.testing.assert_allclose(item["action"][:, :6], exact, atol=1e-6)
+    assert item["action_is_pad"].tolist() == [False] * 3
+    assert dataset[start + 31]["action_is_pad"].tolist() == [False, True, True]
+    assert dataset.meta.stats["action"]["mean"].shape == (len(NAMES),)
+    only = load(tmp_path / "out", episodes=[3])
+    assert len(only) == 33
+
+
+@pytest.mark.lerobot
+@real
+@pytest.mark.parametrize("rate", ["30", "30000/1001"])
+def test_lerobot_shows_the_picture_of_each_frame(rate: str, tmp_path: Path) -> None:
+    video = film(tmp_path / "film.mp4", 100, rate)
+    number = float(Fraction(rate))
+    clips = [
+        robot_clip(0, frames=40, rate=number, video=video),
+        robot_clip(1, frames=40, rate=number, video=video, video_start_s=50 / number),
+    ]
+    write(tmp_path / "out", clips, videos="link")
+    dataset = load(tmp_path / "out")
+    assert dataset.meta.camera_keys == [VIDEO_KEY]
+    for index, picture in ((0, 0), (39, 39), (40, 50), (79, 89)):
+        seen = dataset[index][VIDEO_KEY]
+        assert seen.shape == (3, 48, 64)
+        # Colours lose a little on their way through the codec, less than the step of two frames.
+        assert abs(float(seen.mean()) * 255 - (20 + 2 * picture)) < 1.9
+
+
+@pytest.mark.lerobot
+@real
+def test_parts_are_aggregated_by_lerobot(tmp_path: Path) -> None:
+    for part in range(2):
+        clips = [robot_clip(10 * part + i, frames=20) for i in range(3)]
+        write(tmp_path / "out", clips, part=part, parts=2)
+    os.environ["HF_HUB_OFFLINE"] = "1"
+    from lerobot.datasets.aggregate import aggregate_datasets
+
+    roots = [tmp_path / "out" / f"part-{i:05d}" for i in range(2)]
+    aggregate_datasets(["test/a", "test/b"], "test/clips", roots=roots, aggr_root=tmp_path / "all")
+    dataset = load(tmp_path / "all")
+    assert dataset.num_episodes == 6
+    assert len(dataset) == 120
+    exact = robot_clip(11, frames=20).commands["right"].joint_positions
+    found = np.stack([np.asarray(dataset[80 + i]["observation.state"][:6]) for i in range(20)])
+    np.testing.assert_allclose(found, exact, atol=1e-6)
+
+
+@pytest.mark.lerobot
+@real
+def test_a_small_policy_learns_from_it(tmp_path: Path) -> None:
+    write(tmp_path / "out", [robot_clip(i, frames=60) for i in range(12)])
+    import torch
+
+    torch.manual_seed(0)
+    dataset = load(tmp_path / "out", delta_timestamps={"action": [k / 30 for k in range(4)]})
+    stats = {
+        key: {name: torch.tensor(dataset.meta.stats[key][name]).float() for name in ("mean", "std")}
+        for key in ("observation.state", "action")
+    }
+
+    def normal(batch: Any, key: str) -> Any:
+        return (batch[key] - stats[key]["mean"]) / (stats[key]["std"] + 1e-6)
+
+    size = len(NAMES)
+    policy = torch.nn.Sequential(
+        torch.nn.Linear(size, 128), torch.nn.ReLU(), torch.nn.Linear(128, 4 * size)
+    )
+    optimizer = torch.optim.Adam(policy.parameters(), lr=3e-3)
+    loader = torch.utils.data.DataLoader(dataset, batch_size=64, shuffle=True)
+    losses = []
+    for _ in range(6):
+        for batch in loader:
+            known = batch["right_valid"] & batch["left_valid"]
+            wanted = normal(batch, "action")[known].flatten(1)
+            loss = (policy(normal(batch, "observation.state")[known]) - wanted).square().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            losses.append(float(loss))
+    assert losses[0] > 0.5  # of normalised actions, about 1 before it learns
+    assert np.mean(losses[-5:]) < 0.1 * losses[0]

@@ -1,0 +1,355 @@
+"""Writers of data sets: what all share, WebDataset and Parquet."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robot_clips import JOINTS, robot_clip
+
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.lab.datasets.writers.resampling import drift, resampled
+
+ALL = ["webdataset", "parquet", "lerobot"]
+OPTIONS = WritingOptions(shard_mb=0.1)
+
+
+def write(name: str, output: Path, clips: list[RobotClip], options: Any = OPTIONS) -> Any:
+    if name in ("parquet", "lerobot"):
+        pytest.importorskip("pyarrow")
+    with WRITERS.load(name).open(output, options) as writer:
+        for clip in clips:
+            writer.write(clip)
+    return writer
+
+
+def write_all(writer: Any, clips: list[RobotClip]) -> None:
+    for clip in clips:
+        writer.write(clip)
+    writer.close()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def read_tar(data: bytes) -> dict[str, bytes]:
+    """Members of a tar file by name, from the layout of its 512-byte headers (POSIX.1-1988)."""
+    found: dict[str, bytes] = {}
+    at = 0
+    while data[at : at + 512].strip(b"\0"):
+        head = data[at : at + 512]
+        assert sum(head[:148]) + 8 * 32 + sum(head[156:]) == int(head[148:156].strip(b" \0"), 8)
+        assert head[156:157] == b"0"  # a plain file
+        assert head[257:262] == b"ustar"
+        assert int(head[136:148].strip(b" \0"), 8) == 0  # no time
+        assert int(head[108:116].strip(b" \0"), 8) == 0  # no owner
+        size = int(head[124:136].strip(b" \0"), 8)
+        name = (head[345:500].rstrip(b"\0") + b"/" + head[:100].rstrip(b"\0")).decode().strip("/")
+        assert name not in found
+        found[name] = data[at + 512 : at + 512 + size]
+        at += 512 + (size + 511) // 512 * 512
+    return found
+
+
+def samples(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, np.ndarray]]]:
+    """Key -> (document, arrays) of all shards of a WebDataset."""
+    found = {}
+    for shard in sorted((folder / "shards").iterdir()):
+        members = read_tar(shard.read_bytes())
+        for name, content in members.items():
+            stem, _, kind = name.partition(".")
+            if kind == "json":
+                with np.load(io.BytesIO(members[f"{stem}.npz"])) as arrays:
+                    found[stem] = json.loads(content), dict(arrays)
+    return found
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS.built_in))
+def test_every_format_says_what_it_writes_and_loses(name: str) -> None:
+    found = WRITERS.load(name)
+    WRITERS.check(name, found)
+    assert len(found.what) > 5
+    assert found.loses.endswith(".")
+
+
+def test_webdataset_gives_the_clip_back(tmp_path: Path) -> None:
+    clips = [robot_clip(i, frames=20 + i, objects=i % 3) for i in range(5)]
+    write("webdataset", tmp_path / "out", clips)
+    found = samples(tmp_path / "out")
+    assert len(found) == 5
+    assert all(key.startswith("part1_pick_") and "." not in key for key in found)
+    by_key = {document["key"]: (document, arrays) for document, arrays in found.values()}
+    for clip in clips:
+        document, arrays = by_key[clip.key]
+        assert document["task"] == "pick up the cup"
+        assert document["name"] == clip.clip.name
+        assert document["joints"]["left"] == list(JOINTS)
+        assert document["figures"] == {"jump_mm": clip.figures["jump_mm"]}
+        assert document["frames"] == len(clip.clip)
+        config = tmp_path / "out" / "meta" / "configurations" / f"{document['configuration']}.json"
+        assert json.loads(config.read_text())["method"] == "smooth"
+        np.testing.assert_array_equal(arrays["stamps"], clip.clip.stamps)
+        for side in ("right", "left"):
+            command = clip.commands[side].joint_positions
+            np.testing.assert_allclose(arrays[f"{side}_joints"], command, atol=1e-6)
+            np.testing.assert_allclose(arrays[f"{side}_wrist"], clip.T_world_wrist[side], atol=1e-6)
+            points = clip.clip.hands[side].landmarks
+            np.testing.assert_allclose(arrays[f"{side}_landmarks"], points, atol=1e-6)
+            assert arrays[f"{side}_valid"].all()
+        assert ("objects" in arrays) == bool(clip.clip.objects)
+        for i, item in enumerate(clip.clip.objects):
+            np.testing.assert_allclose(arrays["objects"][:, i], item.T_world_object, atol=1e-6)
+
+
+def test_webdatasets_own_reader_decodes_the_shards(tmp_path: Path) -> None:
+    webdataset = pytest.importorskip("webdataset")
+    clips = [robot_clip(i) for i in range(4)]
+    write("webdataset", tmp_path / "out", clips)
+    shards = sorted(map(str, (tmp_path / "out" / "shards").iterdir()))
+    found = list(webdataset.WebDataset(shards, shardshuffle=False).decode())
+    assert [each["json"]["name"] for each in found] == [clip.clip.name for clip in clips]
+    joints = found[2]["npz"]["left_joints"]
+    np.testing.assert_allclose(joints, clips[2].commands["left"].joint_positions, atol=1e-6)
+
+
+def test_parquet_holds_a_row_a_clip(tmp_path: Path) -> None:
+    clips = [
+        robot_clip(0, objects=2),
+        robot_clip(1, sides=("left",), objects=0, task=None),
+        robot_clip(2, frames=1, wrists=False),
+        robot_clip(3, task="Чашка 🍵 «nehmen»"),
+    ]
+    write("parquet", tmp_path / "out", clips)
+    parquet = pytest.importorskip("pyarrow.parquet")
+    (file,) = (tmp_path / "out" / "data").iterdir()
+    table = parquet.read_table(file)
+    rows = table.to_pylist()
+    assert [row["name"] for row in rows] == [clip.clip.name for clip in clips]
+    assert rows[3]["task"] == "Чашка 🍵 «nehmen»"
+    assert rows[1]["task"] is None
+    assert rows[1]["right_joints"] is None
+    assert rows[1]["objects"] is None
+    assert dict(rows[0]["figures"]) == {"jump_mm": 1.5}
+    assert rows[0]["object_names"] == ["cup 0", "cup 1"]
+    assert len(rows[2]["stamps"]) == 1
+    assert rows[2]["right_human_wrist"] is None
+    assert np.isnan(rows[2]["right_wrist"][0]).all()
+    for clip, row in zip(clips, rows, strict=True):
+        for side in clip.commands:
+            joints = np.array(row[f"{side}_joints"])
+            np.testing.assert_allclose(joints, clip.commands[side].joint_positions, atol=1e-6)
+            assert row[f"{side}_valid"] == [True] * len(clip.clip)
+            points = np.array(row[f"{side}_landmarks"]).reshape(-1, 21, 3)
+            np.testing.assert_allclose(points, clip.clip.hands[side].landmarks, atol=1e-5)
+        for i, item in enumerate(clip.clip.objects):
+            track = np.array(row["objects"])[:, 7 * i : 7 * i + 7]
+            np.testing.assert_allclose(track, item.T_world_object, atol=1e-6)
+    assert table.schema.field("right_joints").metadata[b"unit"].startswith(b"rad")
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_same_clips_give_the_same_bytes(name: str, tmp_path: Path) -> None:
+    clips = [robot_clip(i) for i in range(8)]
+    for folder in ("a", "b"):
+        write(name, tmp_path / folder, clips)
+    a, b = contents(tmp_path / "a"), contents(tmp_path / "b")
+    assert a.keys() == b.keys()
+    assert [path for path in a if a[path] != b[path]] == []
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_killed_run_leaves_whole_shards_and_the_next_ends_as_if_nothing_happened(
+    name: str, tmp_path: Path
+) -> None:
+    clips = [robot_clip(i, frames=60) for i in range(24)]
+    options = WritingOptions(shard_mb=0.05)
+    if name in ("parquet", "lerobot"):
+        pytest.importorskip("pyarrow")
+    write(name, tmp_path / "whole", clips, options)
+    whole = contents(tmp_path / "whole")
+    writer = WRITERS.load(name).open(tmp_path / "working", options)
+    for number, clip in enumerate(clips):
+        writer.write(clip)
+        if number in (1, 16):  # what is on the disk is what a killed process leaves
+            shutil.copytree(tmp_path / "working", tmp_path / f"killed{number}")
+    indices = len(list((tmp_path / "killed16" / "meta" / "shards").iterdir()))
+    for number in (1, 16):
+        left = tmp_path / f"killed{number}"
+        again = WRITERS.load(name).open(left, options)
+        assert not list(left.rglob("*.tmp"))
+        if number == 16:
+            assert 0 < len(again.written) <= 17
+            assert indices > 1
+        with again:
+            for clip in clips:
+                again.write(clip)  # those that stand are passed over
+        assert again.written == {clip.key for clip in clips}
+        assert contents(left) == whole
+    writer.close()
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_shard_without_its_index_is_written_again(name: str, tmp_path: Path) -> None:
+    clips = [robot_clip(i, frames=60) for i in range(6)]
+    write(name, tmp_path / "out", clips, WritingOptions(shard_mb=0.01))
+    whole = contents(tmp_path / "out")
+    index = sorted((tmp_path / "out" / "meta" / "shards").iterdir())[-1]
+    lost = {clip["key"] for clip in json.loads(index.read_text())["clips"]}
+    index.unlink()  # killed between the two
+    with WRITERS.load(name).open(tmp_path / "out", WritingOptions(shard_mb=0.01)) as writer:
+        assert writer.written == {clip.key for clip in clips} - lost
+        for clip in clips:
+            writer.write(clip)
+    assert contents(tmp_path / "out") == whole
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no limit on the size of files")
+@pytest.mark.parametrize("name", ALL)
+def test_a_full_disk_ends_the_run_and_keeps_the_whole_shards(name: str, tmp_path: Path) -> None:
+    import resource
+
+    if name in ("parquet", "lerobot"):
+        pytest.importorskip("pyarrow")
+    options = WritingOptions(shard_mb=0.2)
+    clips = [robot_clip(i, frames=120) for i in range(40)]
+    writer = WRITERS.load(name).open(tmp_path / "out", options)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for clip in clips[:4]:
+        writer.write(clip)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        with pytest.raises(OutputError) as caught:
+            write_all(writer, clips[4:])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.errno == errno.EFBIG
+    assert "larger than is allowed" in str(caught.value)
+    assert not list((tmp_path / "out").rglob("*.tmp"))
+    with WRITERS.load(name).open(tmp_path / "out", options) as again:
+        for clip in clips:
+            again.write(clip)
+    assert len(again.written) == 40
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_equal_names_and_empty_clips(name: str, tmp_path: Path) -> None:
+    first, second = robot_clip(1), robot_clip(2, name="part1/pick/1")
+    if name in ("parquet", "lerobot"):
+        pytest.importorskip("pyarrow")
+    with WRITERS.load(name).open(tmp_path / "out", OPTIONS) as writer:
+        with pytest.raises(RecordingError, match="no frames"):
+            writer.write(robot_clip(0, frames=0))
+        for clip in (first, second, first):
+            writer.write(clip)
+    (index,) = (tmp_path / "out" / "meta" / "shards").iterdir()
+    entries = json.loads(index.read_text())["clips"]
+    assert [entry["key"] for entry in entries] == [first.key, second.key]
+    assert len({entry.get("sample", entry["key"]) for entry in entries}) == 2
+
+
+def test_parts_share_a_folder(tmp_path: Path) -> None:
+    clips = [robot_clip(i) for i in range(6)]
+    for part in (1, 0):
+        options = WritingOptions(part=part, parts=2)
+        write("webdataset", tmp_path / "out", clips[part::2], options)
+    assert {document["name"] for document, _ in samples(tmp_path / "out").values()} == {
+        clip.clip.name for clip in clips
+    }
+    writer = WRITERS.load("webdataset").open(tmp_path / "out", WritingOptions())
+    assert len(writer.written) == 6  # of both
+
+
+def test_a_folder_of_another_format_or_options_is_refused(tmp_path: Path) -> None:
+    write("webdataset", tmp_path / "out", [robot_clip()])
+    with pytest.raises(ConfigError, match="begun with format"):
+        WRITERS.load("parquet").open(tmp_path / "out", OPTIONS)
+    with pytest.raises(ConfigError, match="begun with rate = null, not 15"):
+        WRITERS.load("webdataset").open(tmp_path / "out", replace(OPTIONS, rate=15.0))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="a file stands there"):
+        WRITERS.load("webdataset").open(tmp_path / "file", OPTIONS)
+    (tmp_path / "out" / "meta" / "dataset.json").write_text("{")
+    with pytest.raises(OutputError, match="can't be read"):
+        WRITERS.load("webdataset").open(tmp_path / "out", OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"part": 2, "parts": 2}, "from 0 to"),
+        ({"rate": 0.0}, "above 0"),
+        ({"shard_mb": 0.0}, "above 0"),
+        ({"objects": -1}, "0 or more"),
+    ],
+)
+def test_options_are_checked(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        WritingOptions(**wrong)
+
+
+def test_resampling_follows_the_motion() -> None:
+    clip = robot_clip(3, frames=91, rate=30.0)
+    found = resampled(clip, 50.0)
+    assert len(found.clip) == 151
+    exact = robot_clip(3, frames=151, rate=50.0)
+    assert drift(found.clip.stamps, 50.0) < 1e-6
+    for side in ("right", "left"):
+        mine, theirs = found.commands[side], exact.commands[side]
+        np.testing.assert_allclose(mine.joint_positions, theirs.joint_positions, atol=4e-3)
+        q, p = found.T_world_wrist[side][:, 3:], exact.T_world_wrist[side][:, 3:]
+        assert np.abs((q * p).sum(axis=1)).min() > 1 - 1e-7
+        np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
+
+
+def test_resampling_to_the_same_rate_changes_nothing_and_keeps_gaps_small() -> None:
+    clip = robot_clip(0, frames=30)
+    wrist = clip.T_world_wrist["right"].copy()
+    wrist[10] = np.nan
+    clip = replace(clip, T_world_wrist={**clip.T_world_wrist, "right": wrist})
+    same = resampled(clip, 30.0)
+    np.testing.assert_array_equal(same.T_world_wrist["right"], wrist)
+    joints = same.commands["left"].joint_positions
+    np.testing.assert_array_equal(joints, clip.commands["left"].joint_positions)
+    finer = resampled(clip, 60.0)
+    lost = np.isnan(finer.T_world_wrist["right"]).any(axis=1)
+    assert np.flatnonzero(lost).tolist() == [19, 20, 21]
+
+
+def test_a_pause_of_the_tracker_is_not_valid() -> None:
+    clip = robot_clip(0, frames=40)
+    kept = np.r_[0:20, 32:40]  # 0.4 s are missing
+    stamps = clip.clip.stamps[kept]
+    hands = {s: replace(h[0:28], stamps=stamps) for s, h in clip.clip.hands.items()}
+    commands = {
+        s: replace(
+            c,
+            joint_positions=c.joint_positions[kept],
+            stamps=stamps,
+            latency_ms=c.latency_ms[kept],
+            status=c.status[kept],
+        )
+        for s, c in clip.commands.items()
+    }
+    scene = replace(clip.clip, hands=hands, confidence={}, T_world_camera=None, objects=())
+    short = replace(
+        clip,
+        clip=scene,
+        commands=commands,
+        T_world_wrist={s: w[kept] for s, w in clip.T_world_wrist.items()},
+        valid={s: v[kept] for s, v in clip.valid.items()},
+    )
+    found = resampled(short, 30.0)
+    assert len(found.clip) == 40
+    assert np.flatnonzero(~found.valid["right"]).tolist() == list(range(20, 32))
