@@ -120,3 +120,37 @@ def write_json(path: Path, content: object, indent: int | None = None) -> None:
     text = to_json(content, indent=indent)
     with atomic_write(path) as file:
         file.write(text.encode() + b"\n")
+
+
+@contextlib.contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Keeps a second run out of a folder; the system gives it free when this process ends.
+
+    Where folders can't be locked (Windows, some network disks) a second run is not noticed; it
+    would write the same bytes.
+
+    Raises:
+        OutputError: another run is at work there, or the folder can't be opened.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(
+                f"can't write into {str(folder)!r}: another run is writing there; wait until it is "
+                "done, or give another folder"
+            ) from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(handle)

@@ -57,7 +57,7 @@ def _run(
     cluster: str,
     retries: int,
 ) -> Iterator[TaskResult[R]]:
-    with _connected(ray, cluster, workers):
+    with connected(ray, cluster, workers):
         at_once = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
         remote = ray.remote(num_cpus=1, max_retries=0)(_call)
         shared = ray.put(function)
@@ -107,7 +107,17 @@ _limited: Final[list[bool]] = []
 
 
 @contextlib.contextmanager
-def _connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
+def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
+    """A connection to a cluster while the block lasts; that of the program that embeds us stays.
+
+    Args:
+        ray: the module.
+        cluster: as in ``run_tasks``.
+        workers: CPUs of a cluster that is started for this; None for all cores.
+
+    Raises:
+        WorkerError: the cluster can't be reached.
+    """
     if ray.is_initialized():  # by the program that embeds us: its connection, not ours to end
         yield
         return

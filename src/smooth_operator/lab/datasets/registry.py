@@ -85,6 +85,7 @@ DATASETS: Final = Registry(
             ("hts", "headsets:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
             ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
             ("egohandkit", "egohandkit:EGOHANDKIT", "EgoHandKit: hand_tracking.parquet"),
+            ("synthetic", "synthetic:SYNTHETIC", "clips of the built-in operator, by description"),
             ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.atomic_files import output_error
-from smooth_operator.errors import DocumentError, OutputError, RecordingError
+from smooth_operator.atomic_files import claimed as claimed
+from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
 from smooth_operator.io.documents import check_plain_file, read_json
 from smooth_operator.planning import PROGRAM
@@ -140,37 +139,3 @@ def remove_leftovers(folders: Iterable[Path]) -> int:
                     path.unlink()
                     count += 1
     return count
-
-
-@contextlib.contextmanager
-def claimed(folder: Path) -> Iterator[None]:
-    """Keeps a second run out of a folder; the system gives it free when this process ends.
-
-    Where folders can't be locked (Windows, some network disks) a second run is not noticed; it
-    would write the same bytes.
-
-    Raises:
-        OutputError: another run is at work there, or the folder can't be opened.
-    """
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise output_error(folder, error) from error
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OutputError(
-                f"can't write into {str(folder)!r}: another run is writing there; wait until it is "
-                "done, or give another folder"
-            ) from None
-        except OSError:
-            pass
-        yield
-    finally:
-        os.close(handle)
