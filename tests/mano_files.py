@@ -83,7 +83,8 @@ def model_arrays(side: str, seed: int = 0, *, same_x: bool = True) -> dict[str, 
     components = np.linalg.qr(rng.normal(size=(45, 45)))[0]
     mean = np.tile([0.0, 0.0, 0.25], 15) + 0.02 * rng.normal(size=45)
     if side == "left":
-        poses_ = poses_ * flip[:, None]
+        signs = np.tile(np.outer(flip, flip).ravel(), 15)  # of a mirrored rotation's entries
+        poses_ = poses_ * flip[:, None] * signs
         if not same_x:
             shapes = shapes * flip[:, None]
         mean = (mean.reshape(15, 3) * [1.0, -1.0, -1.0]).ravel()
