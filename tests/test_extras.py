@@ -34,6 +34,7 @@ EXTRAS = [
     "avp",
     "bench",
     "cluster",
+    "datasets",
     "dynamixel",
     "fk",
     "hdf5",

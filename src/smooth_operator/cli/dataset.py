@@ -1,202 +1,181 @@
-"""``smooth-operator retarget FOLDER``: every recording of a folder."""
+"""``smooth-operator dataset``: recordings of human hands into a data set of robot episodes."""
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-import time
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
-from smooth_operator.atomic_files import atomic_write
+from rich.progress import Progress as Bar
+
 from smooth_operator.cli.console import Progressing, output_console, plain_table
+from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import requested
-from smooth_operator.errors import OutputError, RecordingError
-from smooth_operator.formats.environment import environment
+from smooth_operator.errors import ConfigError
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
-from smooth_operator.lab.offline.finished import claimed, read_configuration
-from smooth_operator.lab.offline.jobs import Entry, checked, notes
-from smooth_operator.planning import PROGRAM
+from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
+from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.lab.datasets.registry import ReadingOptions
+from smooth_operator.lab.datasets.retargeting import Recipe
+from smooth_operator.lab.datasets.sources import Found, parse_shard
+from smooth_operator.lab.datasets.work import Entry
+from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.lab.datasets.writing import Summary
 from smooth_operator.terminal import printable
 
-_SHOWN_FAILURES = 40
+_SHOWN_FAILURES = 20
 
 
-def retarget_folder(options: Retarget) -> None:
-    """Retargets what is not done yet, and reports every result.
+def dataset(options: Dataset) -> None:
+    """Makes the data set, and reports what was kept and dropped.
 
     Raises:
         SmoothOperatorError: with the reason; what is finished stays.
-        SystemExit: 1, if a recording failed.
+        SystemExit: 1, if a clip failed.
     """
+    asked = request_of(options)
     progress = Progressing(options.quiet)
-    folder, output = options.recording, options.output
-    if output.suffix == ".npz" and not output.is_dir():
-        raise OutputError(
-            f"can't write {str(output)!r}: {folder} is a folder of recordings, and so are its "
-            "results; name a folder"
-        )
-    check_folders(folder, output)
-    account = output / SUMMARY
-    if account.exists() and read_configuration(account) is None:
-        raise OutputError(
-            f"can't write {str(account)!r}, the account of the run: it holds something else; give "
-            "another folder, or remove it first"
-        )
-    asked = checked(
-        requested(
-            options,
-            side=options.side,
-            rate=options.rate,
-            layout=options.layout,
-            frames=options.frames,
-        )
-    )
-    with folder_for(output), claimed(output):
-        with progress.waiting(f"looking through {folder}"):
-            todo = survey(folder, output, asked, overwrite=options.overwrite)
-        if not todo.jobs and not todo.settled:
-            raise RecordingError(
-                f"{folder}: no recordings in it or in its folders; expected files whose names end "
-                "in .npz, .npy, .mcap or .h5"
-                + (f" ({todo.commands} hold commands and no hand)" if todo.commands else "")
-            )
-        _tell(todo, progress)
-        for note in notes(asked) if todo.jobs else ():
-            progress.note(note, matters=True)
-        started = time.perf_counter()
-        entries = [*todo.settled]
-        try:
-            with contextlib.closing(
-                retarget_all(todo.jobs, workers=options.workers, cluster=options.cluster)
-            ) as results:  # whatever happens here, the workers end
-                entries += _watched(results, todo, progress)
-        except KeyboardInterrupt:
-            progress.note("stopped; run the same command again to go on", matters=True)
-            raise
-        summary = {
-            "program": PROGRAM,
-            "command": "retarget",
-            "folder": folder,
-            "request": asked,
-            "workers": options.workers,
-            "cluster": options.cluster,
-            **summarise(entries, time.perf_counter() - started),
-            **environment(),
-        }
-        text = to_json(summary, indent=2)
-        with atomic_write(account) as file:
-            file.write(text.encode() + b"\n")
+    shown = _Shown(progress)
+    try:
+        with folder_for(options.output), shown:
+            summary = make_dataset(asked, shown)
+    except KeyboardInterrupt:
+        progress.note("stopped; run the same command again to go on", matters=True)
+        raise
     if options.json:
-        print(printable(text))
+        print(printable(to_json(summary.as_json(), indent=2)))
     else:
-        _print_summary(summary, output)
-    if summary["failed"]:
+        _print(summary)
+    if summary.failed:
         raise SystemExit(1)
 
 
-def summarise(entries: Iterable[Entry], seconds: float) -> dict[str, Any]:
-    """Counts, speed, and each recording by name.
+def request_of(options: Dataset) -> DatasetRequest:
+    """What the options ask for.
 
-    Args:
-        entries: result of each.
-        seconds: how long those of this run took together, the start of workers included [s].
+    Raises:
+        SmoothOperatorError: one of them can't be.
     """
-    by_name = sorted(entries, key=lambda entry: entry.name)
-    states = {state: [e for e in by_name if e.state == state] for state in ("done", "kept")}
-    frames = sum(entry.frames for entry in states["done"])
-    whole = [*states["done"], *states["kept"]]
-    return {
-        "done": len(states["done"]),
-        "kept": len(states["kept"]),
-        "failed": len(by_name) - len(whole),
-        "frames": frames,
-        "held": sum(entry.held for entry in whole),
-        "seconds": seconds,
-        "frames_per_s": frames / seconds if frames else None,
-        "recordings": [dataclasses.asdict(entry) for entry in by_name],
-    }
+    if not options.sources:
+        raise ConfigError("name at least one SOURCE: a folder, a file, a pattern, a list")
+    if options.shard is not None and options.merge:
+        raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
+    WRITERS.find(options.format)
+    limits = Limits(
+        not options.whole,
+        options.hands,
+        options.max_gap,
+        options.max_jump,
+        options.min_confidence,
+        options.min_seconds,
+        options.min_valid,
+        options.max_collision,
+        options.max_tip_error,
+        options.min_reach,
+    )
+    recipe = Recipe(
+        requested(options),
+        ReadingOptions(options.rate, options.side, options.mano, options.objects),
+        options.frame,
+        options.side,
+    )
+    return DatasetRequest(
+        options.sources,
+        options.output,
+        recipe,
+        options.layout,
+        NO_LIMITS if options.no_limits else limits,
+        options.format,
+        WritingOptions(rate=options.fps, videos=options.videos),
+        None if options.shard is None else parse_shard(options.shard),
+        options.merge,
+        options.workers,
+        options.cluster,
+    )
 
 
-def _tell(todo: Survey, progress: Progressing) -> None:
-    kept = sum(entry.state == "kept" for entry in todo.settled)
-    line = f"{_count(len(todo.jobs), 'recording')} to retarget"
-    if kept:
-        line += f", {kept} done already"
-    if todo.commands:
-        line += f"; passed over {_count(todo.commands, 'file')} with commands and no hand"
-    progress.note(line)
-    if todo.leftovers:
-        progress.note(f"deleted {_count(todo.leftovers, 'unfinished file')} of a run that died")
-    if todo.remade:
-        progress.note(
-            f"making {_count(todo.remade, 'result')} again: damaged, or of another configuration, "
-            "version or recording",
-            matters=True,
-        )
+class _Shown(Progress):
+    """Notes and bars on standard error."""
+
+    def __init__(self, progress: Progressing) -> None:
+        self._progress = progress
+        self._bar: Bar | None = None
+        self._task: Any = None
+        self._frames = self._failed = 0
+
+    def __enter__(self) -> _Shown:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._start(None)
+
+    def looked(self, found: Found, items: int, kept: int) -> None:
+        line = f"{items - kept} to retarget, {kept} done already"
+        if found.passed_over:
+            kinds = ", ".join(f"{count} {suffix}" for suffix, count in found.passed_over.items())
+            line += f"; passed over, as no layout knows them: {kinds}"
+        self._progress.note(line)
+        if items > kept:
+            extra = "{task.fields[frames]} frames, {task.fields[failed]} failed"
+            self._start(self._progress.counter("clips", extra=extra, in_files=True), items - kept)
+
+    def retargeted(self, entries: Sequence[Entry]) -> None:
+        self._failed += sum(entry.kept is None for entry in entries)
+        self._frames += sum(0 if each.kept is None else each.kept.frames for each in entries)
+        if self._bar is not None:
+            self._bar.update(
+                self._task, advance=len(entries), frames=self._frames, failed=self._failed
+            )
+
+    def written(self, done: int, count: int) -> None:
+        if done == 1:
+            self._start(self._progress.counter("clips written", in_files=True), count)
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done)
+
+    def _start(self, bar: Bar | None, total: int = 0) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        self._bar = bar
+        if bar is not None:
+            bar.start()
+            self._task = bar.add_task("", total=total, frames=0, failed=0)
 
 
-def _watched(results: Iterable[Entry], todo: Survey, progress: Progressing) -> list[Entry]:
-    """All results, with a bar that counts recordings and frames."""
-    expected = {job.found.name: job.found.frames for job in todo.jobs}
-    if not todo.jobs:
-        return list(results)
-    counts = "{task.fields[done]}/{task.fields[count]} recordings, {task.fields[failed]} failed"
-    bar = progress.counter("frames", extra=counts, in_files=True)
-    entries: list[Entry] = []
-    frames = failed = 0
-    total = sum(expected.values())
-    with bar:
-        task = bar.add_task("", total=total, done=0, count=len(todo.jobs), failed=0)
-        for entry in results:
-            entries.append(entry)
-            if entry.state == "failed":
-                failed += 1
-                total -= expected[entry.name]
-            else:
-                frames += entry.frames
-                total += entry.frames - expected[entry.name]  # an estimate, or --frames
-            bar.update(task, completed=frames, total=total, done=len(entries), failed=failed)
-    return entries
+def _print(summary: Summary) -> None:
+    console = output_console(160)
 
+    def say(text: str) -> None:
+        console.print(text, markup=False, soft_wrap=True)
 
-def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
-    console = output_console(250)
-    speed = summary["frames_per_s"]
-    line = f"{_count(summary['done'], 'recording')} done"
-    if speed is not None:
-        line += f" ({summary['frames']} frames in {summary['seconds']:.1f} s, {speed:.0f} a second)"
-    line += f", {summary['kept']} kept, {summary['failed']} failed"
-    recordings = summary["recordings"]
-    failures = [entry for entry in recordings if entry["state"] == "failed"]
-    if failures:
+    if summary.failed:
         table = plain_table("failed")
-        table.add_column("recording", overflow="fold")
+        table.add_column("clip", overflow="fold")
         table.add_column("reason", overflow="fold")
-        for entry in failures[:_SHOWN_FAILURES]:
-            table.add_row(entry["name"], entry["reason"] or "")
+        for name, reason in list(summary.failed.items())[:_SHOWN_FAILURES]:
+            table.add_row(name, reason)
         console.print(table)
-        if len(failures) > _SHOWN_FAILURES:
-            left = len(failures) - _SHOWN_FAILURES
-            console.print(f"and {left} more in {SUMMARY}", soft_wrap=True)
-    assumed = sum(entry["side_assumed"] for entry in recordings)
-    if assumed:
-        console.print(
-            f"not said which hand: {_count(assumed, 'recording')}, taken for right ones; say "
-            "--side left if they are not",
-            soft_wrap=True,
+        if len(summary.failed) > _SHOWN_FAILURES:
+            say(f"and {len(summary.failed) - _SHOWN_FAILURES} more")
+    if summary.shard is not None:
+        number, count = summary.shard
+        say(
+            f"share {number} of {count}: {summary.clips} clips ({summary.frames} frames), "
+            f"{len(summary.failed)} failed; when all shares are done, run with --merge"
         )
-    if summary["held"]:
-        console.print(
-            f"repeating the last good command: {_count(summary['held'], 'frame')}", soft_wrap=True
-        )
-    console.print(line, markup=False, soft_wrap=True)
-    console.print(f"result of each: {output / SUMMARY}", markup=False, soft_wrap=True)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" + ("" if number == 1 else "s")
+        return
+    if summary.reasons:
+        table = plain_table("dropped")
+        table.add_column("limit")
+        table.add_column("episodes", justify="right")
+        for reason, number in sorted(summary.reasons.items(), key=lambda item: -item[1]):
+            table.add_row(reason, str(number))
+        console.print(table)
+    for note in summary.notes:
+        say(note)
+    say(
+        f"{summary.clips} clips ({summary.frames} frames): {summary.episodes} episodes "
+        f"({summary.episode_frames} frames) kept, {summary.dropped} parts "
+        f"({summary.dropped_frames} frames) dropped, {len(summary.failed)} failed"
+    )
+    say(f"data set: {summary.output / 'dataset'}; why: {summary.output / 'report.html'}")

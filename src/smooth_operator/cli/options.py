@@ -13,6 +13,7 @@ from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.calibrate_options import Calibrate
 from smooth_operator.cli.common_options import Common
 from smooth_operator.cli.convert_options import Convert
+from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo_options import Demo
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.grammar import check_words
@@ -38,6 +39,8 @@ _EXAMPLES = """Examples:
       a recording of the built-in operator, to try the others on
   smooth-operator retarget glove.npz --output out.npz
       a recording into joint commands, with a table of what was measured
+  smooth-operator dataset egodex/ --hand leap_hand --output out
+      recordings of two hands into a data set of robot episodes, filtered
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       a live tracker drives a hand, within limits, with a page to watch
   smooth-operator view out.npz glove.npz
@@ -72,6 +75,7 @@ Command: TypeAlias = (
     | Bench
     | Calibrate
     | Convert
+    | Dataset
     | Demo
     | GloveSimulate
     | Hands
@@ -91,6 +95,7 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "demo": Demo,
     "sample": Sample,
     "retarget": Retarget,
+    "dataset": Dataset,
     "teleop": Teleop,
     "latency": Latency,
     "view": View,

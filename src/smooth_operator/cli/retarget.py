@@ -24,7 +24,7 @@ def retarget(options: Retarget) -> None:
         SystemExit: 1, if some recordings of a folder failed.
     """
     if options.recording.is_dir():
-        from smooth_operator.cli.dataset import retarget_folder
+        from smooth_operator.cli.retarget_folder import retarget_folder
 
         retarget_folder(options)
         return

@@ -9,6 +9,7 @@ from typing import Final, Protocol
 
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.types import Side
 
 _READERS: Final = "smooth_operator.lab.datasets.readers"
 
@@ -19,11 +20,13 @@ class ReadingOptions:
 
     Attributes:
         rate: frames a second [Hz], for layouts without times; None for the layout's own.
+        side: which hand it is, where the files hold one and do not say; None for the layout's own.
         mano: folder with the user's MANO model files, ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``.
         objects: folder with the meshes of objects; None for the layout's own place.
     """
 
     rate: float | None = None
+    side: Side | None = None
     mano: Path | None = None
     objects: Path | None = None
 

@@ -25,6 +25,8 @@ class RobotClip:
         T_world_wrist: side -> (T, 7) pose of the robot hand's wrist in ``clip.world``; NaN where it
             is not known.
         valid: side -> (T,) whether the command answers a hand that was seen.
+        tracks: figures of each frame, (T,) by name with the side before a dot, as
+            ``quality_tracks`` computes them; NaN where one is not known.
         figures: quality of the episode by name, as ``quality_figures`` computes them.
         config: the resolved configuration that made the commands, as JSON has it.
         key: digest of everything that the result depends on, in hexadecimal.
@@ -38,6 +40,7 @@ class RobotClip:
     hand_names: Mapping[Side, str]
     T_world_wrist: Mapping[Side, Float[np.ndarray, "T 7"]]
     valid: Mapping[Side, Bool[np.ndarray, " T"]]
+    tracks: Mapping[str, Float[np.ndarray, " T"]] = field(default_factory=dict)
     figures: Mapping[str, float] = field(default_factory=dict)
     config: Mapping[str, Any] = field(default_factory=dict)
     key: str = ""

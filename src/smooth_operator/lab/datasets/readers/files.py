@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
@@ -32,7 +32,9 @@ class Files:
         Raises:
             RecordingError: as ``read_recording``.
         """
-        recording = read_recording(ref.path, rate=options.rate)
+        recording, _ = rated_if_unstamped(
+            lambda rate: read_recording(ref.path, rate=rate, side=options.side), options.rate
+        )
         return Clip(ref.name, {recording.side: recording}, "files", (ref.path,))
 
 

@@ -179,7 +179,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from smooth_operator.lab.offline.dataset import retarget_all, survey
-from test_dataset import ASKED
+from test_retarget_folder import ASKED
 
 if __name__ == "__main__":
     todo = survey(Path(sys.argv[2]), Path(sys.argv[3]), ASKED)

@@ -1,0 +1,201 @@
+"""Quality of an episode: of the tracked hand, and of the robot hand that follows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.metrics import summary
+from smooth_operator.metrics.consistency import second_derivative
+from smooth_operator.metrics.joints import max_joint_step
+from smooth_operator.metrics.safety import COLLISION_DEPTH
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
+
+REACHED: Final = 0.025
+"""A robot fingertip that is this near to the human's is taken to reach it [m]."""
+
+COLLISION_RATE_HZ: Final = 5.0
+"""How often self-collision is looked at [Hz]: a look takes as long as a tenth of a command."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of quality.
+
+    Attributes:
+        name: of the figure; that of an episode has the side before it, as in ``right.reach``.
+        unit: "" for a plain number.
+        better: which way is better.
+        meaning: one line for a person.
+    """
+
+    name: str
+    unit: str
+    better: Literal["up", "down"]
+    meaning: str
+
+
+FIGURES: Final = (
+    Figure("confidence", "", "up", "the tracker's own confidence, mean"),
+    Figure("valid", "", "up", "share of frames with a command that answers a hand that was seen"),
+    Figure("gap_s", "s", "down", "longest time without such a command"),
+    Figure("wrist", "", "up", "share of frames with a known pose of the wrist"),
+    Figure("jump_m_s", "m/s", "down", "largest speed of the human wrist or of a fingertip to it"),
+    Figure("tip_error_mm", "mm", "down", "robot fingertips to the aligned human ones, mean"),
+    Figure("tip_error_p95_mm", "mm", "down", "the same of the worst finger, 95th percentile"),
+    Figure("reach", "", "up", "share of frames with every fingertip within 25 mm of the human's"),
+    Figure("collision", "", "down", "share of frames with two links more than 2 mm inside"),
+    Figure("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
+    Figure("joint_step_rad", "rad", "down", "largest step of a joint from a frame to the next"),
+    Figure("jerk_rad_s3", "rad/s³", "down", "jerk of the joints, mean"),
+    Figure("tracking_loss", "", "down", "the method's own objective, mean"),
+)
+"""What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode."""
+
+
+def quality_tracks(
+    recording: HandRecording,
+    commands: CommandTrajectory,
+    loss: Float[np.ndarray, " T"],
+    hand: Hand,
+    alignment: AlignmentConfig,
+) -> dict[str, Float[np.ndarray, " T"]]:
+    """Figures of each frame of one hand; NaN where one is not known.
+
+    Args:
+        recording: the human hand.
+        commands: what answers it.
+        loss: (T,) tracking loss.
+        hand: the robot hand.
+        alignment: the method's own, so that the human is measured as the method saw it.
+
+    Returns:
+        ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the wrist, the
+        faster; ``tip_error`` [m] mean over fingertips; ``tip_error_max`` [m]; ``penetration`` [m],
+        at ``COLLISION_RATE_HZ``; ``loss``.
+    """
+    human = align_recording(recording, hand, alignment)
+    tips = human[:, [TIPS[FINGERS.index(name)] for name in hand.fingers]]
+    answered = commands.status == 0
+    names = hand.tree.names
+    robot = np.asarray(hand.tree.positions(commands.joint_positions))
+    robot_tips = robot[:, [names.index(name) for name in hand.tip_names]]
+    error = np.linalg.norm(robot_tips - tips, axis=-1)
+    error[~answered] = np.nan
+    return {
+        "speed": _speed(recording, tips - human[:, WRIST, None]),
+        "tip_error": error.mean(axis=-1),
+        "tip_error_max": error.max(axis=-1),
+        "penetration": _penetration(hand, commands, recording.rate_hz),
+        "loss": np.asarray(loss, np.float64),
+    }
+
+
+def quality_figures(episode: RobotClip) -> dict[str, float]:
+    """Figures of an episode from its tracks; what is not known is left out.
+
+    Args:
+        episode: a clip with commands and tracks, whole or a part of one.
+
+    Returns:
+        ``frames``, ``seconds`` (to the end of the last frame), ``rate_hz``; and those of
+        ``FIGURES`` for each hand, as ``right.valid``.
+    """
+    stamps = episode.clip.stamps
+    steps = np.diff(stamps)
+    period = float(np.median(steps)) if len(steps) else 0.0
+    found: dict[str, float | None] = {
+        "frames": float(len(stamps)),
+        "seconds": float(stamps[-1] - stamps[0]) + period if len(stamps) else 0.0,
+        "rate_hz": 1.0 / period if period > 0 else None,
+    }
+    for side in episode.commands:
+        own = _of_hand(episode, side, period)
+        found |= {f"{side}.{name}": value for name, value in own.items()}
+    return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def worst(figures: Mapping[str, float], name: str) -> float | None:
+    """A figure of the hand that is worse off; None if it is known of neither."""
+    better = next(figure.better for figure in FIGURES if figure.name == name)
+    known = [value for key, value in figures.items() if key.partition(".")[2] == name]
+    if not known:
+        return None
+    return min(known) if better == "up" else max(known)
+
+
+def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float | None]:
+    commands, valid = episode.commands[side], episode.valid[side]
+    unknown = np.full(len(valid), np.nan)
+
+    def track(name: str) -> np.ndarray:
+        return episode.tracks.get(f"{side}.{name}", unknown)
+
+    error, depth = track("tip_error_max"), track("penetration")
+    known_error, known_depth = error[np.isfinite(error)], depth[np.isfinite(depth)]
+    confidence = episode.clip.confidence.get(side, unknown)
+    wrist = episode.T_world_wrist.get(side)
+    stamps = episode.clip.stamps
+    return {
+        "confidence": summary.mean(confidence),
+        "valid": summary.mean(valid),
+        "gap_s": longest_gap(valid, stamps, period),
+        "wrist": None if wrist is None else summary.mean(poses.is_valid(wrist)),
+        "jump_m_s": summary.maximum(track("speed")[1:]),
+        "tip_error_mm": summary.scaled(summary.mean(track("tip_error")), 1e3),
+        "tip_error_p95_mm": summary.scaled(summary.percentile(error, 95.0), 1e3),
+        "reach": summary.mean(known_error <= REACHED),
+        "collision": summary.mean(known_depth > COLLISION_DEPTH),
+        "collision_depth_mm": summary.scaled(summary.maximum(known_depth), 1e3),
+        "joint_step_rad": max_joint_step(commands.joint_positions),
+        "jerk_rad_s3": _jerk(commands.joint_positions, stamps),
+        "tracking_loss": summary.mean(track("loss")),
+    }
+
+
+def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:
+    """Longest time without a valid frame [s]; a frame lasts one period."""
+    edges = np.flatnonzero(np.diff(np.r_[True, valid, True].astype(np.int8)))
+    starts, stops = edges[::2], edges[1::2]
+    if not len(starts):
+        return 0.0
+    return float((stamps[stops - 1] - stamps[starts] + period).max())
+
+
+def _speed(recording: HandRecording, reaches: np.ndarray) -> Float[np.ndarray, " T"]:
+    """Fastest of the wrist and of the fingertips to the wrist, from the frame before [m/s]."""
+    moved = np.linalg.norm(np.diff(reaches, axis=0), axis=-1)  # (T - 1, F), NaN if one is missing
+    if recording.T_world_wrist is not None:
+        wrist = np.linalg.norm(np.diff(recording.T_world_wrist[:, :3], axis=0), axis=-1)
+        moved = np.concatenate([moved, wrist[:, None]], axis=1)
+    moved = np.where(np.isfinite(moved), moved, -1.0).max(axis=1)
+    speed = moved / np.diff(recording.stamps)
+    return np.concatenate([[np.nan], np.where(moved < 0, np.nan, speed)])
+
+
+def _penetration(hand: Hand, commands: CommandTrajectory, rate: float) -> Float[np.ndarray, " T"]:
+    """Self-penetration [m] of every so many frames, NaN in between."""
+    step = max(1, round(rate / COLLISION_RATE_HZ)) if np.isfinite(rate) else 1
+    depths = np.full(len(commands), np.nan)
+    found = penetration_depths(hand, commands.joint_positions[::step])
+    if found is not None:
+        depths[::step] = found
+    return depths
+
+
+def _jerk(positions: np.ndarray, stamps: np.ndarray) -> float | None:
+    """Mean magnitude of the third derivative of the joints [rad/s^3]."""
+    if len(stamps) < 4:
+        return None
+    acceleration = second_derivative(positions, stamps)
+    return summary.mean(np.abs(np.diff(acceleration, axis=0) / np.diff(stamps[1:-1])[:, None]))

@@ -1,0 +1,239 @@
+"""Clips of human hands into clips with the commands of robot hands."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.datasets.clip import SIDES, Clip
+from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
+from smooth_operator.lab.datasets.quality import quality_tracks
+from smooth_operator.lab.datasets.registry import ReadingOptions
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.offline.finished import digest
+from smooth_operator.lab.offline.jobs import answer
+from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
+from smooth_operator.result_cache import key_digest
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.version import package_version
+
+SHORTEST: Final = 2
+"""Fewest frames of a clip: with one there is no rate."""
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that a clip was read from.
+
+    Attributes:
+        path: its path in the source, with slashes; or its address.
+        bytes: its size.
+        sha256: digest of its content, in hexadecimal.
+        changed: its date, or what an object store has for it.
+    """
+
+    path: str
+    bytes: int
+    sha256: str
+    changed: str = ""
+
+    def identity(self) -> dict[str, Any]:
+        """What a data set says of it: not its date."""
+        return {"path": self.path, "bytes": self.bytes, "sha256": self.sha256}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the commands of a clip depend on, but for the clip.
+
+    Attributes:
+        request: hand, method, preset, seed, scale, fingers and operator.
+        reading: what the readers need to know.
+        frame: where wrists and objects are given; None for each clip's own frame.
+        side: retarget this hand only; None for all that a clip has.
+    """
+
+    request: RetargetRequest
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    frame: Frame | None = None
+    side: Side | None = None
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Digest of it, with the version of this program and both hands' descriptions."""
+        specs = [self.request.load_hand(side).spec for side in SIDES]
+        mano = self.reading.mano
+        models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
+        said = [package_version(), self.request, self.frame, self.side, specs]
+        return key_digest([*said, self.reading.rate, [(m.name, digest(m)) for m in models]])
+
+    def of_item(self, side: Side | None, rate: float | None) -> Recipe:
+        """The recipe of one item, for which a list may say the hand and the rate."""
+        side = side or self.side
+        reading = replace(self.reading, side=side, rate=rate or self.reading.rate)
+        return replace(self, reading=reading, side=side)
+
+
+def retarget_clip(
+    clip: Clip, recipe: Recipe, files: Sequence[SourceFile] = (), key: str = ""
+) -> RobotClip:
+    """One clip with the commands of its robot hands; see ``retarget_clips``.
+
+    Raises:
+        SmoothOperatorError: with the reason.
+    """
+    (found,) = retarget_clips([clip], recipe, [files], [key])
+    if isinstance(found, SmoothOperatorError):
+        raise found
+    return found
+
+
+def retarget_clips(
+    clips: Sequence[Clip],
+    recipe: Recipe,
+    files: Sequence[Sequence[SourceFile]] | None = None,
+    keys: Sequence[str] | None = None,
+) -> list[RobotClip | SmoothOperatorError]:
+    """Clips with the commands of their robot hands, in the order of the clips.
+
+    Retargeters are built once in a process and kept; see ``smooth_operator.lab.offline.jobs``.
+
+    Args:
+        clips: the human hands.
+        recipe: what is to be done.
+        files: what each was read from, for its ``meta``.
+        keys: of each; its digest if left out.
+
+    Returns:
+        for each clip the result, or why there is none.
+    """
+    todo = [_prepared(clip, recipe) for clip in clips]
+    plans = [each for clip in todo if isinstance(clip, _Prepared) for each in clip.plans.values()]
+    answers = iter(_answers(plans, recipe))
+    results: list[RobotClip | SmoothOperatorError] = []
+    for number, clip in enumerate(todo):
+        if isinstance(clip, SmoothOperatorError):
+            results.append(clip)
+            continue
+        own = {side: next(answers) for side in clip.plans}
+        failed = [found for found in own.values() if isinstance(found, SmoothOperatorError)]
+        if failed:
+            results.append(failed[0])
+            continue
+        sources = () if files is None else files[number]
+        key = "" if keys is None else keys[number]
+        results.append(_result(clip, own, recipe, sources, key))  # type: ignore[arg-type]
+    return results
+
+
+def clip_key(
+    recipe: Recipe, layout: str, part: str, asked: str, files: Sequence[SourceFile]
+) -> str:
+    """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
+
+    Args:
+        recipe: what is done to all clips.
+        layout: name of the reader.
+        part: name of the clip in its file.
+        asked: what a list says of it, as a digest.
+        files: what it was read from.
+    """
+    content = [(file.bytes, file.sha256) for file in files]
+    return key_digest([recipe.digest, layout, part, asked, content])
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    clip: Clip
+    plans: dict[Side, Plan]
+
+
+def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
+    try:
+        clip = in_frame(with_side(clip, recipe.side), recipe.frame)
+        if len(clip) < SHORTEST:
+            raise RecordingError(f"{clip.name}: it has {len(clip)} frames; {SHORTEST} are needed")
+        plans = {
+            side: plan(clip.hands[side], recipe.request)
+            for side in SIDES
+            if side in clip.hands and _seen(clip.hands[side])
+        }
+        if not plans:
+            raise RecordingError(f"{clip.name}: no hand is seen in any frame")
+    except SmoothOperatorError as error:
+        return error
+    return _Prepared(clip, plans)
+
+
+def _seen(hand: HandRecording) -> bool:
+    assert hand.valid is not None  # filled in on construction
+    return bool(hand.valid.any())
+
+
+_Answer = tuple[CommandTrajectory, np.ndarray]
+
+
+def _answers(plans: Sequence[Plan], recipe: Recipe) -> Iterator[_Answer | SmoothOperatorError]:
+    reuse = recipe.request.scale != "calibrate"
+    for todo in plans:
+        try:
+            yield answer(todo, reuse=reuse)
+        except SmoothOperatorError as error:
+            yield error
+
+
+def _result(
+    todo: _Prepared,
+    answers: dict[Side, _Answer],
+    recipe: Recipe,
+    files: Sequence[SourceFile],
+    key: str,
+) -> RobotClip:
+    clip, request = todo.clip, recipe.request
+    tracks: dict[str, np.ndarray] = {}
+    commands: dict[Side, CommandTrajectory] = {}
+    for side, (answered, loss) in answers.items():
+        own = todo.plans[side]
+        commands[side] = answered
+        found = quality_tracks(own.recording, answered, loss, own.hand, own.config.alignment)
+        tracks |= {f"{side}.{name}": values for name, values in found.items()}
+    config: dict[str, Any] = {
+        "program": PROGRAM,
+        "command": "dataset",
+        "hand": request.hand_name,
+        "fingers": request.fingers,
+        "method": request.method,
+        "preset": request.preset,
+        "seed": request.seed,
+        "config": {side: each.config for side, each in todo.plans.items()},
+        "layout": clip.layout,
+        "frame": clip.world,
+        "version": package_version(),
+    }
+    unknown = np.full((len(clip), 7), np.nan)
+    wrists = {side: clip.hands[side].T_world_wrist for side in commands}
+    meta = {**clip.meta, "source": [file.identity() for file in files]} if files else clip.meta
+    return RobotClip(
+        replace(clip, meta=meta),
+        commands,
+        {side: todo.plans[side].hand.name for side in commands},
+        {side: unknown if wrist is None else wrist for side, wrist in wrists.items()},
+        {side: each.status == Status.OK for side, each in commands.items()},
+        tracks,
+        config=shared_config(to_json(config)),
+        key=key or key_digest([recipe.digest, clip.name]),
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def shared_config(text: str) -> dict[str, Any]:
+    """A configuration from its JSON; the same object for the same text, as most clips share one."""
+    found: dict[str, Any] = json.loads(text)
+    return found

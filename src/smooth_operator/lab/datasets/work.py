@@ -1,0 +1,184 @@
+"""What a worker does: read clips, retarget them, and write them to a pack."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from smooth_operator.compilation.dispatch import dispatch_here
+from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.datasets.parts import with_side
+from smooth_operator.lab.datasets.registry import DATASETS, ClipRef
+from smooth_operator.lab.datasets.remote import fetched
+from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
+from smooth_operator.lab.datasets.sources import Item, find_reader
+from smooth_operator.lab.datasets.store import Finished, Kept, write_pack
+from smooth_operator.lab.offline.finished import digest
+from smooth_operator.parallel.results import describe
+
+_MOST_CLIPS = 1_000_000  # of one fetched file
+
+
+@dataclass(frozen=True)
+class Job:
+    """Items for one worker, which end in one pack.
+
+    Attributes:
+        items: what to do.
+        recipe: how.
+        folder: where the pack shall stand.
+    """
+
+    items: tuple[Item, ...]
+    recipe: Recipe
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The result of one item.
+
+    Attributes:
+        item: its name.
+        kept: where its clips are; None if it failed.
+        reason: why it failed.
+    """
+
+    item: str
+    kept: Kept | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class _Read:
+    item: Item
+    clip: Clip
+    files: tuple[SourceFile, ...]
+    key: str
+
+
+def do_job(job: Job) -> list[Entry]:
+    """Reads, retargets and writes the clips of a job, in a worker.
+
+    An item that can't be read or retargeted is an answer like another, and touches no other.
+
+    Raises:
+        OutputError: the pack can't be written.
+    """
+    dispatch_here()
+    reasons: dict[str, str] = {}
+    read: list[_Read] = []
+    for item in job.items:
+        try:
+            read += _read(item, job.recipe)
+        except SmoothOperatorError as error:
+            reasons[item.name] = str(error)
+        except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
+            reasons[item.name] = describe(error)
+    finished = _retargeted(read, job.recipe, reasons)
+    kept = write_pack(job.folder, finished) if finished else {}
+    return [Entry(i.name, kept.get(i.name), reasons.get(i.name)) for i in job.items]
+
+
+def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
+    """Whether the files of an item are those that were read; compares digests only if dates differ.
+
+    Args:
+        item: it.
+        files: that were read.
+    """
+    if item.ref is None:
+        return [(file.bytes, file.changed) for file in files] == [item.mark]
+    for file in files:
+        path = (item.root or Path()) / file.path
+        try:
+            stat = path.stat()
+            same = str(stat.st_mtime_ns) == file.changed
+            if stat.st_size != file.bytes or not (same or digest(path) == file.sha256):
+                return False
+        except OSError:
+            return False
+    return bool(files)
+
+
+def _retargeted(read: list[_Read], recipe: Recipe, reasons: dict[str, str]) -> list[Finished]:
+    """The items whose every clip was retargeted; the reasons of the others go into ``reasons``."""
+    read = [each for each in read if each.item.name not in reasons]
+    answers = retarget_clips(
+        [each.clip for each in read],
+        recipe,
+        [each.files for each in read],
+        [each.key for each in read],
+    )
+    finished: dict[str, Finished] = {}
+    for each, answer in zip(read, answers, strict=True):
+        name = each.item.name
+        if isinstance(answer, SmoothOperatorError):
+            reasons[name] = str(answer)
+            continue
+        before = finished.get(name)
+        clips = (answer,) if before is None else (*before.clips, answer)
+        finished[name] = Finished(name, each.item.asked, each.files, clips)
+    return [one for name, one in finished.items() if name not in reasons]
+
+
+def _read(item: Item, recipe: Recipe) -> Iterator[_Read]:
+    """The clips of an item."""
+    own = recipe.of_item(item.side, item.rate)
+    if item.ref is not None:
+        reader = DATASETS.load(item.ref.layout)
+        clip = reader.read(item.ref, own.reading)
+        yield _taken(item, item.ref, clip, item.name, recipe)
+        return
+    with ExitStack() as stack:
+        path = stack.enter_context(fetched(item.address))
+        found = find_reader(path, item.layout)
+        if found is None:
+            raise RecordingError(
+                f"{item.address}: no reader knows it; layouts of several files have to be copied "
+                "to a folder first"
+            )
+        layout, reader = found
+        refs = sorted(replace(ref, layout=ref.layout or layout) for ref in reader.clips(path))
+        for ref in refs[:_MOST_CLIPS]:
+            stem = item.name.rsplit(".", 1)[0]
+            name = stem if len(refs) == 1 else f"{stem}/{ref.name}"
+            yield _taken(item, ref, reader.read(ref, own.reading), name, recipe)
+
+
+def _taken(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> _Read:
+    """A clip with its name, its files and its key."""
+    paths = [path for path in clip.source or (ref.path,) if path.is_file()]
+    if item.ref is None:
+        size, changed = item.mark
+        files = tuple(SourceFile(item.address, size, _file(p).sha256, changed) for p in paths[:1])
+    else:
+        files = tuple(replace(_file(path), path=_shown(path, item.root)) for path in paths)
+    key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files)
+    task = clip.task if item.task is None else item.task
+    clip = with_side(clip, item.side)
+    clip = replace(clip, name=name, task=task, source=tuple(Path(file.path) for file in files))
+    if item.ref is None:  # what it was read from is gone when the block ends
+        clip = replace(clip, source=(), video=None)
+    return _Read(item, clip, files, key)
+
+
+def _shown(path: Path, root: Path | None) -> str:
+    """A path as a data set names it: relative to its source, with slashes; or in full."""
+    inside = root is not None and path.is_relative_to(root)
+    return (path.relative_to(root) if inside and root is not None else path.resolve()).as_posix()
+
+
+def _file(path: Path) -> SourceFile:
+    stat = path.stat()
+    return _digested(path, stat.st_size, stat.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=16)
+def _digested(path: Path, size: int, modified: int) -> SourceFile:
+    """Of a file that may hold many clips."""
+    return SourceFile(str(path), size, digest(path), str(modified))

@@ -1,0 +1,271 @@
+"""From finished clips to the data set: episodes selected, written in order, and accounted for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.io.documents import read_json
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.datasets.clip import SIDES
+from smooth_operator.lab.datasets.filters import Dropped, Limits, select
+from smooth_operator.lab.datasets.report import FigureTable, write_report
+from smooth_operator.lab.datasets.retargeting import Recipe
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.store import Kept, Store
+from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.planning import PROGRAM
+from smooth_operator.result_cache import key_digest
+from smooth_operator.types import Side
+from smooth_operator.version import package_version
+
+DATASET: Final = "dataset"
+"""Folder of the data set, in the folder of results."""
+
+REPORT: Final = "report.json"
+EPISODES: Final = "episodes.jsonl"
+_STATE: Final = "dataset.json"
+
+
+@dataclass
+class Summary:
+    """The result of a run; counts of clips, episodes and frames.
+
+    Attributes:
+        output: the folder of results.
+        shard: (i, n) of a share of the work; None for a whole data set.
+        clips: retargeted, by this run or earlier ones.
+        frames: of them.
+        episodes: that are in the data set.
+        episode_frames: of them.
+        dropped: parts of clips that are not.
+        dropped_frames: of them.
+        reasons: name of a limit -> episodes that broke it.
+        failed: name -> why a clip could not be read or retargeted.
+        passed_over: suffix -> files of folders that no reader knows.
+        notes: what the writer says.
+    """
+
+    output: Path
+    shard: tuple[int, int] | None = None
+    clips: int = 0
+    frames: int = 0
+    episodes: int = 0
+    episode_frames: int = 0
+    dropped: int = 0
+    dropped_frames: int = 0
+    reasons: dict[str, int] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    passed_over: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of_shard(
+        cls,
+        output: Path,
+        shard: tuple[int, int],
+        kept: Mapping[str, Kept],
+        failed: Mapping[str, str],
+    ) -> Summary:
+        """Of a run that retargets its share and writes no data set."""
+        frames = sum(each.frames for each in kept.values())
+        return cls(output, shard, len(kept), frames, failed=dict(failed))
+
+    def as_json(self) -> dict[str, Any]:
+        """As ``report.json`` has it."""
+        counts = {name: value for name, value in asdict(self).items() if name != "output"}
+        return {"program": PROGRAM, "version": package_version(), **counts}
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """A data set that is to be written.
+
+    Attributes:
+        output: the folder of results.
+        items: name and place of each finished item, by name.
+        recipe: how they were retargeted.
+        limits: which episodes are good enough.
+        format: name of the output format.
+        writing: its settings.
+    """
+
+    output: Path
+    items: Sequence[tuple[str, Kept]]
+    recipe: Recipe
+    limits: Limits
+    format: str
+    writing: WritingOptions
+
+    @property
+    def identity(self) -> str:
+        """Digest of all that the files of the data set depend on."""
+        content = [(name, kept.key) for name, kept in self.items]
+        return key_digest([self.limits, self.format, self.writing, content])
+
+
+def write_episodes(
+    order: Order,
+    store: Store,
+    failed: Mapping[str, str],
+    passed_over: Mapping[str, int],
+    written: Callable[[int, int], None] = lambda done, count: None,
+) -> Summary:
+    """Writes the data set and the report; goes on where a run was stopped at this same data set.
+
+    Args:
+        order: what to write.
+        store: where the clips are.
+        failed: name -> why a clip is missing, for the report.
+        passed_over: suffix -> files that no reader knows, for the report.
+        written: is called with the number of items that are done, and of all.
+
+    Raises:
+        OutputError: it can't be written.
+        RecordingError: a pack is damaged.
+    """
+    summary = Summary(order.output, failed=dict(failed), passed_over=dict(passed_over))
+    summary.clips = len(order.items)
+    summary.frames = sum(kept.frames for _, kept in order.items)
+    if not order.items:
+        _account(order, summary, FigureTable())
+        return summary
+    order = replace(order, writing=_with_joints(order))
+    target = _prepare(order)
+    figures = FigureTable()
+    reasons: Counter[str] = Counter()
+    with (
+        contextlib.closing(store),
+        atomic_write(order.output / EPISODES) as lines,
+        WRITERS.load(order.format).open(target, order.writing) as writer,
+    ):
+        for done, (_, kept) in enumerate(order.items, 1):
+            for clip in store.read(kept):
+                for episode in select(clip, order.limits):
+                    episode = _written(episode, writer)
+                    _count(summary, reasons, episode)
+                    figures.add(episode)
+                    lines.write(to_json(_line(clip, episode)).encode() + b"\n")
+            written(done, len(order.items))
+        summary.notes = [*writer.notes]
+    summary.reasons = dict(sorted(reasons.items()))
+    _mark(order, whole=True)
+    _account(order, summary, figures)
+    return summary
+
+
+def _written(episode: RobotClip | Dropped, writer: Any) -> RobotClip | Dropped:
+    """Writes an episode; one that the format can't hold is dropped."""
+    if isinstance(episode, Dropped):
+        return episode
+    try:
+        writer.write(episode)
+    except OutputError:
+        raise
+    except RecordingError as error:
+        frames = (0, len(episode.clip))
+        return Dropped(episode.clip.name, frames, {"format": str(error)}, dict(episode.figures))
+    return episode
+
+
+def _count(summary: Summary, reasons: Counter[str], episode: RobotClip | Dropped) -> None:
+    if isinstance(episode, Dropped):
+        summary.dropped += 1
+        summary.dropped_frames += episode.frames[1] - episode.frames[0]
+        reasons.update(episode.reasons.keys())
+    else:
+        summary.episodes += 1
+        summary.episode_frames += len(episode.clip)
+
+
+def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
+    """What ``episodes.jsonl`` says of an episode."""
+    shared = {"clip": clip.clip.name, "source": clip.clip.meta.get("source")}
+    if isinstance(episode, Dropped):
+        return {
+            "episode": episode.name,
+            "kept": False,
+            "reasons": episode.reasons,
+            "frames": episode.frames[1] - episode.frames[0],
+            "figures": episode.figures,
+            **shared,
+        }
+    return {
+        "episode": episode.clip.name,
+        "kept": True,
+        "frames": len(episode.clip),
+        "task": episode.clip.task,
+        "world": episode.clip.world,
+        "key": episode.key,
+        "figures": episode.figures,
+        **shared,
+    }
+
+
+def _with_joints(order: Order) -> WritingOptions:
+    """The settings with the joints of the hands that clips have."""
+    if order.writing.joints:
+        return order.writing
+    sides: set[Side] = {side for _, kept in order.items for side in kept.sides}
+    request = order.recipe.request
+    joints = {side: request.load_hand(side).joint_names for side in SIDES if side in sides}
+    return replace(order.writing, joints=joints)
+
+
+def _prepare(order: Order) -> Path:
+    """The folder to write into: that of a stopped run at the same data set, or a new one.
+
+    Raises:
+        OutputError: something stands there that no run has left.
+    """
+    target = order.output / DATASET
+    state = _state(order)
+    if target.exists() and state is None and any(target.iterdir()):
+        raise OutputError(
+            f"can't write {str(target)!r}: it holds something that this command has not written; "
+            "give another folder to --output, or remove it first"
+        )
+    if state is not None and state.get("identity") != order.identity:
+        shutil.rmtree(target, ignore_errors=True)  # other clips, limits or format: all again
+    _mark(order, whole=False)
+    return target
+
+
+def _state(order: Order) -> dict[str, Any] | None:
+    try:
+        found = read_json(order.output / "work" / _STATE)
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) and found.get("program") == PROGRAM else None
+
+
+def _mark(order: Order, *, whole: bool) -> None:
+    content = {"program": PROGRAM, "identity": order.identity, "whole": whole}
+    (order.output / "work").mkdir(parents=True, exist_ok=True)
+    write_json(order.output / "work" / _STATE, content)
+
+
+def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
+    """``report.json`` and ``report.html``."""
+    request = order.recipe.request
+    content = {
+        **summary.as_json(),
+        "hand": request.hand_name,
+        "method": request.method,
+        "preset": request.preset,
+        "seed": request.seed,
+        "frame": order.recipe.frame,
+        "format": order.format,
+        "limits": order.limits,
+        "figures": figures.percentiles(),
+    }
+    write_json(order.output / REPORT, content, indent=2)
+    write_report(order.output, json.loads(to_json(content)), figures)

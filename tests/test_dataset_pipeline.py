@@ -1,0 +1,554 @@
+"""Recordings of two hands into a data set: the same bytes whatever was killed, split or changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+from two_hands import LAYOUT, PAIRS, save_pair
+
+from smooth_operator import Retargeter, poses
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
+from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
+from smooth_operator.lab.datasets.parts import in_frame
+from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clip
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.sources import Found, find_items, in_shard, parse_shard
+from smooth_operator.lab.datasets.store import Store
+from smooth_operator.lab.datasets.writing import Summary
+from smooth_operator.lab.offline.finished import digest
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.planning import RetargetRequest
+from smooth_operator.solvers.sampling import SamplingConfig
+
+pytest.importorskip("pyarrow", reason="needs pyarrow: pip install 'smooth-retargeting[datasets]'")
+
+TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
+RECIPE = Recipe(RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3))
+LIMITS = Limits(min_seconds=0.2, max_tip_error=1e3, min_reach=0.0, max_collision=1.0)
+FRAMES = {"a": 30, "b": 70, "deep/c": 64, "deep/er/d": 41}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A compilation cache for this file's processes, of which this one forgets in the end."""
+    settings = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: getattr(jax.config, name) for name in settings}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()
+
+
+@pytest.fixture(autouse=True)
+def _without_plots(whole: tuple[Path, Summary], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes longer than all else; the first run has drawn."""
+    monkeypatch.setattr("smooth_operator.lab.datasets.report._histograms", lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four clips of two hands: b with a gap of the right hand and one of both, c with a task."""
+    at = tmp_path_factory.mktemp("data") / "clips"
+    for seed, (name, frames) in enumerate(FRAMES.items()):
+        arrays = save_pair(at / f"{name}.pair.npz", frames, seed)
+        if name == "b":
+            right, left = (arrays[f"{side}_landmarks"].copy() for side in SIDES)
+            right[5:10] = np.nan
+            right[20:50] = np.nan
+            left[20:50] = np.nan
+            sure = np.full(frames, 0.9)
+            sure[60:] = 0.1
+            save_pair(
+                at / "b.pair.npz",
+                frames,
+                seed,
+                right_landmarks=right,
+                left_landmarks=left,
+                left_confidence=sure,
+            )
+        elif name == "deep/c":
+            save_pair(at / f"{name}.pair.npz", frames, seed, task="pour tea")
+    (at / "notes.md").write_text("mine", encoding="utf-8")
+    return at
+
+
+def request(folder: Path, output: Path, **more: Any) -> DatasetRequest:
+    asked = DatasetRequest(
+        (str(folder),), output, RECIPE, layout=LAYOUT, limits=LIMITS, format="parquet", workers=0
+    )
+    return replace(asked, **more)
+
+
+class Counting(Progress):
+    kept = items = 0
+
+    def looked(self, found: Found, items: int, kept: int) -> None:
+        self.items, self.kept = items, kept
+
+
+def contents(output: Path) -> dict[str, bytes]:
+    """The files of the data set and of the report."""
+    files = [path for path in (output / "dataset").rglob("*") if path.is_file()]
+    files += [output / "report.json", output / "episodes.jsonl"]
+    return {path.relative_to(output).as_posix(): path.read_bytes() for path in files}
+
+
+def lines(output: Path) -> dict[str, dict[str, Any]]:
+    text = (output / "episodes.jsonl").read_text(encoding="utf-8")
+    return {line["episode"]: line for line in map(json.loads, text.splitlines())}
+
+
+@pytest.fixture(scope="module")
+def whole(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Summary]:
+    """One process, undisturbed."""
+    output = tmp_path_factory.mktemp("whole") / "out"
+    return output, make_dataset(request(folder, output))
+
+
+def finished(output: Path) -> dict[str, RobotClip]:
+    """The retargeted clips that a run has left, whole."""
+    store = Store(output / "work")
+    kept = store.find(lambda *_: True)
+    clips = [clip for each in kept.values() for clip in store.read(each)]
+    store.close()
+    return {clip.clip.name: clip for clip in clips}
+
+
+# What is in an episode.
+
+
+def test_both_hands_are_those_of_the_library(folder: Path, whole: tuple[Path, Summary]) -> None:
+    clips = finished(whole[0])
+    assert clips.keys() == FRAMES.keys()
+    for side in SIDES:
+        retargeter = Retargeter(side=side, config=TINY, seed=3)
+        for name in ("b", "deep/c"):
+            clip, path = clips[name], folder / f"{name}.pair.npz"
+            source = PAIRS.read(ClipRef(name, path), ReadingOptions())
+            expected, _ = retargeter.run(source.hands[side])
+            commands = clip.commands[side]
+            assert commands.joint_positions.tobytes() == expected.joint_positions.tobytes()
+            np.testing.assert_array_equal(clip.valid[side], expected.status == 0)
+            np.testing.assert_array_equal(
+                clip.T_world_wrist[side], source.hands[side].T_world_wrist
+            )
+            assert clip.clip.meta["source"] == [
+                {"path": f"{name}.pair.npz", "bytes": path.stat().st_size, "sha256": digest(path)}
+            ]
+            assert clip.clip.world == "room"
+    assert not clips["b"].valid["right"][5:10].any()
+    assert clips["b"].valid["left"][5:10].all()
+    assert clips["deep/c"].clip.task == "pour tea"
+
+
+def test_episodes_are_cut_where_no_hand_is_seen(whole: tuple[Path, Summary]) -> None:
+    output, summary = whole
+    found = lines(output)
+    kept = {name: line["frames"] for name, line in found.items() if line["kept"]}
+    # Frames 5 to 9 lack one hand only; 20 to 49 both; from 60 on the left one is not sure.
+    assert kept == {"a": 30, "b_000000-000020": 20, "b_000050-000070": 20, "deep/c": 64,
+                    "deep/er/d": 41}  # fmt: skip
+    assert found["b_000020-000050"]["reasons"] == {"hands": "no hand is seen"}
+    figures = found["b_000050-000070"]["figures"]
+    assert figures["right.valid"] == 1.0
+    assert figures["left.valid"] == 0.5
+    assert figures["left.confidence"] == pytest.approx(0.5)
+    assert figures["seconds"] == pytest.approx(0.4)
+    assert found["b_000000-000020"]["figures"]["right.gap_s"] == pytest.approx(0.1)
+    assert (summary.clips, summary.episodes, summary.dropped) == (4, 5, 1)
+    assert summary.frames == sum(FRAMES.values())
+    assert summary.passed_over == {".md": 1}
+    report = json.loads((output / "report.json").read_text(encoding="utf-8"))
+    assert report["figures"]["tip_error_mm"]["p50"] > 0
+    page = (output / "report.html").read_text(encoding="utf-8")
+    assert "5 episodes of mimic_p050" in page
+    assert (output / "plots" / "quality.png").is_file()
+
+
+# Stopped, killed, split, changed.
+
+RUN = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from test_dataset_pipeline import request
+from smooth_operator.lab.datasets.pipeline import Progress, make_dataset
+
+class Say(Progress):
+    def retargeted(self, entries):
+        print(len(entries), flush=True)
+
+if __name__ == "__main__":
+    make_dataset(request(Path(sys.argv[2]), Path(sys.argv[3])), Say())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_a_killed_run_is_resumed(
+    folder: Path, whole: tuple[Path, Summary], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.lab.datasets.pipeline._FEW_ITEMS", 1)
+    output, script = tmp_path / "out", tmp_path / "run.py"
+    text = "import smooth_operator.lab.datasets.pipeline as pipeline\npipeline._FEW_ITEMS = 1\n"
+    script.write_text(text + RUN, encoding="utf-8")
+    words = [sys.executable, str(script), str(Path(__file__).parent), str(folder), str(output)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()  # one pack is there, and then
+        process.kill()
+    packs = list((output / "work").rglob("pack-*.zip"))
+    assert 0 < len(packs) < len(FRAMES), "it was not in the middle"
+    (packs[0].parent / ".pack-00.zip.0123abcd.tmp").write_bytes(b"half")
+    count = Counting()
+    make_dataset(request(folder, output, workers=1), count)  # the rest by a worker
+    assert count.kept == len(packs)
+    assert contents(output) == contents(whole[0])
+    assert not list(output.rglob("*.tmp"))
+
+
+def test_shares_together_are_the_whole(
+    folder: Path, whole: tuple[Path, Summary], tmp_path: Path
+) -> None:
+    output = tmp_path / "out"
+    done = [make_dataset(request(folder, output, shard=(i, 3))) for i in (1, 2)]
+    assert not (output / "dataset").exists()
+    early = make_dataset(request(folder, output, merge=True))
+    assert len(early.failed) == len(FRAMES) - sum(each.clips for each in done)
+    done.append(make_dataset(request(folder, output, shard=(3, 3))))
+    assert sum(each.clips for each in done) == len(FRAMES)
+    summary = make_dataset(request(folder, output, merge=True))
+    assert summary.failed == {}
+    assert contents(output) == contents(whole[0])
+
+
+@pytest.fixture
+def copy(folder: Path, whole: tuple[Path, Summary], tmp_path: Path) -> tuple[Path, Path]:
+    """Clips and finished results, to be changed."""
+    shutil.copytree(folder, tmp_path / "clips")
+    for pack in (whole[0] / "work").rglob("pack-*.zip"):
+        place = tmp_path / "out" / pack.relative_to(whole[0])
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(pack, place)
+    count = Counting()
+    make_dataset(request(tmp_path / "clips", tmp_path / "out"), count)
+    assert count.kept == len(FRAMES), "it is the content that counts, not the place"
+    return tmp_path / "clips", tmp_path / "out"
+
+
+def test_other_limits_retarget_nothing(copy: tuple[Path, Path]) -> None:
+    folder, output = copy
+    before, count = contents(output), Counting()
+    summary = make_dataset(request(folder, output, limits=NO_LIMITS), count)
+    assert count.kept == count.items == len(FRAMES)
+    assert (summary.episodes, summary.dropped) == (4, 0)
+    assert contents(output).keys() != before.keys() or contents(output) != before
+    make_dataset(request(folder, output))
+    assert contents(output) == before
+
+
+def test_only_what_changed_is_done_again(copy: tuple[Path, Path]) -> None:
+    folder, output = copy
+    os.utime(folder / "a.pair.npz")  # another date, the same content
+    count = Counting()
+    make_dataset(request(folder, output), count)
+    assert (count.items, count.kept) == (4, 4)
+    save_pair(folder / "a.pair.npz", 30, 99)
+    (folder / "b.pair.npz").unlink()
+    save_pair(folder / "new.pair.npz", 31, 5)
+    summary = make_dataset(request(folder, output), count)
+    assert (count.items, count.kept) == (4, 2)
+    assert summary.episodes == 4
+    fresh = output.with_name("fresh")
+    make_dataset(request(folder, fresh))
+    assert contents(output) == contents(fresh)
+
+
+def test_a_damaged_pack_is_made_again(copy: tuple[Path, Path]) -> None:
+    folder, output = copy
+    before = contents(output)
+    packs = sorted((output / "work").rglob("pack-*.zip"))
+    packs[0].write_bytes(packs[0].read_bytes()[:-50])
+    make_dataset(request(folder, output))
+    assert contents(output) == before
+    packs = sorted((output / "work").rglob("pack-*.zip"))
+    data = bytearray(packs[0].read_bytes())
+    data[len(data) // 4] ^= 1  # in an array, which is found when it is read
+    packs[0].write_bytes(data)
+    shutil.rmtree(output / "dataset")
+    with pytest.raises(RecordingError, match="run the same command again"):
+        make_dataset(request(folder, output))
+    make_dataset(request(folder, output))
+    assert contents(output) == before
+
+
+def test_a_bad_file_does_not_end_the_run(folder: Path, tmp_path: Path) -> None:
+    for name in ("a", "deep/c"):
+        place = tmp_path / "in" / f"{name}.pair.npz"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(folder / f"{name}.pair.npz", place)
+    (tmp_path / "in" / "bad.pair.npz").write_bytes(b"PK\x03\x04")
+    save_pair(tmp_path / "in" / "short.pair.npz", 1)
+    nothing = np.full((30, 21, 3), np.nan)
+    save_pair(tmp_path / "in" / "blind.pair.npz", 30, right_landmarks=nothing,
+              left_landmarks=nothing)  # fmt: skip
+    summary = make_dataset(request(tmp_path / "in", tmp_path / "out"))
+    assert summary.clips == 2
+    assert summary.failed.keys() == {"bad", "short", "blind"}
+    assert "bad.pair.npz: can't be read" in summary.failed["bad"]
+    assert "no hand is seen" in summary.failed["blind"]
+
+
+# Sources.
+
+
+def test_sources_of_every_kind(folder: Path, tmp_path: Path) -> None:
+    def names(*sources: object) -> list[str]:
+        found = find_items([str(source) for source in sources], layout=LAYOUT)
+        assert found.refused == ()
+        return [item.name for item in found.items]
+
+    assert names(folder) == sorted(FRAMES)
+    assert names(folder / "b.pair.npz") == ["b"]
+    assert names(folder / "**" / "*.npz") == sorted(FRAMES)
+    assert names(folder / "deep" / "*.npz") == ["c"]
+    assert names((folder / "a.pair.npz").as_uri()) == ["a"]
+    assert names(folder / "a.pair.npz", folder / "a.pair.npz") == ["a", "a~2"]
+    listed = folder / "list.csv"
+    listed.write_text("path,task,side\na.pair.npz,stir,right\ndeep,,\n", encoding="utf-8")
+    found = find_items([str(listed)], layout=LAYOUT)
+    assert [(i.name, i.task, i.side) for i in found.items] == [
+        ("a", "stir", "right"),
+        ("deep/c", None, None),
+        ("deep/er/d", None, None),
+    ]
+    lines = tmp_path / "list.jsonl"
+    record = {"path": str(folder / "a.pair.npz"), "layout": LAYOUT}
+    lines.write_text(json.dumps(record) + "\n", encoding="utf-8")
+    assert [item.layout for item in find_items([str(lines)]).items] == [LAYOUT]
+    plain = tmp_path / "list.txt"
+    plain.write_text(f"# mine\n{folder / 'a.pair.npz'}\nnone.npz\n", encoding="utf-8")
+    found = find_items([str(plain)], layout=LAYOUT)
+    assert [refused.name for refused in found.refused] == ["none.npz"]
+    listed.unlink()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("name\na\n", "needs the column 'path'"),
+        ("path,side\na,up\n", "side must be 'right' or 'left'"),
+        ("path,rate\na,fast\n", "could not convert"),
+    ],
+)
+def test_a_list_that_is_none(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "list.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(RecordingError, match=says):
+        find_items([str(tmp_path / "list.csv")])
+
+
+def test_a_list_says_task_and_side(folder: Path, tmp_path: Path) -> None:
+    row = {"path": str(folder / "a.pair.npz"), "task": "stir", "side": "left"}
+    (tmp_path / "list.jsonl").write_text(json.dumps(row), encoding="utf-8")
+    make_dataset(request(tmp_path / "list.jsonl", tmp_path / "out"))
+    (clip,) = finished(tmp_path / "out").values()
+    assert clip.clip.task == "stir"
+    assert set(clip.commands) == {"left"}
+
+
+def test_object_storage(folder: Path, tmp_path: Path) -> None:
+    fsspec = pytest.importorskip("fsspec", reason="needs the extra datasets")
+    memory = fsspec.filesystem("memory")
+    for name in ("a", "deep/c"):
+        memory.pipe_file(f"/hands/{name}.pair.npz", (folder / f"{name}.pair.npz").read_bytes())
+    memory.pipe_file("/hands/film.mp4", b"film")
+    asked = request(folder, tmp_path / "out", sources=("memory://hands",))
+    summary = make_dataset(asked)
+    assert (summary.clips, summary.failed) == (2, {})
+    assert summary.passed_over == {".mp4": 1}
+    local = finished(tmp_path / "out")
+    assert {clip.clip.meta["source"][0]["path"] for clip in local.values()} == {
+        "memory:///hands/a.pair.npz",
+        "memory:///hands/deep/c.pair.npz",
+    }
+    count = Counting()
+    make_dataset(asked, count)
+    assert count.kept == 2
+    memory.pipe_file("/hands/a.pair.npz", (folder / "b.pair.npz").read_bytes())
+    make_dataset(asked, count)
+    assert count.kept == 1
+    with pytest.raises(RecordingError, match=r"(no files|nothing) (are|is) there"):
+        find_items(["memory://elsewhere"])
+    with pytest.raises(RecordingError, match="nowhere"):
+        find_items(["nowhere://x"])
+
+
+def test_shares_of_the_work() -> None:
+    assert parse_shard("3/16") == (3, 16)
+    for text in ("0/3", "4/3", "1", "a/b", "1/0", "-1/3"):
+        with pytest.raises(ConfigError, match="i from 1 to n"):
+            parse_shard(text)
+
+
+def test_every_item_is_in_one_share(folder: Path) -> None:
+    for item in find_items([str(folder)], layout=LAYOUT).items:
+        assert sum(in_shard(item, (i, 5)) for i in range(1, 6)) == 1
+
+
+# Frames, parts and limits.
+
+
+def one_clip(folder: Path, name: str = "a", **more: Any) -> Clip:
+    clip = PAIRS.read(ClipRef(name, folder / f"{name}.pair.npz"), ReadingOptions())
+    return replace(clip, **more)
+
+
+def test_wrists_in_the_frame_of_the_camera(folder: Path) -> None:
+    clip = one_clip(folder)
+    with pytest.raises(RecordingError, match="poses of its camera are not known"):
+        in_frame(clip, "camera")
+    camera = np.tile([1.0, 2.0, 0.5, 0.5, -0.5, 0.5, -0.5], (len(clip), 1))
+    seen = in_frame(replace(clip, T_world_camera=camera), "camera")
+    assert seen.world == CAMERA
+    wrist = clip.hands["left"].T_world_wrist
+    assert wrist is not None
+    found = seen.hands["left"].T_world_wrist
+    assert found is not None
+    np.testing.assert_allclose(poses.compose(camera, found), wrist, atol=1e-12)
+    with pytest.raises(RecordingError, match="frame of the camera only"):
+        in_frame(seen, "world")
+    assert in_frame(seen, None) is seen
+    assert in_frame(seen, "camera") is seen
+
+
+@pytest.fixture(scope="module")
+def answered(folder: Path) -> RobotClip:
+    return retarget_clip(one_clip(folder, "deep/c"), RECIPE)
+
+
+def episodes(clip: RobotClip, **limits: Any) -> list[tuple[str, tuple[str, ...]]]:
+    return [
+        (each.name, tuple(each.reasons)) if isinstance(each, Dropped) else (each.clip.name, ())
+        for each in select(clip, replace(LIMITS, **limits))
+    ]
+
+
+def test_a_jump_of_the_tracker_cuts(answered: RobotClip) -> None:
+    hand = answered.clip.hands["left"]
+    assert hand.T_world_wrist is not None
+    moved = hand.T_world_wrist.copy()
+    moved[30:, 0] += 0.3  # 0.3 m in 20 ms
+    jumping = replace(
+        answered.clip, hands={**answered.clip.hands, "left": replace(hand, T_world_wrist=moved)}
+    )
+    clip = retarget_clip(jumping, RECIPE)
+    assert episodes(clip) == [("deep/c_000000-000030", ()), ("deep/c_000030-000064", ())]
+    assert episodes(clip, cut=False) == [("deep/c", ("max_jump",))]
+    parts = list(select(clip, LIMITS))
+    assert isinstance(parts[1], RobotClip)
+    assert parts[1].figures["left.jump_m_s"] < 5.0
+    assert parts[1].key != clip.key
+    assert len(parts[1].clip) == len(parts[1].commands["left"]) == 34
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"min_seconds": 2.0}, "min_seconds"),
+        ({"max_tip_error": 0.01}, "max_tip_error"),
+        ({"min_reach": 1.0, "max_tip_error": 1e3}, "min_reach"),
+    ],
+)
+def test_what_breaks_a_limit_is_dropped(
+    answered: RobotClip, limits: dict[str, Any], reason: str
+) -> None:
+    far = {**answered.tracks, "right.tip_error_max": np.full(len(answered.clip), 0.5)}
+    assert episodes(replace(answered, tracks=far)) == [("deep/c", ())]
+    assert episodes(replace(answered, tracks=far), **limits) == [("deep/c", (reason,))]
+
+
+def test_collisions_drop_an_episode(answered: RobotClip) -> None:
+    depth = np.full(len(answered.clip), np.nan)
+    depth[::10] = 0.0
+    depth[::20] = 0.004
+    tracks = {f"{side}.penetration": depth * (side == "left") for side in SIDES}
+    clip = replace(answered, tracks={**answered.tracks, **tracks})
+    assert episodes(clip, max_collision=0.6) == [("deep/c", ())]
+    assert episodes(clip, max_collision=0.5) == [("deep/c", ("max_collision",))]
+
+
+def test_all_hands_may_be_needed(answered: RobotClip) -> None:
+    seen = np.arange(len(answered.clip)) < 32
+    clip = replace(answered, valid={**answered.valid, "right": seen})
+    assert episodes(clip) == [("deep/c", ())]
+    assert episodes(clip, hands="all") == [
+        ("deep/c_000000-000032", ()),
+        ("deep/c_000032-000064", ("hands",)),
+    ]
+
+
+def test_limits_that_can_not_be() -> None:
+    with pytest.raises(ConfigError, match="min_valid must be between 0 and 1, not 2"):
+        Limits(min_valid=2.0)
+    with pytest.raises(ConfigError, match="max_gap must be 0 or more"):
+        Limits(max_gap=float("nan"))
+
+
+# The command.
+
+
+def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    shutil.copy(folder / "a.pair.npz", source)
+    (source / "bad.pair.npz").write_bytes(b"PK\x03\x04")
+    words = ["dataset", str(source), "--layout", LAYOUT, "--method", "sbr", "--preset", "realtime"]
+    words += ["--output", str(tmp_path / "out"), "--format", "parquet", "--workers", "0"]
+    assert main([*words, "--min-seconds", "0.2"]) == 1
+    said = capsys.readouterr()
+    assert "1 clips (30 frames)" in said.out
+    assert "can't be read" in said.out
+    assert "2 to retarget, 0 done already" in said.err
+    assert main([*words, "--min-seconds", "0.2", "--json", "--quiet"]) == 1
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["clips"] == 1
+    for more, says in [
+        (("--shard", "5/4"), "i from 1 to n"),
+        (("--shard", "1/4", "--merge"), "give one of them"),
+        (("--format", "parket"), "Did you mean 'parquet'?"),
+        (("--min-valid", "3"), "min_valid must be between 0 and 1"),
+    ]:
+        assert main([*words, *more]) == 2
+        assert says in capsys.readouterr().err
+
+
+def test_results_do_not_stand_among_the_sources(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="it is a source"):
+        make_dataset(request(folder, folder))
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "mine.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match="has not written"):
+        make_dataset(request(folder / "a.pair.npz", tmp_path))
+    with pytest.raises(RecordingError, match="no such file or folder"):
+        make_dataset(request(tmp_path / "nothing", tmp_path / "out"))
