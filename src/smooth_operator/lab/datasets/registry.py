@@ -89,6 +89,7 @@ DATASETS: Final = Registry(
             ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
             ("egohandkit", "egohandkit:EGOHANDKIT", "EgoHandKit: hand_tracking.parquet"),
             ("synthetic", "synthetic:SYNTHETIC", "clips of the built-in operator, by description"),
+            ("predictions", "predictions:PREDICTIONS", "HaMeR, WiLoR, HaWoR: landmarks of a video"),
             ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.checks import check_recording, check_stamps, without_outliers
 from smooth_operator.formats.readers import check_anatomy
-from smooth_operator.io.anatomy import chirality
+from smooth_operator.io.anatomy import MIRRORED, chirality
 from smooth_operator.lab.datasets.clip import SIDES
 from smooth_operator.landmarks import WRIST, index
 from smooth_operator.poses import wrist_from_landmarks
@@ -21,9 +21,6 @@ from smooth_operator.types import HandRecording, Side
 
 _TOGETHER: Final = 0.4
 """Two hands are of one frame if their stamps differ by less than this share of a period."""
-
-_OTHER_HAND: Final = -0.4
-"""A single frame shows the other hand if its chirality for the stated one is less."""
 
 
 def checked_hands(
@@ -73,7 +70,7 @@ def _of_its_side(hand: HandRecording) -> HandRecording:
     assert hand.valid is not None  # filled in by HandRecording
     whole = np.flatnonzero(hand.valid.all(axis=1))
     sign = 1.0 if hand.side == "right" else -1.0
-    other = whole[sign * chirality(hand.landmarks[whole]) < _OTHER_HAND]
+    other = whole[sign * chirality(hand.landmarks[whole]) < MIRRORED]
     if not len(other):
         return hand
     valid, wrist = hand.valid.copy(), hand.T_world_wrist

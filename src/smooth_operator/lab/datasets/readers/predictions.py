@@ -1,0 +1,389 @@
+"""Clips from what hand models say of a video: HaMeR, WiLoR, WiLoR-mini, and tools around them.
+
+The models have no file format of their own; what people save of them is, as JSON, JSON lines,
+pickle or ``.npz``:
+
+- a list of frames, each a list of hands, each a table: ``is_right``, and in ``wilor_preds``, or in
+  the table itself, ``pred_keypoints_3d`` (21, 3) from the wrist and ``pred_cam_t_full`` (3,). That
+  is what ``predict`` of WiLoR-mini gives. Also a table frame -> list of hands, the frame's number
+  or the name of its picture;
+- lines with ``left_pos`` and ``right_pos``, (21, 3) in the camera's frame or null, and perhaps
+  ``frame_index``: ``hamer_hands.json`` and ``wilor_hands.json`` of EgoTouch;
+- a table of ``left`` and ``right``, each with ``frame_ids`` and ``joints_cam`` (n, 21, 3): the
+  operator of HaWoR in Data-Juicer;
+- a table of ``j3d.right`` and ``j3d.left`` (T, 21, 3) in the camera's frame: forks of HaMeR;
+- an ``.npz`` of ``pred_keypoints_3d`` (n, 21, 3), ``is_right`` (n,), ``frame`` (n,) and perhaps
+  ``pred_cam_t_full`` (n, 3).
+
+Points are in OpenPose's order, which is the project's. The camera's depth is that of the model's
+own focal length, so the wrist's path in the camera's frame is right up to a scale along the view.
+
+Source: ``wilor_hand_pose3d_estimation_pipeline.py`` of warmshao/WiLoR-mini;
+``video_hand_reconstruction_hawor_mapper.py`` of Data-Juicer; scripts of TouchAnything (EgoTouch).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import DocumentError, RecordingError, brief
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.bounds import Allowance
+from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.io import documents
+from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
+from smooth_operator.lab.datasets.mano.unpickle import load_restricted, numbers
+from smooth_operator.lab.datasets.readers.both_hands import (
+    checked_hands,
+    shares,
+    video_beside,
+    wrist_of_points,
+)
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.types import HandRecording, Side, as_side
+
+_WORDS: Final = (
+    *("wilor_preds", "pred_keypoints_3d", "joints_cam"),
+    *("j3d.right", "j3d.left", "right_pos", "left_pos"),
+)
+"""One of these is in each file; a file whose start has none is not one of these."""
+_HEAD_BYTES: Final = 1 << 18
+_MOST_JSON: Final = 64_000_000
+_MOST_FRAMES: Final = 1_000_000
+_PICKLES: Final = (".pkl", ".pickle", ".npy")
+_TEXTS: Final = (".json", ".jsonl")
+_NUMBER: Final = re.compile(r"(\d{1,9})(?=\D*$)")
+_FRAME: Final = ("frame", "frame_idx", "frame_index", "frame_id")
+_POINTS: Final = ("pred_keypoints_3d", "keypoints_3d", "joints_3d")
+_PLACE: Final = ("pred_cam_t_full", "cam_t_full")
+_CONFIDENCE: Final = ("confidence", "score", "conf")
+_FRAME_BYTES: Final = 4 * 8 * 3 * NUM_LANDMARKS
+"""What a frame of the clip takes in memory: landmarks of both hands, as found and as placed."""
+
+
+@dataclass
+class _Hand:
+    """One side over the frames, as it is found."""
+
+    points: dict[int, Float[np.ndarray, "21 3"]] = field(default_factory=dict)
+    at: dict[int, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    sure: dict[int, float] = field(default_factory=dict)
+
+
+class _Found:
+    """The hands of a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.hands: dict[Side, _Hand] = {side: _Hand() for side in SIDES}
+        self.frames = 0
+        self.spare = 0
+
+    def frame(self, number: Any, default: int) -> int:
+        """Counts a frame; its number."""
+        found = default
+        if isinstance(number, str):
+            match = _NUMBER.search(number)
+            found = default if match is None else int(match[1])
+        elif isinstance(number, int | float) and not isinstance(number, bool):
+            found = int(number) if abs(number) < 1e12 and number == int(number) else -1
+        if not 0 <= found < _MOST_FRAMES:
+            raise RecordingError(
+                f"{self.path}: a frame's number must be 0 to {_MOST_FRAMES - 1}, not "
+                f"{brief(number)}"
+            )
+        self.frames = max(self.frames, found + 1)
+        return found
+
+    def add(
+        self,
+        frame: int,
+        side: Side,
+        points: np.ndarray,
+        at: np.ndarray | None,
+        sure: float = np.nan,
+    ) -> None:
+        """Keeps a hand; of two of one side in a frame, the one that the model is surer of."""
+        hand = self.hands[side]
+        if frame in hand.points:
+            self.spare += 1
+            if not sure > hand.sure[frame]:
+                return
+        hand.points[frame] = points
+        hand.at[frame] = np.full(3, np.nan) if at is None else at
+        hand.sure[frame] = sure
+
+
+class Predictions:
+    """One file, one clip."""
+
+    what = "what HaMeR, WiLoR or HaWoR say of a video, as landmarks"
+    expects = (
+        "frames with lists of hands, each with is_right and pred_keypoints_3d (21 x 3) [m]; or "
+        "left_pos and right_pos a line; or left and right with frame_ids and joints_cam; or "
+        "j3d.right and j3d.left"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether its start has a name that only these files have."""
+        suffix = path.suffix.lower()
+        if suffix not in (*_PICKLES, *_TEXTS, ".npz") or not path.is_file():
+            return False
+        if suffix == ".npz":
+            try:
+                return {"pred_keypoints_3d", "is_right"} <= open_arrays(path).keys()
+            except RecordingError:
+                return False
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        return any(word.encode() in head for word in _WORDS)
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The file."""
+        yield ClipRef(path.stem, path, layout="predictions", size=path.stat().st_size)
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hands in the camera's frame; frames without a hand are NaN.
+
+        Raises:
+            RecordingError: the file is none of these, or damaged; there is no rate; a hand is by
+                its shape of the other side than the file says.
+        """
+        path, found = ref.path, _Found(ref.path)
+        _collect(found, _load(path), self.expects)
+        allowance = Allowance.of(path, path.stat().st_size)
+        allowance.take("frames", found.frames * _FRAME_BYTES)  # numbers may be far apart
+        stamps = stamps_from_rate(found.frames, options.rate, str(path))
+        hands, sure = {}, {}
+        for side, hand in found.hands.items():
+            hands[side] = _recording(hand, side, stamps, path)
+            sure[side] = shares(_rows(hand.sure, found.frames, ()))
+        checked = checked_hands(hands, str(path), self.expects, each_frame=True)
+        video = video_beside(path.with_suffix(".mp4"), path.with_name("chest.mp4"))
+        return Clip(
+            ref.name,
+            checked,
+            "predictions",
+            (path,) if video is None else (path, video),
+            confidence={s: sure[s] for s in checked if np.isfinite(sure[s]).any()},
+            video=video,
+            meta={"more_hands": found.spare} if found.spare else {},
+        )
+
+
+def _recording(hand: _Hand, side: Side, stamps: np.ndarray, path: Path) -> HandRecording:
+    points = _rows(hand.points, len(stamps), (NUM_LANDMARKS, 3))
+    at = _rows(hand.at, len(stamps), (3,))
+    placed = points + at[:, None]
+    anywhere = bool(np.isfinite(placed).any())
+    return HandRecording(
+        placed if anywhere else points,
+        stamps,
+        side,
+        valid=np.isfinite(placed if anywhere else points).all(axis=-1),
+        name=path.stem,
+        meta={"format": "predictions"},
+        T_world_wrist=wrist_of_points(placed, side) if anywhere else None,
+        world=CAMERA if anywhere else None,
+    )
+
+
+def _rows(values: Mapping[int, Any], count: int, shape: tuple[int, ...]) -> np.ndarray:
+    rows = np.full((count, *shape), np.nan)
+    for frame, value in values.items():
+        rows[frame] = value
+    return rows
+
+
+def _load(path: Path) -> Any:
+    if path.suffix.lower() not in _TEXTS:
+        return load_restricted(path, names=(_POINTS[0], _PLACE[0], "is_right", *_FRAME))
+    try:
+        text = documents.read_text(path, most_bytes=_MOST_JSON)
+        lines = [line for line in text.splitlines() if line.strip()]
+        if len(lines) > 1 and lines[0].lstrip().startswith("{") and _is_json(lines[0]):
+            return [documents.parse_json(line) for line in lines]
+        return documents.parse_json(text, most_bytes=_MOST_JSON)
+    except (OSError, DocumentError) as error:
+        raise RecordingError(f"{path}: can't be read as JSON: {error}") from error
+
+
+def _is_json(line: str) -> bool:
+    try:
+        documents.parse_json(line)
+    except DocumentError:
+        return False
+    return True
+
+
+def _collect(found: _Found, value: Any, expects: str) -> None:
+    """Finds the hands, whatever the form.
+
+    Raises:
+        RecordingError: it is none of the forms.
+    """
+    if isinstance(value, dict):
+        if _POINTS[0] in value and isinstance(value.get("is_right"), np.ndarray | list):
+            return _of_columns(found, value)
+        if any(key in value for key in ("j3d.right", "j3d.left")):
+            return _of_arrays(found, {side: value.get(f"j3d.{side}") for side in SIDES})
+        tables = {side: value.get(side) for side in SIDES}
+        if any(isinstance(one, dict) and "joints_cam" in one for one in tables.values()):
+            return _of_sides(found, tables)
+        frames = value.get("frames", value)
+        if isinstance(frames, dict):
+            return _of_frames(found, frames.items())
+        value = frames
+    if isinstance(value, list | tuple):
+        return _of_frames(found, ((None, frame) for frame in value))
+    raise RecordingError(f"{found.path}: it holds a {type(value).__name__}; expected are {expects}")
+
+
+def _given(value: Any) -> bool:
+    """Whether there is something: None and an empty list stand for no hand."""
+    return value is not None and not (isinstance(value, list | tuple) and not value)
+
+
+def _of_frames(found: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
+    for position, (name, frame) in enumerate(frames):
+        if frame is None or isinstance(frame, list | tuple):
+            number = found.frame(name, position)
+            hands = frame or ()
+        elif isinstance(frame, dict):
+            said = next((frame[key] for key in _FRAME if key in frame), name)
+            number = found.frame(said, position)
+            if "left_pos" in frame or "right_pos" in frame:
+                for side in SIDES:
+                    if _given(frame.get(f"{side}_pos")):
+                        points = _numbers(found, frame[f"{side}_pos"], (21, 3), f"{side}_pos")
+                        found.add(number, side, points, np.zeros(3))
+                continue
+            hands = next((frame[k] for k in ("hands", "detections") if k in frame), [frame])
+            sides = [side for side in SIDES if isinstance(frame.get(side), dict)]
+            if sides:
+                hands = [{**frame[side], "side": side} for side in sides]
+        else:
+            raise RecordingError(
+                f"{found.path}: frame {position} must be a list of hands, not {brief(frame)}"
+            )
+        for hand in hands if isinstance(hands, list | tuple) else ():
+            _of_hand(found, number, hand)
+
+
+def _of_hand(found: _Found, frame: int, hand: Any) -> None:
+    if not isinstance(hand, dict):
+        raise RecordingError(
+            f"{found.path}: a hand of frame {frame} must be a table, not {brief(hand)}"
+        )
+    inner = hand.get("wilor_preds", hand)
+    if not isinstance(inner, dict):
+        return  # WiLoR-mini finds a hand and says no more of it
+    key = next((key for key in (*_POINTS, "joints_cam") if _given(inner.get(key))), None)
+    if key is None:
+        return
+    points = _numbers(found, inner[key], (21, 3), key)
+    at = next((inner[key] for key in _PLACE if key in inner), None)
+    place = None if at is None else _numbers(found, at, (3,), _PLACE[0])
+    if key == "joints_cam":  # they are in the camera's frame
+        place = np.zeros(3)
+    found.add(frame, _side(found, hand, inner), points, place, _sureness(hand))
+
+
+def _side(found: _Found, *tables: dict[Any, Any]) -> Side:
+    for table in tables:
+        for key in ("is_right", "right"):
+            if key in table:
+                value = _numbers(found, table[key], (), key)
+                if value not in (0.0, 1.0):
+                    raise RecordingError(f"{found.path}: {key} must be 0 or 1, not {value}")
+                return "right" if value else "left"
+        for key in ("handedness", "side", "hand_side"):
+            if isinstance(table.get(key), str):
+                try:
+                    return as_side(table[key])
+                except ValueError as error:
+                    raise RecordingError(f"{found.path}: {error}") from error
+    raise RecordingError(
+        f"{found.path}: a hand does not say its side; expected is is_right, 0 or 1"
+    )
+
+
+def _sureness(hand: dict[Any, Any]) -> float:
+    """How sure the detector is of a hand, which may stand behind the corners of its box; or NaN."""
+    value = next((hand[key] for key in _CONFIDENCE if key in hand), hand.get("hand_bbox"))
+    try:
+        found = numbers(value).ravel()
+    except RecordingError:
+        return float("nan")
+    return float(found[-1]) if len(found) in (1, 5) else float("nan")
+
+
+def _of_columns(found: _Found, table: dict[str, Any]) -> None:
+    right = _numbers(found, table["is_right"], (None,), "is_right")
+    count = len(right)
+    points = _numbers(found, table["pred_keypoints_3d"], (count, 21, 3), "pred_keypoints_3d")
+    at = table.get(_PLACE[0])
+    places = None if at is None else _numbers(found, at, (count, 3), _PLACE[0])
+    key = next((key for key in _FRAME if key in table), None)
+    if key is None:
+        raise RecordingError(f"{found.path}: it lacks 'frame', the number of each hand's frame")
+    frames = _numbers(found, table[key], (count,), key)
+    if not np.isin(right, (0.0, 1.0)).all():
+        raise RecordingError(f"{found.path}: is_right must be 0 or 1 for each hand")
+    for i in range(count):
+        number = found.frame(float(frames[i]) if np.isfinite(frames[i]) else "?", -1)
+        side: Side = "right" if right[i] else "left"
+        found.add(number, side, points[i], None if places is None else places[i])
+
+
+def _of_arrays(found: _Found, arrays: Mapping[Side, Any]) -> None:
+    for side, value in arrays.items():
+        if value is None:
+            continue
+        points = _numbers(found, value, (None, 21, 3), f"j3d.{side}")
+        found.frame(max(len(points) - 1, 0), 0)
+        for frame, hand in enumerate(points):
+            if hand.any():  # zeros where there is none
+                found.add(frame, side, hand, np.zeros(3))
+
+
+def _of_sides(found: _Found, tables: Mapping[Side, Any]) -> None:
+    for side, table in tables.items():
+        if not isinstance(table, dict) or not _given(table.get("joints_cam")):
+            continue
+        points = _numbers(found, table["joints_cam"], (None, 21, 3), f"{side}/joints_cam")
+        ids = _numbers(found, table.get("frame_ids"), (len(points),), f"{side}/frame_ids")
+        for number, hand in zip(ids.tolist(), points, strict=True):
+            found.add(found.frame(number, -1), side, hand, np.zeros(3))
+
+
+def _numbers(found: _Found, value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
+    """Numbers of a shape; axes of one in front are dropped, as models have them for the batch.
+
+    Raises:
+        RecordingError: it is something else.
+    """
+    try:
+        array = np.asarray(numbers(value), np.float64)
+    except RecordingError as error:
+        raise RecordingError(f"{found.path}: {what}: {error}") from error
+    while array.ndim > len(shape) and array.shape[0] == 1:
+        array = array[0]
+    fits = array.ndim == len(shape) and all(
+        asked in (None, size) for asked, size in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        asked = " x ".join("n" if size is None else str(size) for size in shape) or "one number"
+        raise RecordingError(f"{found.path}: {what} must be {asked}, not of shape {array.shape}")
+    return array
+
+
+PREDICTIONS: Final = Predictions()
