@@ -173,10 +173,11 @@ def _combined(table: Any, name: str) -> Any:
 
 def _sources(table: Any) -> dict[str, Any]:
     """Which model gave the hands: ``hawor``, ``mint``, ``mixed``."""
-    if "source" not in table.column_names:
+    pa = arrow()
+    if "source" not in table.column_names or not pa.types.is_string(table.column("source").type):
         return {}
-    names = sorted({str(name)[:64] for name in table.column("source").unique().to_pylist()[:16]})
-    return {"source": names}
+    names = table.column("source").unique().to_pylist()[:16]
+    return {"source": sorted(name[:64] for name in names if name is not None)}
 
 
 EGOHANDKIT: Final = EgoHandKit()
