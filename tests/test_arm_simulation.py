@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import runpy
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -132,3 +134,11 @@ def test_settings_of_an_arm_are_read_and_checked() -> None:
         read_arm("panda:rol=90")
     with pytest.raises(ConfigError, match="spacing"):
         read_arm("panda:spacing=0.1")
+
+
+@pytest.mark.parametrize(("arm", "task"), [("xarm7", "cube"), ("ur5e", "screwdriver")])
+def test_a_task_of_the_study_is_done_with_an_arm(arm: str, task: str) -> None:
+    path = Path(__file__).parents[1] / "benchmarks" / "arm_tasks.py"
+    trial = runpy.run_path(str(path))["trial"](task, "mimic_p050", arm, 0, 1)
+    assert trial["score"] == 1.0
+    assert trial["off_mm"] < 3.0, "the arm holds against what the fingers press on"

@@ -71,6 +71,8 @@ class ArmSpec:
         roll: of a hand about the flange's z, so that its back points up there [rad].
         reach: of the flange, by the data sheet [m].
         sources: of the figures.
+        back: how much farther from a task it stands than its home pose has it, for hands whose
+            fingers are level there [m].
         notes: what is not the maker's figure.
     """
 
@@ -85,6 +87,7 @@ class ArmSpec:
     roll: float
     reach: float
     sources: tuple[str, ...]
+    back: float = 0.0
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:

@@ -143,6 +143,7 @@ _IIWA14: Final = ArmSpec(
     pitch=_DOWN,
     roll=pi,
     reach=0.82,
+    back=0.1,
     sources=("KUKA LBR iiwa 14 R820 data sheet: axis data, dimensions, ranges, speeds",),
     notes=("accelerations are ours: the maker states none",),
 )  # fmt: skip

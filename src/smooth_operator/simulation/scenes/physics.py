@@ -36,7 +36,7 @@ def in_front(carried: CarriedHand, scene: Scene) -> CarriedHand:
     """The arm on the table, so that its hand starts above the place of the task's own fixture."""
     wrist = WristKinematics(carried).wrist(carried.home)
     place = scene.mount.wrist - wrist[:3]
-    return carried.standing((place[0], place[1], 0.0))
+    return carried.standing((place[0] - carried.arm.back, place[1], 0.0))
 
 
 class ScenePhysics(HandPhysics):
