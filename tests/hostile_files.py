@@ -23,7 +23,7 @@ import numpy as np
 from discovery_hands import make_hand, mjcf, urdf
 
 from smooth_operator.formats.episode import Episode
-from smooth_operator.types import CommandTrajectory, HandRecording, Status
+from smooth_operator.types import CommandTrajectory, HandRecording, JointCommand, Status
 
 FRAMES = 12
 
@@ -271,7 +271,7 @@ on = ["a.npz", "b.npz"]
 
 
 def mutate_log(rng: random.Random, data: bytes) -> bytes:
-    """Messages of a log are mutated as JSON, and framed as before."""
+    """Messages of a log are mutated, as JSON where they are that, and framed as before."""
     from mcap.reader import make_reader
     from mcap.writer import CompressionType, Writer
 
@@ -293,8 +293,11 @@ def mutate_log(rng: random.Random, data: bytes) -> bytes:
             assert schema is not None
             about = writer.register_schema(schema.name, schema.encoding, schema.data)
             topic = channel.topic if rng.random() > 0.01 else rng.choice(("/hand", "/x", ""))
-            numbers[channel.id] = writer.register_channel(topic, "json", about, channel.metadata)
-        content = fuzzing.mutate_json(rng, message.data) if i in hit else message.data
+            numbers[channel.id] = writer.register_channel(
+                topic, channel.message_encoding, about, channel.metadata
+            )
+        mutate = fuzzing.mutate_json if channel.message_encoding == "json" else fuzzing.mutate_bytes
+        content = mutate(rng, message.data) if i in hit else message.data
         for _ in range(rng.choice((0, 2)) if i in hit and rng.random() < 0.2 else 1):
             writer.add_message(
                 numbers[channel.id], message.log_time, content, message.publish_time,
@@ -400,7 +403,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
               ("a.npy", stream.getvalue(), fuzzing.mutate_npy),
               ("b.npy", stream.getvalue(), fuzzing.mutate_bytes)]  # fmt: skip
     own = [("e.npz", npz, fuzzing.mutate_npz), ("e.mcap", log, mutate_log),
-           ("e.h5", h5, mutate_hdf5)]  # fmt: skip
+           ("e.h5", h5, mutate_hdf5), ("old.mcap", _json_log(folder), mutate_log)]  # fmt: skip
     study_json, trials = _study_json(), _TRIALS.encode()
     return {
         "recording": [*arrays, *own],
@@ -408,7 +411,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         "commands": own[:1],
         "scan": [*arrays, *own],
         "overwrite": own,
-        "latency": own[1:2],
+        "latency": own[1::2],
         "operator": [("o.json", _operator(folder), fuzzing.mutate_json)],
         "preset": [("p.toml", _PRESET, fuzzing.mutate_table)],
         "plan": [("study.toml", _plan(), fuzzing.mutate_table)],
@@ -418,6 +421,23 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
         **dict.fromkeys(HANDS, _hands()),
     }  # fmt: skip
+
+
+def _json_log(folder: Path) -> bytes:
+    """A log as of version 2."""
+    from json_log import JsonLogWriter
+
+    one = good_episode()
+    assert one.recording is not None
+    assert one.commands is not None
+    with JsonLogWriter(folder / "old.mcap") as log:
+        log.write_origin({"name": "old", "meta": "{}"})
+        log.write_config({"method": "sbr"})
+        for frame, q in zip(one.recording, one.commands.joint_positions, strict=True):
+            log.write_hand(frame)
+            command = JointCommand(q, one.commands.joint_names, frame.time)
+            log.write_command(command, Status.OK, 1.0, {"solve": 0.5})
+    return (folder / "old.mcap").read_bytes()
 
 
 def _hands() -> list[tuple[str, bytes, Mutate]]:

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from protobuf_log import decoded, plain
 
 from smooth_operator.cli import main
 from smooth_operator.episode_files.lerobot import write_dataset
@@ -307,8 +308,8 @@ def test_log_has_a_topic_each_and_carries_its_origin(tmp_path: Path) -> None:
         assert summary.statistics is not None
         counts = summary.statistics.channel_message_counts
         topics = {channel.topic: counts[i] for i, channel in summary.channels.items()}
-        statuses = [json.loads(m.data) for _, _, m in reader.iter_messages(["/status"])]
         (origin,) = [record.metadata for record in reader.iter_metadata()]
+    statuses = [plain(message) for _, _, message in decoded(path, ["/status"])]
     expected = {"/hand": 40, "/command": 40, "/status": 40, "/timing": 40, "/config": 1}
     assert {t: n for t, n in topics.items() if not t.startswith("/foxglove/")} == expected
     assert statuses[0]["reason"] == Status(statuses[0]["status"]).reason
@@ -793,7 +794,7 @@ def test_a_failure_on_the_way_leaves_what_was_there(
         raise OSError(28, "No space left on device")
 
     where = {
-        "mcap": "mcap.writer.Writer.finish",
+        "mcap": "smooth_operator.teleop.recording.mcap_writer.McapWriter.finish",
         "npz": "numpy.savez",
         "hdf5": "h5py.Group.create_dataset",
         "lerobot": "pyarrow.parquet.ParquetWriter.write_table",

@@ -61,6 +61,7 @@ LIBRARIES = [
     "can",
     "cryptography",
     "cv2",
+    "google",
     "grpc",
     "cyclonedds",
     "daqp",

@@ -1,17 +1,17 @@
-"""A log holds what Foxglove's 3D panel draws, in its own schemas, read here by the mcap package."""
+"""A log holds what Foxglove's 3D panel draws, in its own schemas, read here by the libraries of
+MCAP and of Protocol Buffers."""
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from protobuf_log import decoded, message_class, plain
 from ticks import make_tick
 
 from smooth_operator import SyntheticOperator, load_hand
@@ -20,7 +20,7 @@ from smooth_operator.teleop.recording import LogWriter, read_log
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.types import JointCommand, Status
 
-# What Foxglove's published JSON schemas require, object by object.
+# What Foxglove's published messages have, field by field.
 REQUIRED = {
     "foxglove.SceneUpdate": {"deletions", "entities"},
     "foxglove.SceneEntity": {
@@ -35,7 +35,7 @@ REQUIRED = {
         "timestamp", "parent_frame_id", "child_frame_id", "translation", "rotation",
     },
     "foxglove.JointStates": {"timestamp", "joints"},
-    "foxglove.JointState": {"name"},
+    "foxglove.JointState": {"name", "position", "velocity", "acceleration", "effort"},
     "foxglove.Pose": {"position", "orientation"},
     "foxglove.Quaternion": {"x", "y", "z", "w"},
     "foxglove.Vector3": {"x", "y", "z"},
@@ -51,30 +51,22 @@ TOPICS = {
 
 
 def messages(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
-    """(log time, message) of Foxglove's topics, each held against the schema in the file."""
+    """(log time, message) of Foxglove's topics, each decoded by the schema in the file."""
     found: dict[str, list[tuple[int, dict[str, Any]]]] = defaultdict(list)
-    with path.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages(
-            list(TOPICS), log_time_order=False
-        ):
-            assert schema is not None
-            assert (schema.name, schema.encoding) == (TOPICS[channel.topic], "jsonschema")
-            assert channel.message_encoding == "json"
-            content = json.loads(message.data)
-            jsonschema.validate(content, json.loads(schema.data))
-            found[channel.topic].append((message.log_time, content))
+    for topic, message, content in decoded(path, TOPICS, in_order=False):
+        assert content.DESCRIPTOR.full_name == TOPICS[topic]
+        found[topic].append((message.log_time, plain(content)))
     return found
 
 
-def titled(schema: Any) -> dict[str, dict[str, Any]]:
-    """The objects with a title within a schema."""
-    out: dict[str, dict[str, Any]] = {}
-    if isinstance(schema, dict):
-        if "title" in schema and "properties" in schema:
-            out[schema["title"]] = schema
-        for part in schema.values():
-            out |= titled(part)
-    return out
+def types(message: Any, found: dict[str, Any]) -> dict[str, Any]:
+    """A type and those of its parts, by name."""
+    if message.full_name not in found:
+        found[message.full_name] = message
+        for field in message.fields:
+            if field.message_type is not None:
+                types(field.message_type, found)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -100,14 +92,21 @@ def test_schemas_are_foxgloves(session: Path) -> None:
     with session.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Any] = {}
     for schema in summary.schemas.values():
         if schema.name.startswith("foxglove."):
-            content = json.loads(schema.data)
-            jsonschema.Draft202012Validator.check_schema(content)
-            found |= titled(content)
-    for title, required in REQUIRED.items():
-        assert set(found[title]["required"]) == required, title
+            types(message_class(schema).DESCRIPTOR, found)
+    for name, required in REQUIRED.items():
+        assert {field.name for field in found[name].fields} == required, name
+    assert {f.name for f in found["foxglove.JointState"].fields if f.has_presence} == {
+        "position", "velocity", "acceleration", "effort",
+    }  # fmt: skip
+    line = found["foxglove.LinePrimitive"].fields_by_name
+    assert line["type"].enum_type.values_by_name["LINE_LIST"].number == 2
+    assert line["indices"].type == line["indices"].TYPE_FIXED32
+    assert found["foxglove.SceneEntity"].fields_by_name["timestamp"].message_type.full_name == (
+        "google.protobuf.Timestamp"
+    )
 
 
 def test_a_session_is_drawn_at_a_bounded_rate(session: Path) -> None:
@@ -134,8 +133,11 @@ def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
     for at, message in found["/foxglove/hand"]:
         (entity,) = message["entities"]
         assert entity["frame_id"] == "tracker"
-        assert entity["timestamp"]["sec"] * 10**9 + entity["timestamp"]["nsec"] == at
+        assert entity["timestamp"]["seconds"] * 10**9 + entity["timestamp"]["nanos"] == at
         (lines,) = entity["lines"]
+        assert lines["type"] == 2
+        assert lines["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+        assert lines["color"] == {"r": 0.9, "g": 0.6, "b": 0.35, "a": 1.0}
         frame = log.recording[times[at]]
         assert frame.valid is not None
         ends = xyz(lines["points"])[lines["indices"]].reshape(-1, 2, 3)

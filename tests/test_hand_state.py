@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from protobuf_log import decoded, plain
 from ticks import make_tick
 
 from smooth_operator.errors import RecordingError
@@ -17,8 +18,8 @@ from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.recording import read_episode, write_episode
+from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.teleop.recording.messages import state_message
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.registry import build_sink
@@ -142,7 +143,7 @@ def test_states_of_an_episode_must_fit() -> None:
     assert Episode.__dataclass_fields__["states"].default is None
 
 
-def test_a_message_of_a_state_is_no_command(hand: Hand) -> None:
+def test_a_message_of_a_state_is_no_command(hand: Hand, tmp_path: Path) -> None:
     state = measured(hand, 1, time.perf_counter())
     message = zmq_message(state)
     text = json.dumps(message, separators=(",", ":"), allow_nan=False)
@@ -153,7 +154,12 @@ def test_a_message_of_a_state_is_no_command(hand: Hand) -> None:
     assert message["positions"][3] is None
     assert message["currents"] == [101.0, None]
     assert abs(message["unix_time"] - time.time()) < 5.0
-    assert state_message(state)["touch"] == [0.1, 0.2, 0.3]
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write_state(state)
+    ((_, _, logged),) = decoded(tmp_path / "a.mcap")
+    assert plain(logged)["touch"] == [0.1, 0.2, 0.3]
+    assert plain(logged)["velocities"] == [0.5] * len(hand.joint_names)
+    assert plain(logged)["temperatures"] == [31.0, 32.0]
 
 
 def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand: Hand) -> None:

@@ -14,10 +14,13 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from json_log import JsonLogWriter
 from live_time import until
+from protobuf_log import rewritten
 from ticks import make_tick
 
 from smooth_operator import Retargeter
@@ -35,7 +38,7 @@ from smooth_operator.teleop.sinks.registry import build_sink
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.types import Side
+from smooth_operator.types import Side, Status
 
 
 @pytest.fixture(scope="module")
@@ -136,17 +139,24 @@ def test_the_other_readers_take_a_live_log(hand: Hand, tmp_path: Path) -> None:
 
 
 def test_damaged_loop_messages_are_named(tmp_path: Path, hand: Hand) -> None:
-    class Odd:
-        def message(self, stamp: float) -> dict[str, object]:
-            return {"stamp": stamp, "mode": "tracking"}
-
-    from smooth_operator.types import Status
-
-    with LogWriter(tmp_path / "a.mcap") as log:
-        tick = make_tick(hand, 0)
-        log.write_command(tick.command, Status.OK, 1.0, {}, Odd())  # type: ignore[arg-type]
+    tick = make_tick(hand, 0)
+    with JsonLogWriter(tmp_path / "a.mcap") as log:
+        log.write_message("/loop", {"stamp": tick.command.stamp, "mode": "tracking"})
+        log.write_command(tick.command, Status.OK, 1.0)
     with pytest.raises(RecordingError, match="lacks a field"):
         read_log(tmp_path / "a.mcap")
+
+    sink = RecordSink(tmp_path / "b.mcap")
+    sink.open({"right": hand}, {})
+    sink.send(tick)
+    sink.close()
+
+    def damaged(topic: str, message: Any) -> Any:
+        return message.SerializeToString()[:-3] if topic == "/loop" else message
+
+    path = rewritten(tmp_path / "b.mcap", tmp_path / "c.mcap", damaged)
+    with pytest.raises(RecordingError, match=r"on /loop is no smooth_operator\.Loop"):
+        read_log(path)
 
 
 def test_two_hands_and_numbered_takes(hands: dict[Side, Hand], tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import subprocess
 import sys
@@ -12,14 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
+from protobuf_log import decoded, plain
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.teleop.recording import LogWriter, read_log
+from smooth_operator.teleop.recording.mcap_writer import McapWriter
 from smooth_operator.types import HandFrame, HandRecording, JointCommand, Side, Status
 
 NAMES = ("base", "tip")
@@ -107,51 +109,81 @@ def test_real_recording_through_the_log(shared: Path, tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").stat().st_size < 400 * 4000
 
 
-def test_opens_in_the_mcap_library_and_keeps_to_what_viewers_parse(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", recording(10))
+def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path: Path) -> None:
+    hands = recording(10)
+    path = write(tmp_path / "a.mcap", hands)
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        counts = summary.statistics.channel_message_counts
-        topics = {c.topic: counts[c.id] for c in summary.channels.values()}
-        own = {topic: n for topic, n in topics.items() if not topic.startswith("/foxglove/")}
-        assert own == {"/hand": 10, "/command": 10, "/status": 10, "/timing": 10, "/config": 1}
-        messages = list(make_reader(stream).iter_messages())
-    times = [message.log_time for _, _, message in messages]
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = summary.statistics.channel_message_counts
+    topics = {c.topic: counts[c.id] for c in summary.channels.values()}
+    own = {topic: n for topic, n in topics.items() if not topic.startswith("/foxglove/")}
+    assert own == {"/hand": 10, "/command": 10, "/status": 10, "/timing": 10, "/config": 1}
+    messages = list(decoded(path))
+    assert len(messages) == summary.statistics.message_count == sum(topics.values())
+    times = [message.log_time for _, message, _ in messages]
     assert times == sorted(times)
-    assert times[0] == round(recording(10).stamps[0] * 1e9)  # the configuration comes with it
-    for schema, channel, message in messages:
-        assert schema is not None
-        assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
-        check(json.loads(message.data), json.loads(schema.data))
+    assert times[0] == round(hands.stamps[0] * 1e9)  # the configuration comes with it
+    assert (summary.statistics.message_start_time, times[-1]) == (
+        times[0],
+        summary.statistics.message_end_time,
+    )
+
+    found = {topic: [plain(m) for t, _, m in messages if t == topic] for topic in own}
+    first = found["/hand"][0]
+    assert hands.metacarpals is not None
+    assert hands.orientations is not None
+    np.testing.assert_array_equal(first["landmarks"], hands.landmarks[0].ravel())
+    np.testing.assert_array_equal(first["metacarpals"], hands.metacarpals[0].ravel())
+    np.testing.assert_array_equal(first["orientations"], hands.orientations[0].ravel())
+    assert hands.valid is not None
+    assert first["valid"] == hands.valid[0].tolist()
+    assert (first["side"], first["stamp"], first["wrist"]) == ("right", hands.stamps[0], [])
+    third = {topic: rows[3] for topic, rows in found.items() if topic != "/config"}
+    stamp = hands.stamps[3]
+    assert third["/command"] == {
+        "stamp": stamp, "names": list(NAMES), "positions": [3 / 7, np.pi * (3 / 7)],
+    }  # fmt: skip
+    reason = Status.INVALID_LANDMARKS.reason
+    assert third["/status"] == {"stamp": stamp, "status": 1, "reason": reason}
+    stages = [{"name": "solve", "ms": 0.03 * 3}]
+    assert third["/timing"] == {"stamp": stamp, "latency_ms": 0.1 * 3, "stages": stages}
+    assert found["/config"] == [{"configuration": '{"method": "sbr", "limit": "inf"}'}]
 
 
-def check(value: object, schema: dict[str, object]) -> None:
-    """A message against its schema, both within the subset that Foxglove's parser knows."""
-    if "oneOf" in schema:
-        assert value in [option["const"] for option in schema["oneOf"]]  # type: ignore[attr-defined]
-        return
-    kind = schema["type"]
-    assert isinstance(kind, str)  # no unions of types
-    if kind == "object":
-        assert isinstance(value, dict)
-        assert value.keys() <= schema["properties"].keys()  # type: ignore[attr-defined]
-        assert value.keys() >= set(schema["required"])  # type: ignore[call-overload]
-        for key, item in value.items():
-            check(item, schema["properties"][key])  # type: ignore[index]
-    elif kind == "array":
-        assert schema["items"]["type"] != "array"  # type: ignore[index]
-        for item in value:  # type: ignore[attr-defined]
-            check(item, schema["items"])  # type: ignore[arg-type]
-    else:
-        types = {
-            "number": (float, int, type(None)),
-            "integer": int,
-            "string": str,
-            "boolean": bool,
-        }
-        assert isinstance(value, types[kind])  # type: ignore[arg-type]
+def test_types_carry_their_units(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", recording(1))
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    own = [s for s in summary.schemas.values() if s.name.startswith("smooth_operator.")]
+    for schema in own:
+        (file,) = FileDescriptorSet.FromString(schema.data).file
+        notes = {tuple(at.path): at.leading_comments for at in file.source_code_info.location}
+        (message,) = file.message_type
+        described = sum((4, 0, 2, i) in notes for i in range(len(message.field)))
+        assert described >= len(message.field) - 2, schema.name
+        assert (4, 0) in notes
+    assert len(own) == 5
+
+
+def test_numbers_that_are_not_finite_come_back_as_unknown(tmp_path: Path) -> None:
+    hands = recording(4)
+    points = hands.landmarks.copy()
+    points[2, 5, 0] = np.inf
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for frame, row in zip(hands, points, strict=True):
+            log.write_hand(HandFrame(row, frame.stamp))
+            log.write_command(
+                JointCommand(np.array([np.inf, 1.0]), NAMES, frame.stamp), Status.OK, float("inf")
+            )
+    back = read_log(tmp_path / "a.mcap")
+    assert back.recording is not None
+    assert back.commands is not None
+    assert np.isnan(back.recording.landmarks[2, 5, 0])
+    np.testing.assert_array_equal(back.commands.joint_positions[0], [np.nan, 1.0])
+    assert np.isnan(back.commands.latency_ms).all()
 
 
 def test_partial_logs(tmp_path: Path) -> None:
@@ -198,7 +230,7 @@ def test_optional_fields_may_come_and_go(tmp_path: Path) -> None:
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path: Path, compression: str) -> None:
     hands = recording(60)
-    whole = write(tmp_path / "a.mcap", hands, compression=compression, chunk_bytes=20_000)
+    whole = write(tmp_path / "a.mcap", hands, compression=compression, chunk_bytes=15_000)
     content = whole.read_bytes()
     with whole.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -425,7 +457,7 @@ def test_disk_that_fills_up_on_the_way(tmp_path: Path, monkeypatch: pytest.Monke
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Writer, "flush", full)
+    monkeypatch.setattr(McapWriter, "end_chunk", full)
     with log, pytest.raises(OutputError, match="no space is left on the device; free some"):
         log.write_hand(hands[10])
     with pytest.raises(OutputError, match="gave up on an error"):
@@ -451,7 +483,9 @@ def foreign(path: Path, topic: str, data: bytes, version: str | None) -> Path:
     [
         ("/camera", b"{}", None, "MCAP file of another program, with the topics /camera"),
         ("/hand", b"{}", None, "MCAP file of another program"),
-        ("/hand", b"{}", "3", "version 3, this program reads up to version 2; upgrade"),
+        ("/hand", b"{}", "4", "version 4, this program reads up to version 3; upgrade"),
+        ("/hand", b"{}", "3", "a message on /hand is no smooth_operator.Hand"),
+        ("/hand", b"", "3", "side must be .right. or .left., not"),
         ("/hand", b"{}", "1", "lacks a field or has a wrong one"),
         ("/hand", b"\xff", "1", "a message on /hand is not JSON"),
         ("/command", b"[1]", "1", "a message on /command is not an object"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
+from protobuf_log import decoded
 from ticks import make_tick
 
 from smooth_operator import load_hand, poses, read_recording
@@ -283,10 +283,8 @@ def test_the_wrist_and_the_fingers_of_a_row_have_one_stamp(tmp_path: Path) -> No
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
     rows: dict[str, list[tuple[int, float]]] = {"/wrist": [], "/command": []}
-    with (tmp_path / "a.mcap").open("rb") as stream:
-        for _, channel, message in make_reader(stream).iter_messages(topics=list(rows)):
-            stamp = json.loads(message.data)["stamp"]
-            rows[channel.topic].append((message.sequence, stamp))
+    for topic, message, content in decoded(tmp_path / "a.mcap", rows):
+        rows[topic].append((message.sequence, content.stamp))
     assert set(rows["/wrist"]) == set(rows["/command"][1:])  # the first command had no wrist
 
 

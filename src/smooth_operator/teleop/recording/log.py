@@ -7,7 +7,6 @@ from the front without its index; so what a crash leaves is a recording and not 
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 import time
@@ -21,16 +20,12 @@ import numpy as np
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.teleop.recording import foxglove
-from smooth_operator.teleop.recording import messages as as_json
-from smooth_operator.teleop.recording.log_arms import arm_message
+from smooth_operator.teleop.recording import foxglove_types, schemas
+from smooth_operator.teleop.recording import log_messages as encoded
+from smooth_operator.teleop.recording.foxglove import FoxgloveMessages, Keypoints
 from smooth_operator.teleop.recording.loop_state import LoopState
-from smooth_operator.teleop.recording.mcap_library import (
-    CompressionType,
-    MessageEncoding,
-    SchemaEncoding,
-    Writer,
-)
+from smooth_operator.teleop.recording.mcap_writer import COMPRESSIONS, McapWriter, OpenChannel
+from smooth_operator.teleop.recording.protobuf_types import type_set
 from smooth_operator.teleop.recording.schemas import (
     ARM,
     COMMAND,
@@ -51,10 +46,6 @@ from smooth_operator.teleop.recording.schemas import (
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Side, Status
-
-_COMPRESSION = {kind.name.lower(): kind for kind in CompressionType}
-_ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
-_UNLIMITED = 2**62  # chunks are ended here, not by the MCAP writer, so that each reaches the disk
 
 
 class LogWriter:
@@ -98,9 +89,9 @@ class LogWriter:
         compression: Literal["zstd", "lz4", "none"] = "zstd",
         chunk_bytes: int = 64 * 1024,
         flush_seconds: float = 1.0,
-        keypoints: foxglove.Keypoints | None = None,
+        keypoints: Keypoints | None = None,
     ) -> None:
-        if compression not in _COMPRESSION:
+        if compression not in COMPRESSIONS:
             raise ConfigError(f"compression must be zstd, lz4 or none, not {compression!r}")
         if not (chunk_bytes > 0 and flush_seconds > 0.0):
             raise ConfigError(
@@ -112,41 +103,42 @@ class LogWriter:
         self._whole_bytes = 0  # the file up to the last chunk that was written
         self._chunk_bytes = chunk_bytes
         self._flush_seconds = flush_seconds
-        self._pending_bytes, self._pending_since = 0, 0.0
+        self._waiting_since: float | None = None
         self._config: str | None = None
         self._config_written = False
         self._hand_stamp = -math.inf
         self._side: Side | None = None
         self._names: tuple[str, ...] | None = None
-        self._sequence = dict.fromkeys((*SCHEMAS, *foxglove.SCHEMAS), 0)
-        self._foxglove = foxglove.FoxgloveMessages(keypoints)
+        self._sequence = dict.fromkeys((*SCHEMAS, *foxglove_types.SCHEMAS), 0)
+        self._foxglove = FoxgloveMessages(keypoints)
         self._log_time = 0
         self._stream: IO[bytes] | None = None
-        # mcap's signatures are only partly annotated
-        self._writer: Any = None
-        self._channels: dict[str, int] = {}
+        self._writer: Any = None  # McapWriter, once the file is open
+        self._channels: dict[str, OpenChannel] = {}
         with self._writing():
             self._stream = self.path.open("wb" if overwrite else "xb")
-            self._writer = Writer(
-                self._stream, chunk_size=_UNLIMITED, compression=_COMPRESSION[compression]
-            )
-            self._writer.start(library="smooth-operator")
+            self._writer = McapWriter(self._stream, compression, "smooth-operator")
             for topic in SCHEMAS:
                 if topic not in LIVE:
-                    self._register(topic)
+                    self._channel(topic)
             self._end_chunk()  # a log that is killed now is an empty log, not an empty file
 
-    def write_hand(self, frame: HandFrame) -> None:
+    def write_hand(self, frame: HandFrame, stamp: float | None = None) -> None:
         """Append a hand frame.
+
+        Args:
+            frame: the hand.
+            stamp: what it is stamped with in the log [s]; None for its own.
 
         Raises:
             RecordingError: it has no stamp, or one that is not finite or not after the last one's,
                 or it is of the other hand.
             OutputError: as for the class.
         """
-        if not (math.isfinite(frame.time) and frame.time > self._hand_stamp):
+        stamp = frame.time if stamp is None else stamp
+        if not (math.isfinite(stamp) and stamp > self._hand_stamp):
             raise RecordingError(
-                f"{self.path}: a hand frame with stamp {frame.stamp!r} s can't follow one with "
+                f"{self.path}: a hand frame with stamp {stamp!r} s can't follow one with "
                 f"{self._hand_stamp!r} s; stamps must increase, so skip frames that repeat"
             )
         if self._side not in (None, frame.side):
@@ -154,9 +146,10 @@ class LogWriter:
                 f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
                 f"{frame.side} one; write each hand to its own log"
             )
-        shown = self._foxglove.hand(frame, as_json.nanoseconds(frame.time))
-        self._append((HAND, as_json.hand_message(frame)), *shown)
-        self._hand_stamp = frame.time
+        at = encoded.nanoseconds(stamp)
+        self._foxglove.hand(frame, at)
+        self._append(at, (HAND, encoded.hand_message(stamp, frame)))
+        self._hand_stamp = stamp
         self._side = frame.side
 
     def write_command(
@@ -200,21 +193,23 @@ class LogWriter:
         stamp = float(command.stamp)
         if not math.isfinite(stamp):
             raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
-        parts = [{"name": k, "ms": as_json.number(v)} for k, v in (stages or {}).items()]
-        timing = {"stamp": stamp, "latency_ms": as_json.number(latency_ms), "stages": parts}
-        why = {"stamp": stamp, "status": int(status), "reason": Status(status).reason}
         # The command last, so that in a log that is cut off it never lacks its timing and status.
-        records: list[tuple[str, dict[str, Any]]] = [(TIMING, timing), (STATUS, why)]
+        messages = [
+            (TIMING, encoded.timing_message(stamp, latency_ms, stages or {})),
+            (STATUS, encoded.status_message(stamp, Status(status))),
+        ]
         if loop is not None:
-            records.append((LOOP, loop.message(stamp)))
+            messages.append((LOOP, encoded.loop_message(stamp, loop)))
         if wrist is not None:
-            records.append((WRIST, as_json.wrist_message(stamp, wrist)))
-            records += self._foxglove.wrist(wrist, as_json.nanoseconds(stamp))
+            messages.append((WRIST, encoded.wrist_message(stamp, wrist)))
         if arm is not None:
-            records.append((ARM, arm_message(stamp, arm)))
-        records += self._foxglove.command(names, positions, as_json.nanoseconds(stamp))
-        message = {"stamp": stamp, "names": names, "positions": as_json.numbers(positions)}
-        self._append(*records, (COMMAND, message))
+            messages.append((ARM, encoded.arm_message(stamp, arm)))
+        messages.append((COMMAND, encoded.command_message(stamp, names, positions)))
+        at = encoded.nanoseconds(stamp)
+        if wrist is not None:
+            self._foxglove.wrist(wrist, at)
+        self._foxglove.command(names, positions, at)
+        self._append(at, *messages)
         self._names = names
 
     def write_state(self, state: HandState) -> None:
@@ -223,7 +218,7 @@ class LogWriter:
         Raises:
             OutputError: as for the class.
         """
-        self._append((STATE, as_json.state_message(state)))
+        self._append(encoded.nanoseconds(state.stamp), (STATE, encoded.state_message(state)))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Append the resolved configuration, once.
@@ -239,7 +234,8 @@ class LogWriter:
             raise ConfigError(f"{self.path}: the log already has its configuration")
         self._config = to_json(dict(config))
         if any(self._sequence.values()):
-            self._append()
+            with self._writing():
+                self._add_config()
 
     def write_origin(self, origin: Mapping[str, str]) -> None:
         """Append where the log came from, as a metadata record.
@@ -297,10 +293,8 @@ class LogWriter:
         if self._stream is None:
             return
         with self._writing():
-            if self._config is not None:  # no frame ever came
-                self._message(CONFIG, {"configuration": self._config})
-            self._end_chunk()
-            self._writer.finish()
+            self._add_config()  # where no frame ever came
+            self._end_chunk().finish()
             self._stream.flush()
             os.fsync(self._stream.fileno())
             stream, self._stream = self._stream, None
@@ -321,72 +315,78 @@ class LogWriter:
 
     def _metadata(self, name: str, texts: Mapping[str, str]) -> None:
         with self._writing():
-            self._writer.add_metadata(name, dict(texts))
-            self._pending_bytes = 0
+            self._end_chunk().add_metadata(name, texts)
 
-    def _append(self, *messages: tuple[str, dict[str, Any]]) -> None:
-        with self._writing():
-            now = time.monotonic()
-            if not self._pending_bytes:
-                self._pending_since = now
-            if messages:
-                self._log_time = as_json.nanoseconds(messages[0][1]["stamp"])
-            if self._config is not None:
-                self._message(CONFIG, {"configuration": self._config})
-                self._config, self._config_written = None, True
-            for topic, message in messages:
-                self._message(topic, message)
-            if (
-                self._pending_bytes >= self._chunk_bytes
-                or now - self._pending_since >= self._flush_seconds
-            ):
+    def _append(self, at: int, *messages: tuple[str, bytes]) -> None:
+        """Put messages into the chunk, at a time [ns]."""
+        self._check_open()
+        self._log_time = at
+        self._add_config()
+        for topic, data in messages:
+            self._add(topic, at, data)
+        now = time.monotonic()
+        if self._waiting_since is None:
+            self._waiting_since = now
+        late = now - self._waiting_since >= self._flush_seconds
+        if late or self._writer.pending >= self._chunk_bytes:
+            with self._writing():
                 self._end_chunk()
 
-    def _end_chunk(self, *, sync: bool = False) -> None:
+    def _add_config(self) -> None:
+        if self._config is not None:
+            self._add(CONFIG, self._log_time, encoded.config_message(self._config))
+            self._config, self._config_written = None, True
+
+    def _end_chunk(self, *, sync: bool = False) -> McapWriter:
         assert self._stream is not None
-        self._writer.flush()
+        for topic, at, data in self._foxglove.take():
+            self._add(topic, at, data)
+        self._writer.end_chunk()
         if sync:
             os.fsync(self._stream.fileno())
-        self._pending_bytes = 0
+        self._waiting_since = None
         self.commands_flushed = self._sequence[COMMAND]
         self._whole_bytes = self._stream.tell()
+        writer: McapWriter = self._writer
+        return writer
 
-    def _message(self, topic: str, message: dict[str, Any]) -> None:
-        data = _ENCODER.encode(message).encode()
-        if topic not in self._channels:
-            self._register(topic)
+    def _add(self, topic: str, at: int, data: bytes) -> None:
+        channel = self._channels.get(topic) or self._channel(topic)
         # What is said of a command has its number, by which the reader joins them.
         number = self._sequence[COMMAND if topic in OF_COMMANDS else topic]
-        self._writer.add_message(
-            self._channels[topic], self._log_time, data, self._log_time, number
-        )
+        self._writer.add(channel, number, at, data)
         self._sequence[topic] += 1
-        self._pending_bytes += len(data)
 
-    def _register(self, topic: str) -> None:
-        name, schema = (SCHEMAS | foxglove.SCHEMAS)[topic]
-        schema_id = self._writer.register_schema(
-            name, SchemaEncoding.JSONSchema, json.dumps(schema).encode()
-        )
-        self._channels[topic] = self._writer.register_channel(
-            topic, MessageEncoding.JSON, schema_id, {"version": VERSION}
-        )
+    def _channel(self, topic: str) -> OpenChannel:
+        """Registers a topic."""
+        source = schemas if topic in SCHEMAS else foxglove_types
+        name = source.SCHEMAS[topic]
+        types = type_set(source.TYPES, name)
+        channel: OpenChannel = self._writer.register(topic, name, types, {"version": VERSION})
+        self._channels[topic] = channel
+        return channel
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
         """Turn what the operating system says into an OutputError, and give the file up."""
+        self._check_open()
+        try:
+            yield
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _check_open(self) -> None:
         if self._writer is not None and self._stream is None:
             raise OutputError(
                 f"can't write {str(self.path)!r}: the log is closed, or gave up on an error; "
                 "open a new one"
             )
-        try:
-            yield
-        except OSError as error:
-            stream, self._stream = self._stream, None
-            if stream is not None:
-                self._give_up(stream)
-            raise output_error(self.path, error) from error
+
+    def _failed(self, error: OSError) -> OutputError:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            self._give_up(stream)
+        return output_error(self.path, error)
 
     def _give_up(self, stream: IO[bytes]) -> None:
         """Close the file without the chunk that is written in part."""

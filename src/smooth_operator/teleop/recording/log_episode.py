@@ -16,7 +16,7 @@ from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.teleop.recording import foxglove
+from smooth_operator.teleop.recording import foxglove_types
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, read_log
 from smooth_operator.teleop.recording.log_records import read_summary
@@ -150,7 +150,7 @@ def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[H
 
 
 def log_losses(episode: Episode) -> list[str]:
-    """What a log can't hold of an episode: JSON knows no infinity."""
+    """What a log can't hold of an episode: a number that is not finite is not known."""
     parts: list[tuple[str, np.ndarray | None]] = []
     if episode.recording is not None:
         recording = episode.recording
@@ -161,7 +161,7 @@ def log_losses(episode: Episode) -> list[str]:
     parts += list(episode.stages_ms.items())
     return [
         f"{episode.name}: {int(np.isinf(values).sum())} infinite values of {name} become NaN, "
-        "since the log's JSON has no word for them"
+        "which stands for every number that is not known"
         for name, values in parts
         if values is not None and np.isinf(values).any()
     ]
@@ -173,7 +173,9 @@ def is_own_log(path: Path) -> bool:
         summary = read_summary(path)
         if summary is not None and summary.topics:
             topics = set(summary.topics.values())
-            return bool(topics & SCHEMAS.keys()) and topics <= SCHEMAS.keys() | foxglove.SCHEMAS
+            return (
+                bool(topics & SCHEMAS.keys()) and topics <= SCHEMAS.keys() | foxglove_types.SCHEMAS
+            )
         return read_log(path) is not None  # which refuses a log of another program
     except (RecordingError, OSError):
         return False

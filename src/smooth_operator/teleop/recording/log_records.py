@@ -7,11 +7,10 @@ reads the records within.
 
 from __future__ import annotations
 
-import importlib
 import io
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple, TypeAlias
@@ -26,12 +25,14 @@ from smooth_operator.teleop.recording.mcap_library import (
     Opcode,
     ReadDataStream,
     Statistics,
+    lz4_frames,
     zstandard,
 )
 
 _HEAD: Final = struct.Struct("<BQ")  # opcode, length
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of a name
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence number, times
+_OF_MESSAGE: Final = struct.Struct("<HI")  # channel, sequence number
 _FOOTER: Final = struct.Struct("<QQI")  # where the summary starts, and more
 _END: Final = _HEAD.size + _FOOTER.size + len(MCAP_MAGIC)
 
@@ -53,15 +54,15 @@ class DamagedError(Exception):
     """The bytes end, or make no sense, from here on."""
 
 
-class LogMessage(NamedTuple):
-    """A message, in whatever encoding its channel has."""
+class LogMessages(NamedTuple):
+    """Messages of one channel that follow each other in a chunk, in whatever encoding it has."""
 
     channel: int
-    sequence: int
-    data: bytes
+    numbers: list[int]
+    data: list[bytes]
 
 
-Record: TypeAlias = Channel | Metadata | LogMessage
+Record: TypeAlias = Channel | Metadata | LogMessages
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,13 @@ class Summary:
     counts: Mapping[int, int] | None
 
 
-def read_records(path: Path) -> Iterator[Record]:
+def read_records(path: Path, wanted: Container[int]) -> Iterator[Record]:
     """The channels, metadata and messages of a log, in order.
+
+    Args:
+        path: the log.
+        wanted: numbers of the channels whose messages are taken; looked up on the way, so that
+            the caller decides when it gets a channel.
 
     Raises:
         RecordingError: a chunk's compression is not known here, or it unpacks to more than a file
@@ -99,9 +105,34 @@ def read_records(path: Path) -> Iterator[Record]:
             chunk = _Chunk.of(body)
             unpacked += chunk.stated_size
             allowance.take("its chunks", unpacked)
-            data = io.BytesIO(chunk.unpacked(path))
-            for inner, content in _framed(data, chunk.size, footer=False):
-                yield from _parsed(inner, content)
+            yield from _inner(chunk.unpacked(path), wanted)
+
+
+def _inner(data: bytes, wanted: Container[int]) -> Iterator[Record]:
+    """The records of a chunk, messages of one channel together."""
+    at, size = 0, len(data)
+    groups: dict[int, LogMessages] = {}
+    while at < size:
+        whole = at + _HEAD.size <= size
+        opcode, length = _HEAD.unpack_from(data, at) if whole else (0, 0)
+        start = at + _HEAD.size
+        at = start + length
+        if not whole or at > size or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
+            yield from groups.values()
+            raise DamagedError
+        if opcode == Opcode.MESSAGE:
+            channel, number = _OF_MESSAGE.unpack_from(data, start)
+            if channel in wanted:
+                group = groups.get(channel)
+                if group is None:
+                    group = groups[channel] = LogMessages(channel, [], [])
+                group.numbers.append(number)
+                group.data.append(data[start + _MESSAGE.size : at])
+        elif opcode in _READ:
+            yield from groups.values()  # a channel may change what its messages are
+            groups = {}
+            yield from _parsed(opcode, data[start:at])
+    yield from groups.values()
 
 
 def read_summary(path: Path) -> Summary | None:
@@ -133,16 +164,15 @@ def read_summary(path: Path) -> Summary | None:
     return Summary(topics, counts)
 
 
-def _framed(stream: IO[bytes], size: int, *, footer: bool = True) -> Iterator[tuple[int, bytes]]:
-    """(opcode, content) of the records from here on, empty for those that are not wanted.
+def _framed(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes]]:
+    """(opcode, content) of the records that are read, from here to the footer.
 
     Args:
-        stream: the file, or what a chunk unpacks to.
+        stream: the file.
         size: its size, which no record exceeds: a damaged length can't ask for the memory.
-        footer: whether a footer ends it; otherwise its own end does.
     """
     at = stream.tell()
-    while footer or at < size:
+    while True:
         head = stream.read(_HEAD.size)
         if len(head) < _HEAD.size:
             raise DamagedError
@@ -154,7 +184,7 @@ def _framed(stream: IO[bytes], size: int, *, footer: bool = True) -> Iterator[tu
             yield opcode, stream.read(length)
         else:
             stream.seek(at)
-        if footer and opcode == Opcode.FOOTER:
+        if opcode == Opcode.FOOTER:
             if stream.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise DamagedError
             return
@@ -167,8 +197,8 @@ def _parsed(opcode: int, body: bytes) -> Iterator[Record]:
     if opcode == Opcode.MESSAGE:
         if len(body) < _MESSAGE.size:
             raise DamagedError
-        channel, sequence, _, _ = _MESSAGE.unpack_from(body)
-        yield LogMessage(channel, sequence, body[_MESSAGE.size :])
+        channel, number = _OF_MESSAGE.unpack_from(body)
+        yield LogMessages(channel, [number], [body[_MESSAGE.size :]])
     elif opcode == Opcode.CHANNEL:
         yield _read(Channel.read, body)
     elif opcode == Opcode.METADATA:
@@ -218,7 +248,8 @@ class _Chunk:
                 data = zstandard.decompress(self.data, max_output_size=self.size)
             elif self.compression == "lz4":
                 # One byte more than it should be: if that comes, the chunk is larger than it says.
-                data = _lz4(path).decompress(self.data, max_length=self.size + 1)
+                unpacker = lz4_frames.LZ4FrameDecompressor()
+                data = unpacker.decompress(self.data, max_length=self.size + 1)
             elif not self.compression:
                 data = self.data
             else:
@@ -233,13 +264,3 @@ class _Chunk:
         if len(data) != self.size or (self.checksum and zlib.crc32(data) != self.checksum):
             raise DamagedError
         return data
-
-
-def _lz4(path: Path) -> Any:
-    try:  # by name, since it comes without types; the MCAP library brings it
-        frames = importlib.import_module("lz4.frame")
-    except ImportError:
-        raise RecordingError(
-            f"{path}: the log is compressed with lz4; install that: python -m pip install lz4"
-        ) from None
-    return frames.LZ4FrameDecompressor()

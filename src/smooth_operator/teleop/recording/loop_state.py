@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from smooth_operator.teleop.recording.messages import number
+from smooth_operator.teleop.recording.log_tables import Table, spread
 
 
 @dataclass(frozen=True)
@@ -39,25 +38,6 @@ class LoopState:
     tracking_loss: float = math.nan
     scale: float = math.nan
     events: tuple[str, ...] = ()
-
-    def message(self, stamp: float) -> dict[str, Any]:
-        """As the log has it.
-
-        Args:
-            stamp: of the command [s].
-        """
-        return {
-            "stamp": stamp,
-            "number": self.number,
-            "mode": self.mode,
-            "time": number(self.time),
-            "received": number(self.received),
-            "tracker_stamp": number(self.tracker_stamp),
-            "session": self.session,
-            "tracking_loss": number(self.tracking_loss),
-            "scale": number(self.scale),
-            "events": list(self.events),
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,40 +70,34 @@ class LoopTrack:
         return np.asarray(np.isfinite(self.received))
 
 
-def read_loop_track(
-    commands: Sequence[int], messages: Mapping[int, Mapping[str, Any]]
-) -> LoopTrack | None:
-    """Put together what the messages hold.
+def read_loop_track(commands: Sequence[int], table: Table) -> LoopTrack | None:
+    """Put together what the messages of ``/loop`` hold.
 
     Args:
         commands: sequence numbers of the commands.
-        messages: sequence number -> message of the topic.
+        table: the messages.
 
     Returns:
         None where there is no message: the log is not of a live loop.
 
     Raises:
-        KeyError, TypeError, ValueError: a field is missing or wrong.
+        ValueError, OverflowError: a field is wrong.
     """
-    if not messages:
+    if not table:
         return None
-    found = [messages.get(number) for number in commands]
+    places = table.places(commands)
+    modes, events = table.column("mode"), table.column("events")
 
     def numbers(key: str) -> np.ndarray:
-        # float64 makes NaN of None
-        return np.array([None if m is None else m.get(key) for m in found], np.float64)
+        return spread(table.floats(key), places, np.nan)
 
     return LoopTrack(
-        numbers=np.array([-1 if m is None else int(m["number"]) for m in found], np.int64),
-        modes=tuple("" if m is None else str(m["mode"]) for m in found),
+        numbers=spread(np.array(table.column("number"), np.int64), places, -1),
+        modes=tuple("" if row < 0 else modes[row] for row in places),
         times=numbers("time"),
         received=numbers("received"),
         tracker_stamps=numbers("tracker_stamp"),
         tracking_loss=numbers("tracking_loss"),
         scale=numbers("scale"),
-        events={
-            i: tuple(str(event) for event in m["events"])
-            for i, m in enumerate(found)
-            if m is not None and m["events"]
-        },
+        events={i: events[row] for i, row in enumerate(places) if row >= 0 and events[row]},
     )

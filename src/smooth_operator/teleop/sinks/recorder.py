@@ -14,14 +14,21 @@ from typing import Any, Final
 from smooth_operator.errors import OutputError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.recording import LogWriter
-from smooth_operator.teleop.recording.foxglove import landmark_keypoints
 from smooth_operator.teleop.recording.loop_state import LoopState
+from smooth_operator.teleop.recording.robot_points import landmark_keypoints
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.stamps import StampMap
 from smooth_operator.teleop.sinks.tick import Driver, Tick
 from smooth_operator.types import JointCommand, Side, Status
 
 _CHUNK_BYTES: Final = 256 * 1024
+_PERIOD_S: Final = 0.5
+"""How often ticks are written, at least [s]; a thread that wakes for each takes time from the
+loop."""
+_AT_ONCE: Final = 200
+"""Ticks that are written before that time is over."""
+_TURN: Final = 4
+"""Ticks that are encoded before the loop gets the interpreter, should it wait: 0.1 ms."""
 _END_S: Final = 20.0
 """How long the end of a recording may take: a buffer to write, two files to end [s]."""
 
@@ -59,6 +66,7 @@ class Recorder:
         self.dropped = 0
         self.empty: list[Path] = []
         self._flush_s, self._buffer = flush_s, buffer
+        self._lot = max(1, min(_AT_ONCE, buffer // 2))
         self._waiting: deque[Tick] = deque()
         self._events: list[str] = []
         self._taken = 0  # ticks that went into the buffer
@@ -106,7 +114,8 @@ class Recorder:
                 self._stalled = 0.0
             self._waiting.append(tick)
             self._taken += 1
-            self._change.notify_all()
+            if len(self._waiting) >= self._lot:
+                self._change.notify_all()
 
     def silence(self, seconds: float) -> None:
         """Note that no command came for so long [s]."""
@@ -149,17 +158,20 @@ class Recorder:
 
     def _write(self) -> None:
         flushed = time.monotonic()
+        period = min(self._flush_s, _PERIOD_S)
         while True:
             with self._change:
-                self._change.wait_for(lambda: self._waiting or self._ending, self._flush_s)
+                self._change.wait_for(
+                    lambda: self._ending or len(self._waiting) >= self._lot, period
+                )
                 ticks, ending = list(self._waiting), self._ending
                 self._waiting.clear()
                 events, self._events = tuple(self._events), []
-            # Not one by one: a thread that wakes for each tick would take time from the loop.
             for position, tick in enumerate(ticks):
                 if tick.side in self._logs:
                     self._logs[tick.side].write(tick, events if position == 0 else ())
-                time.sleep(0)  # hand the interpreter over: the loop may be waiting for it
+                if position % _TURN == 0:
+                    time.sleep(0)
             if time.monotonic() - flushed >= self._flush_s:
                 for log in self._logs.values():
                     log.flush()
@@ -168,8 +180,6 @@ class Recorder:
                 for log in self._logs.values():
                     log.close()
                 return
-            if not ending:
-                time.sleep(min(0.05, self._flush_s / 4))
 
 
 class _HandLog:
@@ -185,7 +195,7 @@ class _HandLog:
             overwrite=overwrite,
             chunk_bytes=_CHUNK_BYTES,
             flush_seconds=3600.0,
-            keypoints=landmark_keypoints(hand.tree.names, hand.tree.positions),
+            keypoints=landmark_keypoints(hand),
         )
         started = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         meta = f'{{"started":"{started}","clock":"{time.perf_counter():.6f}"}}'
@@ -200,7 +210,7 @@ class _HandLog:
         """Append a tick."""
         stamp, frame = self._stamps(tick)
         if frame is not None:
-            self._log.write_hand(frame)
+            self._log.write_hand(frame, stamp)
         if tick.driver is not None and tick.driver is not self._driver:
             self._driver = tick.driver
             self._log.write_method(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Final
 
 from smooth_operator.teleop.sinks.tick import Tick
@@ -34,7 +33,7 @@ class StampMap:
         self._last = -math.inf
 
     def __call__(self, tick: Tick) -> tuple[float, HandFrame | None]:
-        """The stamp of a tick's command, and its frame with that stamp."""
+        """The stamp of a tick's command, and the frame that is to have the same."""
         arrival = tick.arrival
         if arrival is None or not math.isfinite(arrival.stamp):
             return self._next(tick.time - self._late), None
@@ -43,8 +42,7 @@ class StampMap:
             self._shift, self._late = arrival.received - arrival.stamp, 0.0
         stamp = arrival.stamp + self._shift
         self._late = max(arrival.received - stamp, _FORGET * self._late)
-        stamp = self._next(stamp)
-        return stamp, replace(arrival.frame, stamp=stamp)
+        return self._next(stamp), arrival.frame
 
     def _next(self, stamp: float) -> float:
         self._last = max(stamp, self._last + _STEP)
