@@ -133,3 +133,27 @@ def test_the_example_of_the_conventions() -> None:
     assert np.allclose(wrist[0], [0.5, 0.0, 1.0, 1, 0, 0, 0])
     assert np.allclose(poses.relative(wrist[0], wrist[1])[:3], [0.0, -0.1, 0.0])
     assert np.allclose(poses.separation(wrist[0], wrist[1]), [0.1, 0.0])
+
+
+def test_one_pair_is_turned_as_rows_are() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(200, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    q[:6] = [
+        [1, 0, 0, 0],
+        [-1, 0, 0, 0],
+        [np.nan] * 4,
+        [-1, 1e-13, 0, 0],
+        [0, 1, 0, 0],
+        [-0.0, 0, 1, 0],
+    ]
+    r = np.roll(q, 1, axis=0)
+    vectors = rng.normal(size=(200, 3))
+    vectors[:4] = [[0, 0, 0], [np.nan, 0, 0], [1e-14, 0, 0], [np.pi, 0, 0]]
+    one = np.array([poses.multiply(a, b) for a, b in zip(q, r, strict=True)])
+    np.testing.assert_array_equal(one, poses.multiply(q, r))
+    one = np.array([poses.rotation_vectors(a) for a in q])
+    np.testing.assert_allclose(one, poses.rotation_vectors(q), atol=1e-15, rtol=1e-12)
+    one = np.array([poses.from_rotation_vectors(v) for v in vectors])
+    np.testing.assert_allclose(one, poses.from_rotation_vectors(vectors), atol=1e-15)
+    assert np.isnan(poses.from_rotation_vectors(np.array([np.inf, 0, 0]))).all()

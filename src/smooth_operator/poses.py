@@ -7,6 +7,7 @@ which means "not valid".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
@@ -194,6 +195,17 @@ def from_matrices(matrix: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 
 
 def multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"]) -> np.ndarray:
     """Product of quaternions: first b, then a."""
+    if a.ndim == b.ndim == 1:  # in the loop; arrays would take five times as long for one pair
+        w, x, y, z = a.tolist()
+        e, f, g, h = b.tolist()
+        return np.array(
+            [
+                w * e - (x * f + y * g + z * h),
+                w * f + e * x + (y * h - z * g),
+                w * g + e * y + (z * f - x * h),
+                w * h + e * z + (x * g - y * f),
+            ]
+        )
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     real = aw * bw - (av * bv).sum(axis=-1, keepdims=True)
     return np.concatenate([real, aw * bv + bw * av + _cross(av, bv)], axis=-1)
@@ -220,6 +232,16 @@ def _cross(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> np.nda
 
 def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
     """Axis times angle, 0 to pi [rad], of unit quaternions; q and -q give the same."""
+    if q.ndim == 1:
+        w, x, y, z = q.tolist()
+        length = math.sqrt(x * x + y * y + z * z)
+        length = -length if w < 0 else length
+        factor = (
+            2.0 * math.atan2(abs(length), abs(w)) / length
+            if abs(length) > _TINY
+            else math.copysign(2.0, w)
+        )
+        return np.array([factor * x, factor * y, factor * z])
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
@@ -229,6 +251,13 @@ def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
 
 def from_rotation_vectors(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
     """Unit quaternions of axis times angle [rad]."""
+    if vectors.ndim == 1:
+        x, y, z = vectors.tolist()
+        half = math.sqrt(x * x + y * y + z * z) / 2.0
+        if not math.isfinite(half):
+            return np.full(4, np.nan)
+        factor = 0.5 * (math.sin(half) / half if half > _TINY else 1.0)
+        return np.array([math.cos(half), factor * x, factor * y, factor * z])
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
     # sinc keeps the limit at no rotation: sin(a / 2) / a = sinc(a / 2 pi) / 2
     return np.concatenate(
