@@ -98,7 +98,8 @@ def test_state_and_action_are_those_of_the_robot(tmp_path: Path) -> None:
     np.testing.assert_allclose(values(frames, "timestamp")[20:23], [0, 1 / 30, 2 / 30])
     tracks = values(frames, "objects")[:20]
     np.testing.assert_allclose(tracks[:, :7], clips[0].clip.objects[0].T_world_object, atol=1e-6)
-    assert np.isnan(tracks[:, 7:]).all()
+    assert (tracks[:, 7:] == [0, 0, 0, 1, 0, 0, 0]).all()
+    assert values(frames, "objects_valid")[:20].tolist() == [[True, False]] * 20
     stats = json.loads((tmp_path / "out" / "meta" / "stats.json").read_text())
     np.testing.assert_allclose(stats["action"]["mean"], action.mean(axis=0), atol=1e-5)
     np.testing.assert_allclose(stats["action"]["std"], action.std(axis=0), atol=1e-5)
@@ -124,6 +125,8 @@ def test_what_is_not_known_is_held_and_marked(tmp_path: Path) -> None:
     place = NAMES.index("left_tcp.x")
     np.testing.assert_array_equal(state[:3, place], state[[3, 3, 3], place])
     np.testing.assert_array_equal(state[7:9, place], state[[6, 6], place])
+    for name in frames.column_names:  # LeRobot's own tools make nulls of NaN
+        assert np.isfinite(values(frames, name).astype(float)).all(), name
     known = values(frames, "left_wrist_valid")
     assert np.flatnonzero(~known[:40]).tolist() == [0, 1, 2, 7, 8]
     assert np.flatnonzero(~values(frames, "left_valid")[:40]).tolist() == [7, 8]
@@ -371,7 +374,7 @@ def test_parts_are_aggregated_by_lerobot(tmp_path: Path) -> None:
 @pytest.mark.lerobot
 @real
 def test_a_small_policy_learns_from_it(tmp_path: Path) -> None:
-    write(tmp_path / "out", [robot_clip(i, frames=60) for i in range(12)])
+    write(tmp_path / "out", [robot_clip(i, frames=50) for i in range(8)])
     import torch
 
     torch.manual_seed(0)
@@ -389,9 +392,9 @@ def test_a_small_policy_learns_from_it(tmp_path: Path) -> None:
         torch.nn.Linear(size, 128), torch.nn.ReLU(), torch.nn.Linear(128, 4 * size)
     )
     optimizer = torch.optim.Adam(policy.parameters(), lr=3e-3)
-    loader = torch.utils.data.DataLoader(dataset, batch_size=64, shuffle=True)
+    loader = torch.utils.data.DataLoader(dataset, batch_size=40, shuffle=True)
     losses = []
-    for _ in range(6):
+    for _ in range(8):
         for batch in loader:
             known = batch["right_valid"] & batch["left_valid"]
             wanted = normal(batch, "action")[known].flatten(1)
@@ -399,6 +402,6 @@ def test_a_small_policy_learns_from_it(tmp_path: Path) -> None:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-            losses.append(float(loss))
+            losses.append(loss.item())
     assert losses[0] > 0.5  # of normalised actions, about 1 before it learns
     assert np.mean(losses[-5:]) < 0.1 * losses[0]

@@ -4,22 +4,26 @@ Joints of both hands and poses of their wrists are ``observation.state``; ``acti
 names. What LeRobot would make inputs of a policy of, were it so called, begins with neither
 ``observation`` nor ``action``. ``SIDE`` is ``right`` or ``left``.
 
-=======================  ===============  =========================================================
-``observation.state``    float32 (n,)     ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of the
-                                          robot's wrist [m, quaternion wxyz]
-``action``               float32 (n,)     the state of the next frame, or of the same one
-``stamp``                float64          true time of the frame [s]
-``SIDE_valid``           bool             whether the command answers a hand that was seen
-``SIDE_wrist_valid``     bool             whether the wrist was known
-``SIDE_status``          int64            ``Status`` of the command; -1: the clip lacks the hand
-``SIDE_confidence``      float32          of the tracker, 0 to 1; NaN if not known
-``SIDE_human_wrist``     float32 (7,)     pose of the human wrist; NaN if not known
-``camera``               float32 (7,)     pose of the camera; NaN if not known
-``objects``              float32 (7 k,)   poses of k objects; NaN where there is none
-=======================  ===============  =========================================================
+==========================  =============  ========================================================
+``observation.state``       float32 (n,)   ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of
+                                           the robot's wrist [m, quaternion wxyz]
+``action``                  float32 (n,)   the state of the next frame, or of the same one
+``stamp``                   float64        true time of the frame [s]
+``SIDE_valid``              bool           whether the command answers a hand that was seen
+``SIDE_status``             int64          ``Status`` of the command; -1: the clip lacks the hand
+``SIDE_confidence``         float32        of the tracker, 0 to 1; -1 if not known
+``SIDE_wrist_valid``        bool           whether the robot's wrist was known
+``SIDE_human_wrist``        float32 (7,)   pose of the human wrist
+``SIDE_human_wrist_valid``  bool           whether it was known
+``camera``                  float32 (7,)   pose of the camera
+``camera_valid``            bool           whether it was known
+``objects``                 float32 (7k,)  poses of k objects
+``objects_valid``           bool (k,)      whether each was known
+==========================  =============  ========================================================
 
-A policy can't take NaN: where a wrist is not known, state and action hold the last one, or the
-first that is; ``SIDE_wrist_valid`` is false there. A hand that the clip lacks is zero.
+There is no NaN: a policy can't take it, and LeRobot's own tools turn it into a null that its loader
+does not read. Where a pose is not known, the last one is held, or the first that is, or else it is
+the identity; the column ``…_valid`` is false there. The joints of a hand that the clip lacks are 0.
 """
 
 from __future__ import annotations
@@ -41,16 +45,19 @@ from smooth_operator.types import Side
 
 UNITS = {
     "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
-    "action": "the same, of the frame that comes next",
+    "action": "the same, of the frame that comes next unless asked for otherwise",
     "timestamp": "s, frame_index / fps",
     "stamp": "s, true time of the frame",
     "valid": "whether the command answers a hand that was seen",
-    "wrist_valid": "whether the wrist was known; where not, the last one is held",
+    "wrist_valid": "whether the wrist was known; where not, another one is held",
     "status": "why the command is what it is; -1: the clip lacks this hand",
-    "confidence": "of the tracker, 0 to 1; NaN: not known",
+    "confidence": "of the tracker, 0 to 1; -1: not known",
     "human_wrist": "m, quaternion wxyz, in the clip's world",
+    "human_wrist_valid": "whether it was known",
     "camera": "m, quaternion wxyz, axes x right, y down, z forward",
+    "camera_valid": "whether it was known",
     "objects": "m, quaternion wxyz, one object after the other",
+    "objects_valid": "whether each was known",
 }
 """Unit or meaning of each column, without its side."""
 
@@ -157,10 +164,13 @@ class RobotLayout:
             add(f"{side}_confidence", "float32")
             if self.wrist:
                 add(f"{side}_human_wrist", "float32", list(POSE_NAMES))
+                add(f"{side}_human_wrist_valid", "bool")
         add("camera", "float32", list(POSE_NAMES))
+        add("camera_valid", "bool")
         if self.objects:
             names = [f"object{i}.{name}" for i in range(self.objects) for name in POSE_NAMES]
             add("objects", "float32", names)
+            add("objects_valid", "bool", [f"object{i}" for i in range(self.objects)])
         for name in INDICES:
             add(name, "float32" if name == "timestamp" else "int64")
         return features
@@ -185,29 +195,27 @@ class RobotLayout:
                 positions = _held(np.asarray(commands.joint_positions, np.float64))
                 columns[f"{side}_status"] = np.asarray(commands.status)
             state.append(positions)
-            columns[f"{side}_confidence"] = np.asarray(
-                human.confidence.get(side, np.full(count, np.nan))
+            sure = np.asarray(human.confidence.get(side, np.nan), np.float64)
+            columns[f"{side}_confidence"] = np.broadcast_to(
+                np.where(np.isfinite(sure), sure, -1.0), (count,)
             )
             if self.wrist:
                 wrist = clip.T_world_wrist.get(side) if there else None
-                wrist = np.full((count, 7), np.nan) if wrist is None else wrist
-                known = columns[f"{side}_wrist_valid"] = poses.is_valid(wrist)
-                state.append(_held(wrist) if known.any() else np.tile(poses.IDENTITY, (count, 1)))
+                held, columns[f"{side}_wrist_valid"] = _poses(wrist, count)
+                state.append(held)
                 hand = human.hands.get(side)
-                seen = None if hand is None else hand.T_world_wrist
-                columns[f"{side}_human_wrist"] = (
-                    np.full((count, 7), np.nan) if seen is None else seen
-                )
+                seen = _poses(None if hand is None else hand.T_world_wrist, count)
+                columns[f"{side}_human_wrist"], columns[f"{side}_human_wrist_valid"] = seen
         columns["observation.state"] = flat = np.concatenate(state, axis=1)
         # What a hand does next; the last frame stays where it is.
         columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
-        camera = human.T_world_camera
-        columns["camera"] = np.full((count, 7), np.nan) if camera is None else camera
+        columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
         if self.objects:
-            tracks = np.full((count, self.objects, 7), np.nan)
-            for i, item in enumerate(human.objects[: self.objects]):
-                tracks[:, i] = item.T_world_object
-            columns["objects"] = tracks.reshape(count, -1)
+            found = [item.T_world_object for item in human.objects[: self.objects]]
+            found += [None] * (self.objects - len(found))
+            tracks = [_poses(each, count) for each in found]
+            columns["objects"] = np.concatenate([track for track, _ in tracks], axis=1)
+            columns["objects_valid"] = np.stack([known for _, known in tracks], axis=1)
         with np.errstate(over="ignore"):
             return {
                 name: columns[name].astype(feature["dtype"])
@@ -232,6 +240,14 @@ def _has_wrist(clip: RobotClip) -> bool:
 
 def _sided(joint: str, side: Side) -> str:
     return joint if joint.lower().startswith(f"{side}_") else f"{side}_{joint}"
+
+
+def _poses(found: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 7) poses without gaps, and (T,) whether each was known."""
+    known = np.zeros(count, bool) if found is None else np.asarray(poses.is_valid(found))
+    if found is None or not known.any():
+        return np.tile(poses.IDENTITY, (count, 1)), known
+    return _held(found), known
 
 
 def _held(rows: np.ndarray) -> np.ndarray:
