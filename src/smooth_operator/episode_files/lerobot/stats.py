@@ -7,7 +7,7 @@ has none is given zeros. ``count`` is the number of frames, as LeRobot has it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -43,7 +43,7 @@ def column_statistics(values: np.ndarray) -> Statistics:
     finite = np.isfinite(array)
     counts = finite.sum(axis=0).astype(np.float64)
     if finite.all():
-        quantiles = np.quantile(array, list(QUANTILES.values()), axis=0)
+        quantiles = _quantiles(array)
     else:
         # Column by column: NumPy's NaN-aware quantiles are far slower than that.
         quantiles = np.zeros((len(QUANTILES), array.shape[1]))
@@ -64,6 +64,31 @@ def column_statistics(values: np.ndarray) -> Statistics:
             **dict(zip(QUANTILES, quantiles, strict=True)),
         },
     )
+
+
+def columns_statistics(columns: Mapping[str, np.ndarray]) -> dict[str, Statistics]:
+    """Of each of some columns with as many rows; in a third of the time that one by one takes."""
+    parts = [values.reshape(len(values), -1).astype(np.float64) for values in columns.values()]
+    ends = np.cumsum([part.shape[1] for part in parts])
+    together = column_statistics(np.concatenate(parts, axis=1))
+    return {
+        name: Statistics(
+            together.frames,
+            together.finite[end - part.shape[1] : end],
+            {key: each[..., end - part.shape[1] : end] for key, each in together.values.items()},
+        )
+        for name, part, end in zip(columns, parts, ends, strict=True)
+    }
+
+
+def _quantiles(array: np.ndarray) -> np.ndarray:
+    """As NumPy's, linear between values, of all columns in one sort."""
+    ordered = np.sort(np.ascontiguousarray(array.T), axis=1)
+    at = np.array(list(QUANTILES.values())) * (len(array) - 1)
+    below = np.floor(at).astype(int)
+    above = np.minimum(below + 1, len(array) - 1)
+    low, high = ordered[:, below], ordered[:, above]
+    return np.asarray((low + (high - low) * (at - below)).T)
 
 
 def joint_statistics(parts: Sequence[Statistics]) -> Statistics:

@@ -27,7 +27,7 @@ from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.episode_files.lerobot.arrow import arrow, column, parquet
 from smooth_operator.episode_files.lerobot.stats import (
     Statistics,
-    column_statistics,
+    columns_statistics,
     joint_statistics,
 )
 from smooth_operator.episode_files.lerobot.tables import (
@@ -180,7 +180,7 @@ class _Writer(ShardedWriter):
         if video is not None:
             row |= self._linked(video, start, count / fps)
         self._rows.append(row)
-        self._statistics.append({name: column_statistics(v) for name, v in columns.items()})
+        self._statistics.append(columns_statistics(columns))
         self._group.append(columns)
         self._group_bytes += sum(values.nbytes for values in columns.values())
         self._shard_frames += count
@@ -196,7 +196,14 @@ class _Writer(ShardedWriter):
         joined = {name: np.concatenate([each[name] for each in self._group]) for name in names}
         table = arrow().table({name: column(values) for name, values in joined.items()})
         if self._parquet is None:
-            self._parquet = parquet().ParquetWriter(self._file, table.schema, compression="zstd")
+            # Numbers of a movement hardly repeat: a dictionary of them only takes time.
+            floats = [name for name in names if joined[name].dtype.kind == "f"]
+            self._parquet = parquet().ParquetWriter(
+                self._file,
+                table.schema,
+                compression="zstd",
+                use_dictionary=[name for name in names if name not in floats],
+            )
         self._parquet.write_table(table, row_group_size=table.num_rows)
         self._group, self._group_bytes = [], 0
 
