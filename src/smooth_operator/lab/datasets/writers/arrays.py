@@ -33,8 +33,9 @@ from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.types import Side, Status
 
 LOST: Final = (
-    "It does not hold metacarpal bases, orientations of landmarks, the time that a command took, "
-    "and landmarks that are marked invalid; numbers but the stamps are rounded to float32."
+    "It does not hold metacarpal bases, orientations of landmarks, figures of single frames, the "
+    "time that a command took, and landmarks that are marked invalid; numbers but the stamps are "
+    "rounded to float32."
 )
 """What of a clip ``clip_arrays`` has no place for."""
 

@@ -211,7 +211,9 @@ class RobotLayout:
         columns["action"] = np.concatenate([flat[1:], flat[-1:]]) if action == "next" else flat
         columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
         if self.objects:
-            found = [item.T_world_object for item in human.objects[: self.objects]]
+            found: list[np.ndarray | None] = [
+                item.T_world_object for item in human.objects[: self.objects]
+            ]
             found += [None] * (self.objects - len(found))
             tracks = [_poses(each, count) for each in found]
             columns["objects"] = np.concatenate([track for track, _ in tracks], axis=1)

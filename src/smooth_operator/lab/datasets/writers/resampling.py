@@ -57,6 +57,7 @@ def resampled(clip: RobotClip, rate: float) -> RobotClip:
         commands={s: _commands(c, grid) for s, c in clip.commands.items()},
         T_world_wrist={s: grid.poses(w) for s, w in clip.T_world_wrist.items()},
         valid={s: grid.flags(clip_valid(clip, s)) & ~grid.pause for s in clip.commands},
+        tracks={name: np.asarray(track)[grid.nearest] for name, track in clip.tracks.items()},
     )
 
 
