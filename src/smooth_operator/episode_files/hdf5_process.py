@@ -129,30 +129,31 @@ def _linked(group: Any, name: str, h5py: Any) -> Any:
 def _array(data: Any, most: int, found: list[Any], h5py: Any) -> dict[str, Any]:
     import numpy as np
 
+    dtype, shape = data.dtype, data.shape  # h5py asks the file each time
     entry: dict[str, Any] = {
-        "shape": list(data.shape or ()),
-        "type": str(data.dtype),
-        "kind": data.dtype.kind,
+        "shape": list(shape or ()),
+        "type": str(dtype),
+        "kind": dtype.kind,
         "attributes": _attributes(data, h5py),
     }
-    if data.shape is None:  # an array without a space
+    if shape is None:  # an array without a space
         raise RefusedError(f"its array {data.name} is empty")
     if data.external or data.is_virtual:
         raise RefusedError(f"the data of {data.name} stand in other files, which are not read")
-    words = h5py.check_string_dtype(data.dtype) is not None
-    each = max(data.dtype.itemsize, _TEXT_BYTES if words else 8)
-    takes = max(math.prod(data.shape), math.prod(data.chunks or ())) * each
+    words = h5py.check_string_dtype(dtype) is not None
+    each = max(dtype.itemsize, _TEXT_BYTES if words else 8)
+    takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
     if takes + sum(array.nbytes for array in found) > most:
         raise RefusedError(
             f"it would take {takes / 1e6:,.0f} MB of memory to read {data.name}, more than is "
             f"allowed for a file of this size ({most / 1e6:,.0f} MB for all)"
         )
     if words:
-        if math.prod(data.shape) > _MOST_WORDS:
+        if math.prod(shape) > _MOST_WORDS:
             raise RefusedError(f"its array {data.name} holds more than {_MOST_WORDS} texts")
         entry["texts"] = [_text(item) for item in np.ravel(data[()])]
-    elif data.dtype.kind in "fiub":
-        kind = {"f": "<f8", "b": "|b1", "i": "<i8", "u": "<i8"}[data.dtype.kind]
+    elif dtype.kind in "fiub":
+        kind = {"f": "<f8", "b": "|b1", "i": "<i8", "u": "<i8"}[dtype.kind]
         entry["stored"], entry["index"] = kind, len(found)
         with np.errstate(all="ignore"):
             found.append(np.ascontiguousarray(data[()], kind))

@@ -81,7 +81,7 @@ class Machine:
         except NotDataError:
             raise
         except (LookupError, ValueError, TypeError, struct.error, OverflowError) as error:
-            raise NotDataError(f"it is damaged ({type(error).__name__})") from error
+            raise NotDataError("it is damaged") from error
         finally:
             self.budget.steps = left
 

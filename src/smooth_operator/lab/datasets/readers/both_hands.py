@@ -21,6 +21,8 @@ from smooth_operator.types import HandRecording, Side
 
 _TOGETHER: Final = 0.4
 """Two hands are of one frame if their stamps differ by less than this share of a period."""
+_JUDGED: Final = 50
+"""Frames by which order and side of a hand are judged."""
 
 
 def checked_hands(
@@ -48,7 +50,7 @@ def checked_hands(
         if hand is None or not _appears(hand):
             continue
         label = f"{where}, {side} hand"
-        check_anatomy(hand, label, asked=None)
+        check_anatomy(_some_of(hand), label, asked=None)
         check_recording(hand, label)
         hand = without_outliers(hand)
         found[side] = _of_its_side(hand) if each_frame else hand
@@ -63,6 +65,17 @@ def checked_hands(
 def _appears(hand: HandRecording) -> bool:
     assert hand.valid is not None  # filled in by HandRecording
     return bool((hand.valid[:, WRIST] & hand.valid[:, index("middle_mcp")]).any())
+
+
+def _some_of(hand: HandRecording) -> HandRecording:
+    """Whole frames over all of a recording, enough to judge its shape by: it takes as long as all
+    else that is done with a clip."""
+    assert hand.valid is not None  # filled in by HandRecording
+    whole = np.flatnonzero(hand.valid.all(axis=1))
+    if len(whole) <= _JUDGED:
+        return hand
+    rows = whole[np.linspace(0, len(whole) - 1, _JUDGED).astype(int)]
+    return HandRecording(hand.landmarks[rows], hand.stamps[rows], hand.side, meta=hand.meta)
 
 
 def _of_its_side(hand: HandRecording) -> HandRecording:
