@@ -90,6 +90,8 @@ DATASETS: Final = Registry(
             ("egohandkit", "egohandkit:EGOHANDKIT", "EgoHandKit: hand_tracking.parquet"),
             ("synthetic", "synthetic:SYNTHETIC", "clips of the built-in operator, by description"),
             ("predictions", "predictions:PREDICTIONS", "HaMeR, WiLoR, HaWoR: landmarks of a video"),
+            ("hawor", "reconstructions:HAWOR", "HaWoR: world_space_res.pth, MANO's parameters"),
+            ("dynhamr", "reconstructions:DYN_HAMR", "Dyn-HaMR: *_world_results.npz"),
             ("files", "files:FILES", "any recording of one hand that 'retarget' reads"),
         )
     },

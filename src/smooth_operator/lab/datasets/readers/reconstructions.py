@@ -1,0 +1,265 @@
+"""Clips from hands and cameras that HaWoR and Dyn-HaMR reconstruct in one world from a video.
+
+Both give MANO's parameters, so the user's model files are needed. Angles are those of HaMeR's
+models: axis times angle of each joint from the flat hand, fingertips as smplx has them.
+
+- HaWoR, in the folder named as the video: ``world_space_res.pth``, a list of translations
+  (2, T, 3) [m], rotations (2, T, 3), poses (2, T, 45), shapes (2, T, 10) and flags (2, T), the left
+  hand first; ``SLAM/hawor_slam_w_scale_*.npz``: ``traj`` (T, 7), x y z and quaternion x y z w of
+  the camera, and ``scale``, which makes metres of x y z. The left model's shape directions are
+  mended.
+- Dyn-HaMR: ``*_world_results.npz`` with ``trans`` (B, T, 3), ``root_orient`` (B, T, 3),
+  ``pose_body`` (B, T, 15, 3), ``betas`` (B, 10) and ``is_right`` (B, T) of each track, and the
+  camera as ``cam_R`` (B, T, 3, 3) and ``cam_t`` (B, T, 3), world to camera. Left hands are those of
+  the right model, mirrored in x after they are moved.
+
+The world is that of the camera tracking: its axes are those of the first camera, not upright.
+
+Source: ``hawor_video.py``, ``hawor/utils/process.py`` and ``lib/eval_utils/custom_utils.py`` of
+ThunderVVV/HaWoR; programs that read Dyn-HaMR's results (Dyn-HaMR's own export to OpenXR joints).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.errors import RecordingError
+from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.lab.datasets.clip import SIDES, Clip
+from smooth_operator.lab.datasets.mano.model import ManoModel, PlacedHand, load_model
+from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted
+from smooth_operator.lab.datasets.readers.both_hands import (
+    checked_hands,
+    video_beside,
+    wrist_of_points,
+)
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.types import HandRecording, Side, unit_poses
+
+_SIDE_OF: Final[tuple[Side, Side]] = ("left", "right")
+"""Of HaWoR's first axis."""
+_PARTS: Final = ("trans", "root_orient", "pose_body", "betas", "is_right")
+_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
+
+
+class Hawor:
+    """One file, one clip."""
+
+    what = "world_space_res.pth of HaWoR"
+    expects = (
+        "world_space_res.pth, a list of translations (2, T, 3), rotations (2, T, 3), poses "
+        "(2, T, 45), shapes (2, T, 10) and flags (2, T), and SLAM/hawor_slam_w_scale_*.npz"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether it is the file of that name."""
+        return path.name == "world_space_res.pth" and path.is_file()
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The file; its folder is named as the video."""
+        yield ClipRef(path.parent.name or path.stem, path, layout="hawor", size=_size(path))
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hands and the camera in one world; frames that are not flagged are NaN.
+
+        Raises:
+            RecordingError: parts are missing or have another shape; there is no rate, or there are
+                no model files of MANO.
+        """
+        path = ref.path
+        parts = load_restricted(path)
+        if not isinstance(parts, list | tuple) or len(parts) != 5:
+            raise RecordingError(f"{path}: expected is {self.expects}")
+        trans = array(parts[0], f"{path}, translations", (2, None, 3))
+        count = trans.shape[1]
+        rotations = array(parts[1], f"{path}, rotations", (2, count, 3))
+        fingers = array(parts[2], f"{path}, poses", (2, count, 45))
+        betas = array(parts[3], f"{path}, shapes", (2, count, 10))
+        flags = array(parts[4], f"{path}, flags", (2, count)) > 0.5
+        stamps = stamps_from_rate(count, options.rate, str(path))
+        hands: dict[Side, HandRecording] = {}
+        shape: dict[Side, np.ndarray] = {}
+        for row, side in enumerate(_SIDE_OF):
+            seen = flags[row] & np.isfinite(betas[row]).all(axis=1)
+            if not seen.any():
+                continue
+            model = load_model(options.mano, side, mirrored_shape=True)
+            placed = _placed(model, rotations[row], fingers[row], betas[row], trans[row])
+            hands[side] = _recording(placed, side, stamps, "hawor", seen)
+            shape[side] = np.median(betas[row][seen], axis=0)
+        found = checked_hands(hands, str(path), self.expects)
+        slam = next(iter(sorted(path.parent.glob("SLAM/hawor_slam_w_scale_*.npz"))), None)
+        video = video_beside(path.parent.parent / f"{path.parent.name}.mp4")
+        source = [path, *(one for one in (slam, video) if one is not None)]
+        return Clip(
+            ref.name,
+            found,
+            "hawor",
+            tuple(source),
+            T_world_camera=None if slam is None else _slam_camera(slam, count),
+            shape={side: shape[side] for side in found},
+            video=video,
+        )
+
+
+class DynHamr:
+    """One file, one clip."""
+
+    what = "a *_world_results.npz of Dyn-HaMR"
+    expects = (
+        "an .npz with trans (B, T, 3), root_orient (B, T, 3), pose_body (B, T, 15, 3), betas "
+        "(B, 10) and is_right (B, T)"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether it is an ``.npz`` with its arrays."""
+        if path.suffix.lower() != ".npz" or not path.is_file():
+            return False
+        try:
+            return set(_PARTS) <= open_arrays(path).keys()
+        except RecordingError:
+            return False
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The file."""
+        name = path.stem.removesuffix("_world_results")
+        yield ClipRef(name, path, layout="dynhamr", size=_size(path))
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """The first track of each side, and the camera, in one world.
+
+        Raises:
+            RecordingError: parts are missing or have another shape; a track changes its side; there
+                is no rate, or there are no model files of MANO.
+        """
+        path, arrays = ref.path, open_arrays(ref.path)
+        missing = [name for name in _PARTS if name not in arrays]
+        if missing:
+            raise RecordingError(
+                f"{path}: it lacks {', '.join(missing)}; it holds {arrays.describe()}; expected is "
+                f"{self.expects}"
+            )
+        trans = _part(arrays, "trans", (None, None, 3))
+        tracks, count = trans.shape[:2]
+        rotations = _part(arrays, "root_orient", (tracks, count, 3))
+        fingers = _part(arrays, "pose_body", (tracks, count, 15, 3)).reshape(tracks, count, 45)
+        betas = _part(arrays, "betas", (tracks, 10))
+        first = _first_tracks(_part(arrays, "is_right", (tracks, count)), path)
+        stamps = stamps_from_rate(count, options.rate, str(path))
+        hands: dict[Side, HandRecording] = {}
+        for side, row in first.items():
+            model = load_model(options.mano, "right")
+            placed = _placed(model, rotations[row], fingers[row], betas[row], trans[row])
+            if side == "left":
+                points = placed.landmarks * _MIRROR
+                placed = PlacedHand(points, wrist_of_points(points, side))
+            hands[side] = _recording(placed, side, stamps, "dynhamr")
+        found = checked_hands(hands, str(path), self.expects)
+        return Clip(
+            ref.name,
+            found,
+            "dynhamr",
+            (path,),
+            T_world_camera=_camera(arrays, tracks, count),
+            shape={side: betas[first[side]] for side in found},
+            meta={"more_tracks": tracks - len(first)} if tracks > len(first) else {},
+        )
+
+
+def _placed(
+    model: ManoModel,
+    rotations: np.ndarray,
+    fingers: np.ndarray,
+    betas: np.ndarray,
+    trans: np.ndarray,
+) -> PlacedHand:
+    with np.errstate(all="ignore"):  # of numbers that no hand has, which are refused later
+        turned = model.rotations(rotations, fingers, flat_hand_mean=True)
+        return model.place(turned, betas, trans, tips="smplx")
+
+
+def _recording(
+    placed: PlacedHand,
+    side: Side,
+    stamps: np.ndarray,
+    world: Literal["hawor", "dynhamr"],
+    seen: np.ndarray | None = None,
+) -> HandRecording:
+    points, wrist = placed.landmarks.copy(), placed.T_world_wrist.copy()
+    if seen is not None:
+        points[~seen], wrist[~seen] = np.nan, np.nan
+    return HandRecording(
+        points, stamps, side, meta={"format": world}, T_world_wrist=wrist, world=world
+    )
+
+
+def _slam_camera(path: Path, count: int) -> Float[np.ndarray, "T 7"] | None:
+    """The camera's path; None where the file has keyframes only.
+
+    Raises:
+        RecordingError: it is damaged, or its arrays have another shape.
+    """
+    arrays = open_arrays(path)
+    for name in ("traj", "scale"):
+        if name not in arrays:
+            raise RecordingError(f"{path}: it lacks {name}; it holds {arrays.describe()}")
+    path_of = _part(arrays, "traj", (None, 7))
+    scale = np.ravel(_part(arrays, "scale", None))
+    if len(scale) != 1 or not scale[0] > 0 or not np.isfinite(scale[0]):
+        raise RecordingError(f"{path}: scale must be one positive number")
+    if len(path_of) != count:
+        return None
+    return unit_poses(np.concatenate([path_of[:, :3] * scale[0], path_of[:, [6, 3, 4, 5]]], axis=1))
+
+
+def _first_tracks(right: Float[np.ndarray, "B T"], path: Path) -> Mapping[Side, int]:
+    """Side -> the first of its tracks."""
+    first: dict[Side, int] = {}
+    for row, flags in enumerate(right):
+        if not np.isin(flags, (0.0, 1.0)).all() or len(np.unique(flags)) != 1:
+            raise RecordingError(
+                f"{path}: is_right of track {row} must be 0 or 1, the same in all frames"
+            )
+        first.setdefault("right" if flags[0] else "left", row)
+    return {side: first[side] for side in SIDES if side in first}
+
+
+def _camera(arrays: StoredArrays, tracks: int, count: int) -> Float[np.ndarray, "T 7"] | None:
+    """The camera in the world, from world to camera; that of the first track, as all have one."""
+    if "cam_R" not in arrays or "cam_t" not in arrays or not tracks:
+        return None
+    to_camera = np.tile(np.eye(4), (count, 1, 1))
+    to_camera[:, :3, :3] = _part(arrays, "cam_R", (tracks, count, 3, 3))[0]
+    to_camera[:, :3, 3] = _part(arrays, "cam_t", (tracks, count, 3))[0]
+    good = poses.is_rigid(to_camera)
+    found = np.full((count, 7), np.nan)
+    found[good] = poses.invert(poses.from_matrices(to_camera[good]))
+    return found
+
+
+def _part(arrays: StoredArrays, name: str, shape: tuple[int | None, ...] | None) -> Any:
+    stored = arrays[name]
+    fits = shape is None or (
+        len(shape) == len(stored.shape)
+        and all(a in (None, b) for a, b in zip(shape, stored.shape, strict=True))
+    )
+    if not fits:
+        assert shape is not None
+        words = ", ".join("any" if n is None else str(n) for n in shape)
+        raise RecordingError(f"{arrays.path}: {name} must have shape ({words}), not {stored.shape}")
+    return stored.numbers()
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size
+
+
+HAWOR: Final = Hawor()
+DYN_HAMR: Final = DynHamr()
