@@ -43,6 +43,7 @@ EXTRAS = [
     "lerobot",
     "linker",
     "menagerie",
+    "objects",
     "orca",
     "postgres",
     "ros2",

@@ -32,7 +32,13 @@ from smooth_operator.lab.offline.segments import (
     windows,
     without_jumps,
 )
-from smooth_operator.lab.offline.trajectory_solver import ORDERS, Led, smooth_trajectory
+from smooth_operator.lab.offline.trajectory_solver import (
+    ORDERS,
+    ExtraTerms,
+    FrameBlocks,
+    Led,
+    smooth_trajectory,
+)
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
@@ -132,6 +138,7 @@ class TrajectoryRetargeter:
         *,
         seed: int | None = None,
         track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+        extra: ExtraTerms | None = None,
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
         """A whole recording.
 
@@ -139,6 +146,7 @@ class TrajectoryRetargeter:
             recording: the human hand.
             seed: of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
+            extra: more costs and variables of each frame.
 
         Returns:
             the commands, and the (T,) tracking loss of each frame (NaN where there was no usable
@@ -147,7 +155,12 @@ class TrajectoryRetargeter:
         count, hand = len(recording), self.hand
         first, _ = self._scan.run(recording, seed=seed)
         seen = first.status == Status.OK
-        q = np.asarray(first.joint_positions)[:, list(hand.actuated)]
+        q, limits = np.asarray(first.joint_positions)[:, list(hand.actuated)], hand.limits
+        neutral, joints = hand.neutral, len(hand.limits)
+        if extra is not None:
+            q = np.concatenate([q, extra.start], axis=1)
+            limits = np.concatenate([limits, extra.limits])
+            neutral = np.concatenate([neutral, np.zeros(len(extra.limits))])
         stretches = segments(seen, recording.stamps, self.config.bridge)
         goals, reaches = self._goals(recording, seen, stretches)
         loss = np.full(count, np.nan)
@@ -155,13 +168,16 @@ class TrajectoryRetargeter:
         done = 0
         for stretch in stretches:
             for keep, found, tracking in self._solved(
-                recording, stretch, q, (goals, reaches), seen
+                recording, stretch, q, limits, (goals, reaches), seen, extra
             ):
                 q[keep], loss[keep] = found, tracking
                 done = _advance(steps, done, keep.stop)
         _advance(steps, done, count)
-        _hold(q, stretches, hand.neutral)
-        q = np.clip(q, hand.limits[:, 0], hand.limits[:, 1])
+        _hold(q, stretches, neutral)
+        q = np.clip(q, limits[:, 0], limits[:, 1])
+        if extra is not None:
+            extra.settle(q[:, joints:])
+            q = q[:, :joints]
         commands = CommandTrajectory(
             hand.full_configuration(q),
             hand.joint_names,
@@ -200,9 +216,11 @@ class TrajectoryRetargeter:
         self,
         recording: HandRecording,
         stretch: slice,
-        start: Float[np.ndarray, "T m"],
+        start: Float[np.ndarray, "T v"],
+        limits: Float[np.ndarray, "v 2"],
         asked: tuple[FrameGoal, Float[np.ndarray, "T F 3"]],
         seen: Bool[np.ndarray, " T"],
+        extra: ExtraTerms | None,
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Frames that are settled, with their poses and tracking losses."""
         stamps = even_stamps(recording.stamps[stretch])
@@ -210,6 +228,7 @@ class TrajectoryRetargeter:
         ahead = int(np.ceil(AHEAD_S / period)) if period > 0 else 0
         settled = np.empty((0, start.shape[1]))
         goals, reaches = asked
+        joints, more = len(self.hand.limits), len(limits) - len(self.hand.limits)
         for begin, keep, end in windows(len(stamps), WINDOW, ahead):
             known = settled[-ORDERS:]
             before = begin - len(known)
@@ -218,19 +237,22 @@ class TrajectoryRetargeter:
             guess = np.concatenate([known, start[part][len(known) :]])
             tracking = np.empty(0)
 
-            def costs(
-                q: np.ndarray, wanted: FrameGoal = wanted, part: slice = part
-            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            def costs(q: np.ndarray, wanted: FrameGoal = wanted, part: slice = part) -> FrameBlocks:
                 nonlocal tracking
-                cost, gradient, hessian, tracking = self._all_costs(q, wanted, seen[part])
-                return cost, gradient, hessian
+                *found, tracking = self._all_costs(q[:, :joints], wanted, seen[part])
+                if extra is None:
+                    return found[0], found[1], found[2]
+                widths = ((0, 0), (0, more), (0, more))
+                wide = [np.pad(v, widths[: v.ndim]) for v in found]
+                added = extra.costs(q, part)
+                return wide[0] + added[0], wide[1] + added[1], wide[2] + added[2]
 
             led = self._led(reaches[part], stamps[before:end], seen[part])
             found = smooth_trajectory(
                 costs,
                 guess,
                 stamps[before:end],
-                self.hand.limits,
+                limits,
                 self.config.future,
                 len(known),
                 led,
@@ -259,7 +281,9 @@ class TrajectoryRetargeter:
             weights = weights / (1 + (speed / future.motion_speed) ** 2)
         weights = np.where((seen[1:] & seen[:-1])[:, None], weights, 0.0)
 
-        def points(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def points(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            joints = len(self.hand.limits)
+            q, more = x[:, :joints], x.shape[1] - joints
             parts = [
                 self._points(_filled(q[at : at + CHUNK].astype(np.float32)))
                 for at in range(0, len(q), CHUNK)
@@ -268,7 +292,7 @@ class TrajectoryRetargeter:
                 np.concatenate([np.asarray(p, np.float64) for p in column])[: len(q)]
                 for column in zip(*parts, strict=True)
             )
-            return at, jacobian
+            return at, np.pad(jacobian, ((0, 0), (0, 0), (0, more))) if more else jacobian
 
         return Led(points, steps.reshape(len(steps), -1), np.repeat(weights, 3, axis=1))
 

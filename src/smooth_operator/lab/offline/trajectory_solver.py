@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,10 +32,31 @@ from smooth_operator.solvers.trajectory import SPEEDING, TrajectoryConfig
 ORDERS: Final = 3
 """Highest derivative that has a cost; a frame is joined to so many before and after it."""
 
-FrameCosts: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""(T, m) poses to each frame's cost (T,), gradient (T, m) and Hessian (T, m, m)."""
+FrameBlocks: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Each frame's cost (T,), gradient (T, m) and Hessian (T, m, m)."""
+
+FrameCosts: TypeAlias = Callable[[np.ndarray], FrameBlocks]
+"""(T, m) poses to these."""
 
 _DAMPING_FIRST, _DAMPING_MOST = 1e-3, 1e8
+
+
+class ExtraTerms(Protocol):
+    """Costs of frames beyond the method's, which may have variables of their own.
+
+    The variables x of a frame are the m joint positions [rad], then V more.
+    """
+
+    limits: Float[np.ndarray, "V 2"]
+    """Bounds of the V variables."""
+    start: Float[np.ndarray, "T V"]
+    """Where they begin."""
+
+    def costs(self, x: Float[np.ndarray, "t v"], part: slice) -> FrameBlocks:
+        """Costs (t,), gradients (t, m + V) and Hessians of the frames of a part."""
+
+    def settle(self, found: Float[np.ndarray, "T V"]) -> None:
+        """Takes the solution."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,220 @@
+"""Contacts of human fingertips with objects, frame by frame.
+
+A fingertip is a sphere, the pad, that ends at the tip landmark: its centre lies one radius before
+it along the last bone. Its clearance is the signed distance of the centre from the object, less the
+radius. A contact begins where the clearance falls below one threshold and ends where it rises above
+another; short contacts and short interruptions do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from smooth_operator import poses
+from smooth_operator.errors import RecordingError
+from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
+from smooth_operator.lab.objects.placement import apply, landmarks_in_world
+from smooth_operator.lab.objects.signed_distance import FAR_M, Solid, read_solid
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.settings import check_numbers
+from smooth_operator.types import Side
+
+_DISTAL: Final = tuple(tip - 1 for tip in TIPS)
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """When a human fingertip touches an object.
+
+    Attributes:
+        pad_radius: of the sphere that stands for a fingertip [m].
+        begin: clearance below which a contact begins [m].
+        end: clearance above which it ends [m].
+        shortest: contacts and interruptions that are shorter do not count [s].
+    """
+
+    pad_radius: float = 0.0075
+    begin: float = 0.004
+    end: float = 0.007
+    shortest: float = 0.06
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "contacts.", positive=("pad_radius",), not_negative=("shortest",))
+        check_numbers(self, "contacts.", positive=("end",))
+
+
+DEFAULT: Final = ContactSettings()
+"""Thresholds that suit a tracker good to a few millimetres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The objects of a clip whose shape is known.
+
+    Attributes:
+        names: of the O objects.
+        solids: their shapes.
+        T_world_object: (O, T, 7) their poses, NaN where not known.
+    """
+
+    names: tuple[str, ...]
+    solids: tuple[Solid, ...]
+    T_world_object: Float[np.ndarray, "O T 7"]
+
+    def __len__(self) -> int:
+        """Objects."""
+        return len(self.solids)
+
+
+def clip_scene(clip: Clip, known: dict[str, Solid] | None = None) -> Scene:
+    """The objects of a clip with a shape.
+
+    Args:
+        clip: with objects.
+        known: shapes by the object's name, in place of its mesh.
+
+    Raises:
+        RecordingError: none has a shape; a mesh can't be read.
+    """
+    known = known or {}
+    tracks: list[tuple[ObjectTrack, Solid]] = []
+    for track in clip.objects:
+        if track.name in known:
+            tracks.append((track, known[track.name]))
+        elif track.mesh is not None:
+            tracks.append((track, read_solid(track.mesh, track.scale)))
+    if not tracks:
+        raise RecordingError(
+            f"{clip.name}: no object has a mesh, so there is nothing to touch: retarget it without "
+            "objects, or name the folder of the meshes"
+        )
+    return Scene(
+        tuple(track.name for track, _ in tracks),
+        tuple(solid for _, solid in tracks),
+        np.stack([track.T_world_object for track, _ in tracks]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """What fingertips touch; fingers in the order of ``FINGERS``, F of them.
+
+    Attributes:
+        clearance: (T, F) between a fingertip and the nearest object [m], negative inside; NaN where
+            either is not known.
+        touching: (T, F) whether there is a contact.
+        which: (T, F) index of the nearest object.
+        place: (T, F, 3) its nearest point, in the object's frame [m].
+        normal: (T, F, 3) the outward normal there.
+    """
+
+    clearance: Float[np.ndarray, "T F"]
+    touching: Bool[np.ndarray, "T F"]
+    which: Int[np.ndarray, "T F"]
+    place: Float[np.ndarray, "T F 3"]
+    normal: Float[np.ndarray, "T F 3"]
+
+
+def pad_centres(
+    landmarks: Float[np.ndarray, "T 21 3"], radius: float
+) -> Float[np.ndarray, "T 5 3"]:
+    """Centres of the spheres that stand for the fingertips [m].
+
+    Args:
+        landmarks: (T, 21, 3) [m].
+        radius: of the spheres [m].
+    """
+    tips, before = landmarks[:, list(TIPS)], landmarks[:, list(_DISTAL)]
+    bone = tips - before
+    length = np.linalg.norm(bone, axis=-1, keepdims=True)
+    return np.asarray(tips - radius * bone / np.maximum(length, 1e-6))
+
+
+def find_contacts(
+    clip: Clip, side: Side, scene: Scene, settings: ContactSettings = DEFAULT
+) -> Contacts:
+    """Contacts of a human hand's fingertips.
+
+    Args:
+        clip: the hands.
+        side: which hand.
+        scene: the objects.
+        settings: thresholds.
+
+    Raises:
+        RecordingError: the hand has no wrist poses.
+    """
+    landmarks = landmarks_in_world(clip.hands[side])
+    centres = pad_centres(landmarks, settings.pad_radius)
+    clearance, which, place, normal = nearest_object(centres, scene)
+    clearance = clearance - settings.pad_radius
+    touching = np.stack(
+        [_contact(clearance[:, f], clip.stamps, settings) for f in range(len(FINGERS))], axis=1
+    )
+    return Contacts(clearance, touching, which, place, normal)
+
+
+def nearest_object(
+    points: Float[np.ndarray, "T F 3"], scene: Scene
+) -> tuple[
+    Float[np.ndarray, "T F"],
+    Int[np.ndarray, "T F"],
+    Float[np.ndarray, "T F 3"],
+    Float[np.ndarray, "T F 3"],
+]:
+    """Signed distance of points from the nearest object, which it is, place and normal there.
+
+    Args:
+        points: (T, F, 3) in the world [m].
+        scene: the objects.
+
+    Returns:
+        distance (T, F) [m], NaN where it is not known; index (T, F); nearest point and normal
+        (T, F, 3) in that object's frame [m].
+    """
+    shape = points.shape[:2]
+    best = np.full(shape, np.inf)
+    which = np.zeros(shape, int)
+    place, normal = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    for index, (solid, track) in enumerate(zip(scene.solids, scene.T_world_object, strict=True)):
+        local = apply(poses.invert(track), points)
+        known = np.isfinite(local).all(axis=-1)
+        distance = np.full(shape, np.inf)
+        near, at = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+        distance[known], near[known], at[known] = solid.nearest(local[known])
+        closer = distance < best
+        best, which = np.where(closer, distance, best), np.where(closer, index, which)
+        place = np.where(closer[..., None], near, place)
+        normal = np.where(closer[..., None], at, normal)
+    return np.where(best < FAR_M, best, np.nan), which, place, normal
+
+
+def _contact(
+    clearance: Float[np.ndarray, " T"], stamps: Float[np.ndarray, " T"], settings: ContactSettings
+) -> Bool[np.ndarray, " T"]:
+    """Hysteresis, then interruptions that are too short, then contacts that are too short."""
+    on = np.zeros(len(clearance), bool)
+    now = False
+    for t, gap in enumerate(clearance):
+        limit = max(settings.begin, settings.end) if now else settings.begin
+        now = bool(gap < limit)  # False for NaN
+        on[t] = now
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    for value in (False, True):
+        for first, past in _runs(on == value):
+            inside = value or (first > 0 and past < len(on))  # a pause lies between two contacts
+            if inside and stamps[past - 1] - stamps[first] + period < settings.shortest:
+                on[first:past] = not value
+    return on
+
+
+def _runs(where: Sequence[bool] | np.ndarray) -> list[tuple[int, int]]:
+    """First and past-the-last index of each run of true values."""
+    padded = np.concatenate([[0], np.asarray(where, int), [0]])
+    edges = np.flatnonzero(np.diff(padded))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

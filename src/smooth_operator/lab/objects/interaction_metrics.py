@@ -1,0 +1,185 @@
+"""Figures of hands at objects: which contacts are kept, and how deep the hand is in an object.
+
+A fingertip is in contact where its surface is within ``CONTACT_M`` of the object's, for the human
+as for the robot; a fingertip that is further inside than that is not. Pairs of frame and finger are
+counted. *Precision* is the share of the robot's contacts that are the human's as well, *recall* the
+share of the human's that the robot has. The *contact error* is the distance between the robot's
+fingertip and the object in the human's contacts: the contact precision error of TopoRetarget
+(arXiv 2606.16272, Eq. 10) for fingertips. Penetration is the depth of the deepest of the points of
+the hand's surface, ``SPACING_M`` apart (its Eq. 12).
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator import poses
+from smooth_operator.lab.objects.contacts import Contacts, Scene
+from smooth_operator.lab.objects.hand_surface import HandSurface
+from smooth_operator.lab.objects.placement import apply
+from smooth_operator.lab.objects.signed_distance import Grid, Solid, signed_distance
+from smooth_operator.landmarks import FINGERS
+
+CONTACT_M: Final = 0.005
+"""Clearance within which a fingertip is in contact [m]."""
+
+_CHUNK: Final = 32  # frames measured together
+_SURE_M: Final = 0.004
+"""Points that are this far outside by a mesh's grid are not measured exactly [m]."""
+
+
+class Depths(NamedTuple):
+    """Where the surface of a robot hand is at objects.
+
+    Attributes:
+        deepest: (T,) depth of its deepest point inside an object [m]; 0 where none is inside, NaN
+            where no object or no palm is known.
+        clearance: (T, F) between each fingertip and the nearest object [m], negative inside.
+        place: (T, F, 3) the point of the fingertip that is nearest, in the world [m].
+    """
+
+    deepest: Float[np.ndarray, " T"]
+    clearance: Float[np.ndarray, "T F"]
+    place: Float[np.ndarray, "T F 3"]
+
+
+def hand_depths(
+    surface: HandSurface,
+    joint_positions: Float[np.ndarray, "T n"],
+    T_world_palm: Float[np.ndarray, "T 7"],
+    scene: Scene,
+) -> Depths:
+    """Measures a hand against objects, by points of its surface and the objects' exact shapes.
+
+    Args:
+        surface: of the robot hand.
+        joint_positions: (T, n) of all joints [rad].
+        T_world_palm: (T, 7) its palm.
+        scene: the objects.
+    """
+    points, count = surface.surface, len(joint_positions)
+    tips = surface.fingertips(points)
+    deepest = np.full(count, np.nan)
+    clearance = np.full((count, len(tips)), np.nan)
+    place = np.full((count, len(tips), 3), np.nan)
+    frames = surface.frames(joint_positions)
+    for start in range(0, count, _CHUNK):
+        part = slice(start, min(start + _CHUNK, count))
+        world = apply(T_world_palm[part], points.at(frames[part]))
+        least = np.full(world.shape[:2], np.inf)
+        for solid, track in zip(scene.solids, scene.T_world_object, strict=True):
+            local = apply(poses.invert(track[part]), world)
+            known = np.isfinite(local).all(axis=-1)
+            distance = np.full(known.shape, np.inf)
+            distance[known] = _distances(solid, local[known])
+            least = np.minimum(least, distance)
+        seen = np.isfinite(least).all(axis=1)
+        deepest[part] = np.where(seen, np.maximum(-least.min(axis=1), 0.0), np.nan)
+        for f, chosen in enumerate(tips):
+            nearest = least[:, chosen].argmin(axis=1)
+            row = np.arange(len(nearest))
+            clearance[part, f] = np.where(seen, least[row, chosen[nearest]], np.nan)
+            place[part, f] = np.where(seen[:, None], world[row, chosen[nearest]], np.nan)
+    return Depths(deepest, clearance, place)
+
+
+def _distances(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Exact distances near the surface; those far outside by the grid."""
+    if not isinstance(solid.shape, Grid):
+        return solid.distance(points)
+    rough = np.asarray(signed_distance(solid.shape, points))
+    near = rough < _SURE_M + CONTACT_M + 2 * float(np.max(solid.shape.step))
+    rough[near] = solid.distance(points[near])
+    return rough
+
+
+def touching(clearance: Float[np.ndarray, "T F"]) -> Bool[np.ndarray, "T F"]:
+    """Which fingertips are in contact by ``CONTACT_M``; none where the clearance is NaN."""
+    return np.asarray(np.abs(clearance) <= CONTACT_M)
+
+
+class Agreement(NamedTuple):
+    """Contacts of a robot hand against the human's.
+
+    Attributes:
+        both: pairs of frame and finger in which human and robot are in contact.
+        robot: those of the robot.
+        human: those of the human.
+    """
+
+    both: int
+    robot: int
+    human: int
+
+    @property
+    def precision(self) -> float:
+        """Share of the robot's contacts that are the human's; NaN without any."""
+        return self.both / self.robot if self.robot else float("nan")
+
+    @property
+    def recall(self) -> float:
+        """Share of the human's contacts that the robot has; NaN without any."""
+        return self.both / self.human if self.human else float("nan")
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of the two."""
+        total = self.robot + self.human
+        return 2 * self.both / total if total else float("nan")
+
+
+def agreement(human: Bool[np.ndarray, "T F"], robot: Bool[np.ndarray, "T F"]) -> Agreement:
+    """Counts contacts, finger by finger and frame by frame."""
+    return Agreement(int((human & robot).sum()), int(robot.sum()), int(human.sum()))
+
+
+def interaction_figures(
+    surface: HandSurface,
+    joint_positions: Float[np.ndarray, "T n"],
+    T_world_palm: Float[np.ndarray, "T 7"],
+    scene: Scene,
+    contacts: Contacts,
+) -> dict[str, float]:
+    """Figures of one hand in one clip.
+
+    Args:
+        surface: of the robot hand.
+        joint_positions: (T, n) of all joints [rad].
+        T_world_palm: (T, 7) its palm.
+        scene: the objects.
+        contacts: the human's; their clearances decide.
+
+    Returns:
+        ``contact_precision``, ``contact_recall``, ``contact_f1``; ``contact_error_mm``, the mean
+        distance of the robot's fingertip from the object in the human's contacts;
+        ``contact_place_mm``, how far it is there from where the human touches;
+        ``penetration_max_mm`` and ``penetration_mean_mm``, the deepest point of a frame, over the
+        clip and in the mean; ``contacts``, how many the human has.
+    """
+    measured = hand_depths(surface, joint_positions, T_world_palm, scene)
+    rows = [FINGERS.index(finger) for finger in surface.hand.fingers]
+    usable = np.isfinite(measured.clearance) & np.isfinite(contacts.clearance[:, rows])
+    human = touching(contacts.clearance[:, rows]) & usable
+    found = agreement(human, touching(measured.clearance) & usable)
+    which, local = contacts.which[:, rows], contacts.place[:, rows]
+    track = np.moveaxis(scene.T_world_object, 0, 1)[np.arange(len(which))[:, None], which]
+    there = poses.rotate(track[..., 3:], local) + track[..., :3]
+    off = np.linalg.norm(measured.place - there, axis=-1)
+    deep = measured.deepest[np.isfinite(measured.deepest)]
+    return {
+        "contact_precision": found.precision,
+        "contact_recall": found.recall,
+        "contact_f1": found.f1,
+        "contact_error_mm": _mean(1e3 * np.abs(measured.clearance[human])),
+        "contact_place_mm": _mean(1e3 * off[human]),
+        "penetration_max_mm": 1e3 * float(deep.max(initial=0.0)) if len(deep) else float("nan"),
+        "penetration_mean_mm": _mean(1e3 * deep),
+        "contacts": float(found.human),
+    }
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")

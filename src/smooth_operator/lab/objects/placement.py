@@ -1,0 +1,104 @@
+"""Where human hands, robot palms and objects are in one world."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator import poses
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import (
+    MIN_CONDITION,
+    AlignmentConfig,
+    palm_alignment,
+    reference_landmarks,
+)
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.types import HandRecording
+
+SAME_M = 0.01
+"""Wrist landmark and wrist pose nearer than this: the landmarks are in the world already [m]."""
+
+
+def landmarks_in_world(recording: HandRecording) -> Float[np.ndarray, "T 21 3"]:
+    """The landmarks of a hand in the world of its wrist poses.
+
+    A tracker may give landmarks in a frame of its own. They are then carried to the wrist's pose by
+    the wrist frame that the palm's landmarks define.
+
+    Args:
+        recording: with ``T_world_wrist``.
+
+    Returns:
+        (T, 21, 3) [m], NaN where a landmark or the wrist is not known.
+
+    Raises:
+        RecordingError: the recording has no poses of the wrist.
+    """
+    wrist = recording.T_world_wrist
+    if wrist is None:
+        raise RecordingError(
+            f"{recording.name}: objects need the wrist in the world, and this recording has only "
+            "landmarks: use a layout with wrist poses"
+        )
+    assert recording.valid is not None  # filled in on construction
+    points = np.where(recording.valid[..., None], recording.landmarks, np.nan)
+    off = np.linalg.norm(points[:, 0] - wrist[:, :3], axis=-1)
+    if np.isfinite(off).any() and np.nanmedian(off) < SAME_M:
+        return np.where(np.isfinite(wrist[:, :1, None]), points, np.nan)
+    own = poses.wrist_from_landmarks(points, recording.side)
+    moved = poses.compose(wrist, poses.invert(own))
+    return apply(moved, points)
+
+
+def palm_in_world(
+    recording: HandRecording, hand: Hand, alignment: AlignmentConfig
+) -> Float[np.ndarray, "T 7"]:
+    """Where the robot's palm is, so that it lies on the human's.
+
+    The rotation is that of the alignment that retargeting uses. Robot and human keep their sizes,
+    and the centres of the landmarks that are aligned coincide.
+
+    Args:
+        recording: the human hand, with ``T_world_wrist``.
+        hand: the robot hand.
+        alignment: the method's.
+
+    Returns:
+        (T, 7) ``T_world_palm``; NaN where the palm is not known.
+    """
+    points = landmarks_in_world(recording)
+    chosen = list(hand.align_indices)
+    known = np.isfinite(points[:, chosen]).all(axis=(1, 2))
+    safe = np.where(known[:, None, None], points, reference_landmarks(hand))
+    fit = palm_alignment(safe, hand, alignment)
+    known &= np.asarray(fit.condition) >= MIN_CONDITION
+    turn = np.swapaxes(np.asarray(fit.rotation), -1, -2)  # palm to world
+    centre = safe[:, chosen].mean(axis=1)
+    place = centre - np.einsum("tij,j->ti", turn, hand.align_points.mean(axis=0))
+    found = np.concatenate([place, poses.quaternions(turn)], axis=-1)
+    return np.where(known[:, None], found, np.nan)
+
+
+def wrist_in_palm(hand: Hand) -> Float[np.ndarray, "7"]:
+    """``T_palm_wrist`` of a robot hand: the wrist's axes as those of every tracker's wrist.
+
+    They follow from the robot's own landmarks in its neutral pose
+    (docs/reference/conventions.md).
+    """
+    landmarks = human_landmarks(hand, hand.neutral[None])[0]
+    return poses.wrist_from_landmarks(landmarks, hand.spec.side)
+
+
+def apply(
+    transform: Float[np.ndarray, "T 7"], points: Float[np.ndarray, "T n 3"]
+) -> Float[np.ndarray, "T n 3"]:
+    """Points of each frame moved by its pose."""
+    moved: np.ndarray = poses.rotate(transform[:, None, 3:], points) + transform[:, None, :3]
+    return moved
+
+
+def is_known(transform: Float[np.ndarray, "T 7"]) -> Bool[np.ndarray, " T"]:
+    """Which poses are valid."""
+    return poses.is_valid(transform)

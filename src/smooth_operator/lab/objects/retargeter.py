@@ -1,0 +1,214 @@
+"""Whole recordings retargeted with the objects that the hand touches.
+
+All frames are solved jointly, as by ``TrajectoryRetargeter``, with the costs of
+``smooth_operator.lab.objects.terms`` added. The robot's palm lies on the human's; within bounds the
+wrist may move off it, so that fingers of another length reach what the human touches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.objects.contacts import (
+    Contacts,
+    ContactSettings,
+    clip_scene,
+    find_contacts,
+)
+from smooth_operator.lab.objects.interaction_metrics import interaction_figures
+from smooth_operator.lab.objects.placement import palm_in_world, wrist_in_palm
+from smooth_operator.lab.objects.signed_distance import Shape, Solid
+from smooth_operator.lab.objects.terms import (
+    UNITS,
+    ObjectCosts,
+    ObjectFrame,
+    ObjectSettings,
+    object_frames,
+)
+from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
+from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
+from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
+from smooth_operator.methods.presets import method_config
+from smooth_operator.planning import Plan
+from smooth_operator.types import CommandTrajectory, Side
+
+ITERATIONS = 80
+"""Newton steps at most: contacts bend the cost more than landmarks do."""
+
+
+class ObjectAware(NamedTuple):
+    """What a robot hand does in a clip with objects.
+
+    Attributes:
+        commands: one for each frame.
+        loss: (T,) the method's tracking loss, NaN without a usable hand.
+        figures: of contacts and penetration by name (``interaction_figures``), against the contacts
+            that were found in the human's hand.
+        T_world_palm: (T, 7) the robot's palm, NaN where it is not known.
+        T_world_wrist: (T, 7) its wrist, with the axes of every wrist.
+        correction: (T, 6) of the wrist: translation [m] and rotation vector [rad] in the palm
+            frame.
+        contacts: the human's.
+    """
+
+    commands: CommandTrajectory
+    loss: Float[np.ndarray, " T"]
+    figures: Mapping[str, float]
+    T_world_palm: Float[np.ndarray, "T 7"]
+    T_world_wrist: Float[np.ndarray, "T 7"]
+    correction: Float[np.ndarray, "T 6"]
+    contacts: Contacts
+
+
+@dataclass(eq=False)
+class _Terms:
+    """The costs of one clip, as ``smooth_trajectory`` takes them; see ``ExtraTerms``."""
+
+    costs_of: ObjectCosts
+    shapes: tuple[Shape, ...]
+    frames: ObjectFrame
+    start: Float[np.ndarray, "T 6"]
+    limits: Float[np.ndarray, "6 2"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.limits = self.costs_of.limits
+        self.found = self.start
+
+    def costs(self, x: Float[np.ndarray, "t v"], part: slice) -> FrameBlocks:
+        """Costs, gradients and Hessians of the frames of a part."""
+        frames = ObjectFrame(*(values[part] for values in self.frames))
+        return self.costs_of.all_costs(self.shapes, x, frames)
+
+    def settle(self, found: Float[np.ndarray, "T 6"]) -> None:
+        """Takes the solution."""
+        self.found = found
+
+
+class ObjectAwareRetargeter:
+    """Retargets clips with objects onto one robot hand.
+
+    Args:
+        hand: the robot hand.
+        config: a configuration for whole recordings; None for ``smooth:offline``.
+        settings: weights and bounds; None for the default ones.
+        contacts: when a human fingertip touches; None for the default thresholds.
+        seed: of the method's random numbers.
+
+    Raises:
+        ConfigError: the method can't be solved for a whole recording.
+        HandModelError: a fingertip of the hand has no solid part.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        config: TrajectoryMethodConfig | None = None,
+        settings: ObjectSettings | None = None,
+        contacts: ContactSettings | None = None,
+        seed: int = 0,
+    ) -> None:
+        chosen = whole_config(method_config("smooth", "offline")) if config is None else config
+        steps = max(chosen.future.iterations, ITERATIONS)
+        chosen = replace(chosen, future=replace(chosen.future, iterations=steps))
+        self.hand, self.config = hand, chosen
+        self.contact_settings = ContactSettings() if contacts is None else contacts
+        self.blind = TrajectoryRetargeter(hand, chosen, seed)
+        self.costs = ObjectCosts(hand, ObjectSettings() if settings is None else settings)
+
+    def run(self, clip: Clip, side: Side, known: Mapping[str, Solid] | None = None) -> ObjectAware:
+        """One hand of a clip.
+
+        Args:
+            clip: with wrist poses and objects.
+            side: which hand.
+            known: shapes of objects by name, in place of their meshes.
+
+        Raises:
+            RecordingError: the clip lacks the hand, its wrist, or an object with a shape.
+        """
+        if side not in clip.hands:
+            raise RecordingError(f"{clip.name}: there is no {side} hand, only {list(clip.hands)}")
+        recording, scene = clip.hands[side], clip_scene(clip, dict(known or {}))
+        contacts = find_contacts(clip, side, scene, self.contact_settings)
+        palm = palm_in_world(recording, self.hand, self.config.alignment)
+        settings = self.costs.settings
+        terms = _Terms(
+            self.costs,
+            tuple(solid.shape for solid in scene.solids),
+            object_frames(self.hand, palm, scene, contacts, clip.stamps, settings),
+            np.zeros((len(clip), 6)),
+        )
+        commands, loss = self.blind.run(recording, extra=terms)
+        correction = terms.found * UNITS
+        moved = self.corrected(palm, correction)
+        figures = interaction_figures(
+            self.costs.surface, commands.joint_positions, moved, scene, contacts
+        )
+        figures |= {
+            "wrist_shift_max_mm": 1e3 * float(np.linalg.norm(correction[:, :3], axis=1).max()),
+            "wrist_turn_max_deg": float(
+                np.degrees(np.linalg.norm(correction[:, 3:], axis=1).max())
+            ),
+        }
+        wrist = poses.compose(moved, wrist_in_palm(self.hand))
+        return ObjectAware(commands, loss, figures, moved, wrist, correction, contacts)
+
+    def corrected(
+        self, palm: Float[np.ndarray, "T 7"], correction: Float[np.ndarray, "T 6"]
+    ) -> Float[np.ndarray, "T 7"]:
+        """``T_world_palm`` after the wrist's correction, which turns about the palm's centre."""
+        centre = self.hand.align_points.mean(axis=0)
+        turn = poses.from_rotation_vectors(correction[:, 3:])
+        place = correction[:, :3] + centre - poses.rotate(turn, np.broadcast_to(centre, (1, 3)))
+        return poses.compose(palm, np.concatenate([place, turn], axis=-1))
+
+
+def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
+    """A configuration as one of whole recordings.
+
+    Raises:
+        ConfigError: it answers frame by frame.
+    """
+    if config.trajectory is None:
+        raise ConfigError(
+            "objects are for whole recordings: choose a preset for them, such as smooth:offline"
+        )
+    return config.trajectory
+
+
+def object_aware(
+    clip: Clip, side: Side, plan: Plan
+) -> tuple[CommandTrajectory, Float[np.ndarray, " T"], dict[str, float], Float[np.ndarray, "T 7"]]:
+    """One hand of a clip with objects, as a plan asks for it.
+
+    Args:
+        clip: with wrist poses and objects.
+        side: which hand.
+        plan: robot hand, method and preset, which must be one for whole recordings.
+
+    Returns:
+        commands; (T,) tracking loss; figures of contacts and penetration; (T, 7)
+        ``T_world_wrist`` of the robot, which contacts may have moved off the human's.
+
+    Raises:
+        ConfigError: the preset answers frame by frame.
+        RecordingError: the clip lacks wrist poses, or objects with a shape.
+    """
+    found = _retargeter(plan.hand, whole_config(plan.config), plan.seed).run(clip, side)
+    return found.commands, found.loss, dict(found.figures), found.T_world_wrist
+
+
+@lru_cache(maxsize=4)
+def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> ObjectAwareRetargeter:
+    """Programs are compiled once for a hand and a configuration."""
+    return ObjectAwareRetargeter(hand, config, seed=seed)

@@ -1,0 +1,254 @@
+"""Retargeting with objects: signed distances, contacts, costs, and what they gain on made clips."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smooth_operator import poses
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
+from smooth_operator.lab.objects.comparison import AWARE, BLIND, compare, targets
+from smooth_operator.lab.objects.contacts import ContactSettings, clip_scene, find_contacts
+from smooth_operator.lab.objects.hand_surface import HandSurface
+from smooth_operator.lab.objects.interaction_metrics import agreement, hand_depths
+from smooth_operator.lab.objects.placement import landmarks_in_world, palm_in_world
+from smooth_operator.lab.objects.scenes import SceneSpec, bumpy_mesh, make_clip
+from smooth_operator.lab.objects.signed_distance import (
+    Box,
+    Capsule,
+    Cylinder,
+    Mesh,
+    Solid,
+    Sphere,
+    read_solid,
+    signed_distance,
+)
+from smooth_operator.lab.objects.terms import ObjectCosts, ObjectSettings, object_frames
+from smooth_operator.types import HandRecording
+
+
+def has_libigl() -> bool:
+    from importlib.util import find_spec
+
+    return find_spec("igl") is not None
+
+
+needs_libigl = pytest.mark.skipif(not has_libigl(), reason="libigl (extra objects) is not there")
+
+# -- signed distances ------------------------------------------------------------------------------
+
+
+def by_samples(surface: np.ndarray, point: np.ndarray) -> float:
+    """Distance from a dense sample of a surface."""
+    return float(np.linalg.norm(surface - point, axis=1).min())
+
+
+def test_primitives_against_figures_by_hand():
+    box, tube = Box(np.array([0.1, 0.2, 0.3])), Cylinder(0.1, 0.2)
+    cases = [
+        (Sphere(0.1), [0.0, 0.3, 0.4], 0.4),
+        (Sphere(0.1), [0.0, 0.0, 0.04], -0.06),
+        (box, [0.0, 0.0, 0.0], -0.1),
+        (box, [0.13, 0.24, 0.0], 0.05),
+        (box, [0.13, 0.24, 0.42], 0.13),
+        (tube, [0.0, 0.05, 0.0], -0.05),
+        (tube, [0.13, 0.0, 0.24], 0.05),
+        (Capsule(0.1, 0.2), [0.0, 0.0, 0.5], 0.2),
+        (Capsule(0.1, 0.2), [0.3, 0.0, 0.1], 0.2),
+    ]
+    for shape, point, expected in cases:
+        found = signed_distance(shape, np.array([point]))[0]
+        assert found == pytest.approx(expected, abs=1e-8), (shape, point)
+
+
+def test_nearest_point_and_normal_of_a_box():
+    distance, place, normal = Solid(Box(np.array([0.02, 0.03, 0.04]))).nearest(
+        np.array([[0.05, 0.01, -0.02]])
+    )
+    np.testing.assert_allclose(distance, [0.03], atol=1e-9)
+    np.testing.assert_allclose(place, [[0.02, 0.01, -0.02]], atol=1e-7)
+    np.testing.assert_allclose(normal, [[1.0, 0.0, 0.0]], atol=1e-6)
+
+
+@needs_libigl
+def test_a_mesh_is_measured_exactly_and_its_grid_nearly(tmp_path: Path):
+    trimesh = pytest.importorskip("trimesh")
+    half = np.array([0.02, 0.03, 0.04])
+    file = tmp_path / "box.ply"
+    trimesh.creation.box(2e3 * half).export(file)  # in millimetres
+    solid = read_solid(file, 1e-3)
+    points = np.random.default_rng(0).uniform(-0.055, 0.055, (500, 3))
+    truth = signed_distance(Box(half), points)
+    np.testing.assert_allclose(solid.distance(points), truth, atol=1e-6)
+    near = np.abs(truth) < 0.01
+    assert np.abs(signed_distance(solid.shape, points) - truth)[near].max() < 7e-4
+    far = np.array([[0.3, 0.0, 0.0]])  # beyond the grid
+    assert signed_distance(solid.shape, far)[0] == pytest.approx(0.28, abs=2e-3)
+    with pytest.raises(RecordingError, match="scale"):
+        read_solid(file, 1.0)
+
+
+@needs_libigl
+def test_the_sign_holds_for_a_mesh_with_a_hole():
+    mesh = bumpy_mesh(0.02, 0.05)
+    open_one = Mesh(mesh.vertices, mesh.faces[5:])
+    inside, outside = np.array([[0.0, 0.0, 0.0]]), np.array([[0.05, 0.0, 0.0]])
+    assert open_one.nearest(inside)[0][0] < -0.01 < 0.01 < open_one.nearest(outside)[0][0]
+
+
+def test_what_is_no_mesh_is_refused(tmp_path: Path):
+    (tmp_path / "mug.obj").write_text("nothing\n", encoding="utf-8")
+    for name in ("mug.obj", "none.obj"):
+        with pytest.raises((RecordingError, ImportError), match=name):
+            read_solid(tmp_path / name)
+
+
+# -- contacts --------------------------------------------------------------------------------------
+
+
+def still_hand(gaps: np.ndarray) -> Clip:
+    """A straight index finger along x above a sphere, its pad so far from it [m]."""
+    count = len(gaps)
+    points = np.zeros((count, 21, 3))
+    points[:, 1:5] = [0.02, 0.05, 0.0]
+    for finger, first in enumerate((5, 9, 13, 17)):
+        for k in range(4):
+            points[:, first + k] = [0.09 + 0.025 * k, 0.03 - 0.02 * finger, 0.0]
+    wrist = np.tile(poses.IDENTITY, (count, 1))
+    hand = HandRecording(points, np.arange(count) / 50.0, T_world_wrist=wrist, world="w")
+    radius, pad = 0.03, 0.0075
+    track = np.tile(poses.IDENTITY, (count, 1))
+    track[:, :3] = points[:, 8] + [-pad, 0.0, 0.0]
+    track[:, 2] -= radius + pad + gaps
+    return Clip("c", {"right": hand}, "test", objects=(ObjectTrack("ball", track),))
+
+
+def test_hysteresis_and_durations_of_contacts():
+    gaps = np.full(60, 0.02)
+    gaps[10:30] = 0.0
+    gaps[18] = 0.006  # between the thresholds: the contact goes on
+    gaps[24] = 0.02  # an interruption of one frame
+    gaps[40] = 0.0  # a contact of one frame
+    gaps[45:50] = 0.006  # near, and never below the first threshold
+    clip = still_hand(gaps)
+    scene = clip_scene(clip, {"ball": Solid(Sphere(0.03))})
+    found = find_contacts(clip, "right", scene, ContactSettings(0.0075, 0.004, 0.007, 0.05))
+    np.testing.assert_allclose(found.clearance[:, 1], gaps, atol=1e-9)
+    assert np.flatnonzero(found.touching[:, 1]).tolist() == list(range(10, 30))
+    assert not found.touching[:, [0, 2, 3, 4]].any()
+    np.testing.assert_allclose(found.normal[12, 1], [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(found.place[12, 1], [0, 0, 0.03], atol=1e-7)
+
+
+def test_landmarks_are_carried_to_the_wrist():
+    clip = still_hand(np.zeros(3))
+    hand = clip.hands["right"]
+    turn = poses.from_rotation_vectors(np.array([0.3, -0.5, 0.8]))
+    there = np.concatenate([[0.4, -0.2, 1.0], turn])
+    own = poses.wrist_from_landmarks(hand.landmarks, "right")
+    moved = replace(hand, T_world_wrist=poses.compose(np.tile(there, (3, 1)), own))
+    expected = poses.rotate(np.broadcast_to(turn, (3, 21, 4)), hand.landmarks) + there[:3]
+    np.testing.assert_allclose(landmarks_in_world(moved), expected, atol=1e-9)
+    with pytest.raises(RecordingError, match="wrist"):
+        landmarks_in_world(replace(hand, T_world_wrist=None))
+
+
+@pytest.mark.parametrize(
+    ("kind", "side", "used"),
+    [("pinch", "right", {0, 1}), ("slide", "left", {0, 1, 2, 3})],
+)
+def test_made_clips_touch_where_they_should(kind, side, used):
+    made = make_clip(SceneSpec(kind, "box", 3, side))
+    hold = slice(50, 70)
+    truth = made.truth
+    assert set(np.flatnonzero(truth.touching[hold].all(axis=0))) == used
+    assert not truth.touching[:20].any()
+    assert truth.clearance[hold][:, [f for f in range(5) if f not in used]].min() > 0.004
+    assert truth.clearance.min() > -0.001
+    found = find_contacts(made.clip, side, made.scene)
+    agreed = agreement(truth.touching, found.touching)
+    assert agreed.recall > 0.97
+    assert agreed.precision > 0.85  # it begins at 4 mm, the contacts of record at 1 mm
+    again = make_clip(SceneSpec(kind, "box", 3, side))
+    np.testing.assert_array_equal(again.clip.hands[side].landmarks, made.clip.hands[side].landmarks)
+
+
+def test_a_scene_of_an_unknown_kind():
+    with pytest.raises(ConfigError, match="grasp, pinch"):
+        SceneSpec("juggle")  # type: ignore[arg-type]
+
+
+# -- the robot's surface ---------------------------------------------------------------------------
+
+
+def test_depth_of_a_hand_at_a_sphere_and_its_bodies_frames():
+    hand = load_hand("mimic_p050")
+    surface = HandSurface(hand)
+    q = hand.full_configuration(hand.neutral)[None]
+    tips = hand.tips(q)[0]
+    identity = np.tile(poses.IDENTITY, (1, 1))
+    made = make_clip(SceneSpec("pinch", "sphere", 0))
+    ball = np.concatenate([tips[1] + [0.0, 0.0, 0.05], [1.0, 0, 0, 0]])
+    scene = replace(made.scene, solids=(Solid(Sphere(0.045)),), T_world_object=ball[None, None])
+    found = hand_depths(surface, q, identity, scene)
+    # spheres of the solver and points of the measurement describe one hand
+    spheres = surface.spheres.at(surface.frames(q))[0]
+    gap = np.linalg.norm(spheres - ball[:3], axis=1) - 0.045 - surface.spheres.radius
+    assert found.clearance[0, 1] == pytest.approx(
+        gap[surface.fingertips(surface.spheres)[1]].min(), abs=4e-4
+    )
+    assert found.deepest[0] == pytest.approx(max(0.0, -gap.min()), abs=4e-4)
+
+
+def test_derivatives_of_the_costs_by_finite_differences():
+    hand = load_hand("mimic_p050")
+    costs = ObjectCosts(hand, ObjectSettings())
+    made = make_clip(SceneSpec("grasp", "cylinder", 0))
+    side = "right"
+    palm = palm_in_world(made.clip.hands[side], hand, costs_alignment())
+    contacts = find_contacts(made.clip, side, made.scene)
+    frames = object_frames(hand, palm, made.scene, contacts, made.clip.stamps, costs.settings)
+    rng = np.random.default_rng(1)
+    picked = np.array([30, 60, 90])
+    rows = type(frames)(*(values[picked] for values in frames))
+    q = hand.neutral + 0.4 * (hand.limits[:, 1] - hand.neutral) * rng.random((3, len(hand.neutral)))
+    x = np.concatenate([q, 0.3 * rng.normal(size=(3, 6))], axis=1)
+    shapes = tuple(solid.shape for solid in made.scene.solids)
+    _, gradient, hessian = costs.all_costs(shapes, x, rows)
+    step = 2e-3
+    numeric = np.stack(
+        [
+            (costs.all_costs(shapes, x + step * e, rows)[0]
+             - costs.all_costs(shapes, x - step * e, rows)[0]) / (2 * step)
+            for e in np.eye(x.shape[1])
+        ],
+        axis=1,
+    )  # fmt: skip
+    size = np.linalg.norm(gradient, axis=1)
+    assert (size > 0.1).all()
+    assert (np.linalg.norm(gradient - numeric, axis=1) < 0.03 * size).all()
+    assert np.linalg.eigvalsh(hessian).min() > -1e-3 * np.abs(hessian).max()
+
+
+def costs_alignment():
+    from smooth_operator.human.alignment import AlignmentConfig
+
+    return AlignmentConfig()
+
+
+# -- what it gains ---------------------------------------------------------------------------------
+
+
+def test_contacts_are_kept_and_the_surface_is_respected():
+    specs = [SceneSpec("pinch", "box", 0), SceneSpec("grasp", "cylinder", 0)]
+    rows = compare(("mimic_p050",), specs, (AWARE, BLIND))
+    found = targets(rows)
+    assert found["contact_error_ratio"][0] < 0.5
+    assert found["precision_error_ratio"][0] < 0.5
+    assert found["worst_penetration_mm"][0] < 2.0
+    assert found["cosine_change"][0] > -0.01
