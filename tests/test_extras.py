@@ -68,6 +68,7 @@ LIBRARIES = [
     "daqp",
     "dynamixel_sdk",
     "h5py",
+    "igl",
     "isaacteleop",
     "mcap",
     "mediapipe",
