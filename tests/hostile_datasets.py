@@ -57,6 +57,7 @@ def _reader(layout: str) -> Callable[[Path], None]:
 
 egodex, avp, hts, landmarks = map(_reader, ("egodex", "avp", "hts", "landmarks"))
 egohandkit, predictions = map(_reader, ("egohandkit", "predictions"))
+parquet = _reader("parquet")
 hawor, dynhamr = map(_reader, ("hawor", "dynhamr"))
 
 
@@ -193,6 +194,7 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         ],
         "landmarks": [(*made("a.npz", files.landmarks_file), fuzzing.mutate_npz)],
         "egohandkit": [(*made("a.parquet", files.egohandkit_file), mutate_parquet)],
+        "parquet": [("p.parquet", _packed(folder), mutate_parquet)],
         "predictions": [
             ("a.pkl", files.pickled(files.wilor_frames()), mutate_pickle),
             ("a.json", json.dumps(files.plain(files.wilor_frames())).encode(), fuzzing.mutate_json),
@@ -202,6 +204,21 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
             ("a.npz", files.detections_npz(), fuzzing.mutate_npz),
         ],
     }
+
+
+def _packed(folder: Path) -> bytes:
+    """Three clips in the format of the Parquet writer."""
+    from smooth_operator.lab.datasets.readers.synthetic import SyntheticCorpus
+    from smooth_operator.lab.datasets.robot_clip import RobotClip
+    from smooth_operator.lab.datasets.writers.parquet import PARQUET
+    from smooth_operator.lab.datasets.writers.registry import WritingOptions
+
+    corpus = SyntheticCorpus(3, 0.3, 0.6, people=1)
+    with PARQUET.open(folder / "packed", WritingOptions()) as writer:
+        for number in range(3):
+            writer.write(RobotClip(corpus.clip(number), {}, {}, {}, {}, key=str(number)))
+    (path,) = (folder / "packed" / "data").iterdir()
+    return path.read_bytes()
 
 
 def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:

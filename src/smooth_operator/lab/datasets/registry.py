@@ -88,6 +88,7 @@ DATASETS: Final = Registry(
             ("hts", "headsets:HTS_RECORDING", "Hand Tracking Streamer (Quest): lines, JSON lines"),
             ("landmarks", "landmarks:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"),
             ("egohandkit", "egohandkit:EGOHANDKIT", "EgoHandKit: hand_tracking.parquet"),
+            ("parquet", "packed:PACKED", "clips that the format 'parquet' has packed"),
             ("synthetic", "synthetic:SYNTHETIC", "clips of the built-in operator, by description"),
             ("predictions", "predictions:PREDICTIONS", "HaMeR, WiLoR, HaWoR: landmarks of a video"),
             ("hawor", "reconstructions:HAWOR", "HaWoR: world_space_res.pth, MANO's parameters"),

@@ -111,13 +111,10 @@ def find_items(
         RecordingError: a source is not there.
         MissingExtraError: an address needs a library that is not installed.
     """
-    if layout is not None:
-        DATASETS.load(layout)
-    look = _Looking(layout, None if leave_out is None else leave_out.resolve())
     items: list[Item] = []
     refused: list[Refused] = []
     passed_over: dict[str, int] = {}
-    for each in (found for source in sources for found in look.through(source)):
+    for each in each_item(sources, layout=layout, leave_out=leave_out):
         if isinstance(each, Item):
             items.append(each)
         elif isinstance(each, Refused):
@@ -126,6 +123,30 @@ def find_items(
             passed_over[each] = passed_over.get(each, 0) + 1
     named = _unique(items)
     return Found(tuple(sorted(named, key=lambda item: item.name)), tuple(refused), passed_over)
+
+
+def each_item(
+    sources: Sequence[str], *, layout: str | None = None, leave_out: Path | None = None
+) -> Iterator[Item | Refused | str]:
+    """What the sources hold, one after the other, so that a list of any length fits in memory.
+
+    The order is that of the sources and of names in them. Items of two sources may share a name.
+
+    Args:
+        sources: as in ``find_items``.
+        layout: as there.
+        leave_out: as there.
+
+    Yields:
+        items; what can't be used; and of files that nobody knows the suffixes.
+
+    Raises:
+        UnknownNameError, RecordingError, MissingExtraError: as ``find_items``.
+    """
+    if layout is not None:
+        DATASETS.load(layout)
+    look = _Looking(layout, None if leave_out is None else leave_out.resolve())
+    return (found for source in sources for found in look.through(source))
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:

@@ -158,7 +158,7 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
             clips = []
             for clip in item.clips:
                 config = configs.setdefault(to_json(clip.config), len(configs))
-                arrays, document = _encoded(clip)
+                arrays, document = encoded(clip)
                 clips.append({"arrays": number, "config": config, **document})
                 for name, values in arrays.items():
                     with pack.open(zipfile.ZipInfo(f"{number}/{name}.npy", _DATE), "w") as member:
@@ -212,7 +212,7 @@ class _Pack:
             with self._zip.open(f"{prefix}{name}.npy") as member:
                 arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
         config = shared_config(self.index["configs"][document["config"]])
-        return replace(_decoded(arrays, document), config=config)
+        return replace(decoded(arrays, document), config=config)
 
 
 def _kept(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept:
@@ -234,8 +234,8 @@ def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
     return all(Path(path).exists() for path in named - {None})
 
 
-def _encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays by name, and the rest as JSON has it."""
+def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A clip as arrays by name and a document of JSON, without its configuration and figures."""
     clip = whole.clip
     arrays: dict[str, Any] = {"stamps": clip.stamps, "camera": clip.T_world_camera}
     for side, hand in clip.hands.items():
@@ -287,7 +287,8 @@ def _encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     return stored, document
 
 
-def _decoded(arrays: Mapping[str, np.ndarray], document: Mapping[str, Any]) -> RobotClip:
+def decoded(arrays: Mapping[str, np.ndarray], document: Mapping[str, Any]) -> RobotClip:
+    """A clip from what ``encoded`` gave, without its configuration and figures."""
     stamps = arrays["stamps"]
 
     def of_hand(side: str, name: str) -> np.ndarray | None:

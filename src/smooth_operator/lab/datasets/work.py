@@ -54,7 +54,16 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class _Read:
+class ReadClip:
+    """A clip as it was read.
+
+    Attributes:
+        item: that it is of.
+        clip: its hands.
+        files: that it was read from.
+        key: digest of all that its commands depend on.
+    """
+
     item: Item
     clip: Clip
     files: tuple[SourceFile, ...]
@@ -71,10 +80,10 @@ def do_job(job: Job) -> list[Entry]:
     """
     dispatch_here()
     reasons: dict[str, str] = {}
-    read: list[_Read] = []
+    read: list[ReadClip] = []
     for item in job.items:
         try:
-            read += _read(item, job.recipe)
+            read += read_item(item, job.recipe)
         except SmoothOperatorError as error:
             reasons[item.name] = str(error)
         except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
@@ -105,7 +114,7 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
     return bool(files)
 
 
-def _retargeted(read: list[_Read], recipe: Recipe, reasons: dict[str, str]) -> list[Finished]:
+def _retargeted(read: list[ReadClip], recipe: Recipe, reasons: dict[str, str]) -> list[Finished]:
     """The items whose every clip was retargeted; the reasons of the others go into ``reasons``."""
     read = [each for each in read if each.item.name not in reasons]
     answers = retarget_clips(
@@ -126,8 +135,12 @@ def _retargeted(read: list[_Read], recipe: Recipe, reasons: dict[str, str]) -> l
     return [one for name, one in finished.items() if name not in reasons]
 
 
-def _read(item: Item, recipe: Recipe) -> Iterator[_Read]:
-    """The clips of an item."""
+def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
+    """The clips of an item.
+
+    Raises:
+        SmoothOperatorError: with the reason.
+    """
     own = recipe.of_item(item.side, item.rate)
     if item.ref is not None:
         reader = DATASETS.load(item.ref.layout)
@@ -150,7 +163,7 @@ def _read(item: Item, recipe: Recipe) -> Iterator[_Read]:
             yield _taken(item, ref, reader.read(ref, own.reading), name, recipe)
 
 
-def _taken(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> _Read:
+def _taken(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:
     """A clip with its name, its files and its key."""
     paths = [path for path in clip.source or (ref.path,) if path.is_file()]
     if item.ref is None:
@@ -164,7 +177,7 @@ def _taken(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> _
     clip = replace(clip, name=name, task=task, source=tuple(Path(file.path) for file in files))
     if item.ref is None:  # what it was read from is gone when the block ends
         clip = replace(clip, source=(), video=None)
-    return _Read(item, clip, files, key)
+    return ReadClip(item, clip, files, key)
 
 
 def _shown(path: Path, root: Path | None) -> str:

@@ -185,7 +185,8 @@ class Synthetic:
         """
         corpus = _corpus(ref.path, ref.path.stat().st_mtime_ns)
         if not ref.key.isdecimal() or int(ref.key) >= corpus.clips:
-            raise RecordingError(f"{ref.path}: it has no clip {ref.key!r}, but 0 to {corpus.clips}")
+            last = corpus.clips - 1
+            raise RecordingError(f"{ref.path}: it has no clip {ref.key!r}, but 0 to {last}")
         return corpus.clip(int(ref.key), ref.name, (ref.path,))
 
 

@@ -7,7 +7,7 @@ group a billion rows again. ``unnest`` of any engine gives rows of frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -18,7 +18,7 @@ from smooth_operator.errors import require
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES
 from smooth_operator.lab.datasets.robot_clip import RobotClip
-from smooth_operator.lab.datasets.writers.arrays import LOST, clip_arrays, clip_document
+from smooth_operator.lab.datasets.writers.arrays import LOST, clip_arrays, clip_document, clip_key
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writers.resampling import resampled
 from smooth_operator.lab.datasets.writers.shards import (
@@ -74,6 +74,7 @@ class _Writer(ShardedWriter):
             self._file,
             pa.schema(fields, metadata=metadata),
             compression="zstd",
+            write_page_checksum=True,
             use_dictionary=[*_TEXTS, *(f"{side}_hand" for side in SIDES)],
             use_byte_stream_split=_leaves(pa, self._columns),
         )
@@ -114,6 +115,19 @@ class _Writer(ShardedWriter):
 
     def _clean(self, number: int) -> None:
         remove(self._path(number))
+
+
+def clips_table(clips: Sequence[RobotClip]) -> Any:
+    """Clips as the Arrow table that a Parquet file holds, without the files of configurations.
+
+    Raises:
+        MissingExtraError: PyArrow is not installed.
+    """
+    pa = arrow()
+    rows = [(clip_document(c, c.key or clip_key(c), ""), clip_arrays(c)) for c in clips]
+    columns = _columns()
+    schema = pa.schema([pa.field(name, kind) for name, (kind, _) in columns.items()])
+    return pa.Table.from_arrays([make(rows) for _, make in columns.values()], schema=schema)
 
 
 _Rows = list[tuple[dict[str, Any], dict[str, np.ndarray]]]

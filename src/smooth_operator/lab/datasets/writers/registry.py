@@ -34,6 +34,8 @@ class WritingOptions:
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
         part: number of this writer among ``parts``, which write to one folder at a time.
         parts: how many writers share the folder.
+        apart: the parts hold different clips, so that a writer need not look at what the others
+            have written: with a thousand parts that takes longer than to write one.
         name: of the data set, where the format has a place for it.
         loose: SPIDER and FlashDexRetarget: files and folders as the program reads them, one or two
             a clip, in place of tar files to unpack.
@@ -48,6 +50,7 @@ class WritingOptions:
     shard_mb: float | None = None
     part: int = 0
     parts: int = 1
+    apart: bool = False
     name: str = "smooth_operator"
     loose: bool = False
 

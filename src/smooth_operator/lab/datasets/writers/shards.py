@@ -246,7 +246,8 @@ class ShardedWriter(ABC):
     def _recover(self) -> None:
         mine = f"part-{self.options.part:05d}-"
         with _about(self.output):
-            for path in sorted((self.output / INDEX).glob("part-*.json")):
+            looked = f"{mine}*.json" if self.options.apart else "part-*.json"
+            for path in sorted((self.output / INDEX).glob(looked)):
                 try:
                     index = read_json(path, most_bytes=_MOST_INDEX)
                     keys = {str(clip["key"]) for clip in index["clips"]}

@@ -1,0 +1,178 @@
+"""A stateful class for ``map_batches`` of Ray Data: human clips in, episodes out."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from smooth_operator.errors import RecordingError
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.datasets.filters import Dropped
+from smooth_operator.lab.datasets.readers.packed import clip_of_row
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.sources import Item
+from smooth_operator.lab.datasets.work import ReadClip
+from smooth_operator.lab.datasets.writers.parquet import clips_table
+from smooth_operator.lab.ray.episode_bytes import decode, encode
+from smooth_operator.lab.ray.settings import CorpusSettings
+from smooth_operator.lab.ray.work import ClipWork
+from smooth_operator.parallel.results import describe
+from smooth_operator.parallel.threads import one_thread
+from smooth_operator.result_cache import key_digest
+
+
+class RetargetClips:
+    """Retargets batches of clips; builds and compiles the retargeters once in each actor.
+
+    A row is a clip: either its arrays, in the columns of the format ``parquet`` (``name``,
+    ``stamps``, ``right_landmarks`` and ``left_landmarks``, and what else is known), or a reference:
+    ``path`` and ``layout`` (name of a reader), and ``key`` where a file holds several clips. The
+    result has the columns of the format ``parquet``, so that ``write_parquet`` gives files that
+    the reader of this format takes, and three more:
+
+    - ``clip``: name of the clip that the episode is of; a clip may be cut into several.
+    - ``kept``: whether the episode is within the limits of quality.
+    - ``reason``: why it is not, or why the clip failed.
+
+    An episode that is not kept has null arrays. An exception of one clip is its ``reason``, and
+    touches no other.
+
+    Example::
+
+        import ray
+        from smooth_operator.lab.ray.retarget_clips import RetargetClips
+
+        episodes = (
+            ray.data.read_parquet("clips/")
+            .map_batches(
+                RetargetClips,
+                fn_constructor_kwargs={"hand": "leap_hand", "method": "smooth"},
+                batch_format="pyarrow",
+                batch_size=16,
+                compute=ray.data.ActorPoolStrategy(min_size=2, max_size=64),
+                num_cpus=1,
+            )
+            .filter(expr="kept")
+        )
+        episodes.write_parquet("episodes/")
+
+    Args:
+        limits: of quality, as arguments of ``filters.Limits``; None keeps every clip whole.
+        reading: what readers of references need to know.
+        frame: ``world`` or ``camera``, where wrists are given; None for each clip's own frame.
+        side: retarget this hand only.
+        request: hand, method, preset and so on, as arguments of ``planning.make_request``.
+
+    Raises:
+        SmoothOperatorError: there is no such hand, method or preset; a limit is none.
+    """
+
+    def __init__(
+        self,
+        *,
+        limits: Mapping[str, Any] | None = None,
+        reading: ReadingOptions | None = None,
+        frame: str | None = None,
+        side: str | None = None,
+        **request: Any,
+    ) -> None:
+        with one_thread(os.getpid()) as start_threads:
+            settings = CorpusSettings(request, reading or ReadingOptions(), frame, side, limits)
+            self._work = ClipWork(settings)
+            start_threads()
+
+    def __call__(self, batch: Any) -> Any:
+        """The episodes of some clips.
+
+        Args:
+            batch: an Arrow table (``batch_format="pyarrow"``).
+
+        Returns:
+            an Arrow table.
+        """
+        found: list[tuple[int, str, RobotClip | str]] = []
+        read: list[tuple[int, str, ReadClip]] = []
+        for row in range(batch.num_rows):
+            name = str(row)
+            try:
+                name, clips = self._read(batch, row)
+                read += [(row, name, each) for each in clips]
+            except Exception as error:  # of one row: a damaged file, a foreign reader
+                found.append((row, name, describe(error)))
+        answers = self._work.retarget([each for _, _, each in read]) if read else []
+        for (row, name, _), answer in zip(read, answers, strict=True):
+            if isinstance(answer, RobotClip):
+                whole = decode(
+                    encode(answer)
+                )  # as the pipeline keeps it, so that figures are equal
+                found += [(row, name, _judged(each)) for each in self._work.select(whole)]
+            else:
+                found.append((row, name, describe(answer)))
+        found.sort(key=lambda each: each[0])
+        return _table([name for _, name, _ in found], [each for _, _, each in found])
+
+    def _read(self, batch: Any, row: int) -> tuple[str, list[ReadClip]]:
+        columns = batch.column_names
+        if "stamps" in columns:
+            clip: Clip = clip_of_row(batch, row)
+            return clip.name, [
+                ReadClip(
+                    Item(clip.name),
+                    clip,
+                    (),
+                    key_digest([self._work.recipe.digest, clip.name, _content(clip)]),
+                )
+            ]
+        if not {"path", "layout"} <= set(columns):
+            raise RecordingError(
+                "a row needs 'stamps' and landmarks, or 'path' and 'layout'; it has "
+                f"{', '.join(columns)}"
+            )
+        values = {
+            name: batch.column(name)[row].as_py()
+            for name in ("path", "layout", "key", "name")
+            if name in columns
+        }
+        path = Path(values["path"])
+        name = values.get("name") or path.stem
+        ref = ClipRef(name, path, values.get("key") or "", values["layout"])
+        return name, self._work.read(Item(name, ref, layout=ref.layout))
+
+
+def _judged(episode: RobotClip | Dropped) -> RobotClip | str:
+    """An episode, or why it is not kept."""
+    if isinstance(episode, RobotClip):
+        return episode
+    return "; ".join(f"{limit}: {found}" for limit, found in episode.reasons.items())
+
+
+def _content(clip: Clip) -> str:
+    """Digest of the hands of a clip that has no file."""
+    found = hashlib.sha256(clip.stamps.tobytes())
+    for side, hand in sorted(clip.hands.items()):
+        found.update(side.encode() + hand.landmarks.tobytes())
+        if hand.T_world_wrist is not None:
+            found.update(hand.T_world_wrist.tobytes())
+    return found.hexdigest()
+
+
+def _table(names: list[str], rows: list[RobotClip | str]) -> Any:
+    import pyarrow as pa
+
+    episodes = [row for row in rows if isinstance(row, RobotClip)]
+    # Rows without an episode take null from every column: an index that is null.
+    order = iter(range(len(episodes)))
+    index = [next(order) if isinstance(row, RobotClip) else None for row in rows]
+    table = clips_table(episodes).take(pa.array(index, pa.int64()))
+    more = {
+        "clip": pa.array(names, pa.string()),
+        "kept": pa.array([isinstance(row, RobotClip) for row in rows], pa.bool_()),
+        "reason": pa.array(["" if isinstance(r, RobotClip) else r for r in rows], pa.string()),
+    }
+    for name, column in more.items():
+        table = table.append_column(name, column)
+    return table
