@@ -210,12 +210,12 @@ def _tensor(size: tuple[int, ...], stride: tuple[int, ...]) -> bytes:
 
 def _again() -> bytes:
     """One array's state, built from the same bytes a thousand times."""
-    raw = bytes(8 << 20)
+    raw = bytes(1 << 20)
     out = Pickled().put(raw).raw(b"q\x000")
     out.raw(b"](")
     for _ in range(1000):
         out.glob("numpy.core.multiarray", "_reconstruct").raw(b"(").glob("numpy", "ndarray")
-        out.put((0,)).put(b"b").raw(b"tR(").put(1).put((1 << 20,)).dtype(np.dtype("f8"))
+        out.put((0,)).put(b"b").raw(b"tR(").put(1).put((1 << 17,)).dtype(np.dtype("f8"))
         out.put(False).raw(b"h\x00tb")
     return out.raw(b"e").done()
 
@@ -338,7 +338,7 @@ def test_mutants_are_read_or_refused(tmp_path: Path) -> None:
     ]  # fmt: skip
     rng = random.Random(19)
     refused = longest = 0
-    for number in range(400):
+    for number in range(250):
         mutant = fuzzing.mutate_bytes(rng, good[number % len(good)])
         try:
             found = load(tmp_path, mutant)
@@ -347,5 +347,5 @@ def test_mutants_are_read_or_refused(tmp_path: Path) -> None:
         except RecordingError as error:
             refused += 1
             longest = max(longest, len(str(error)))
-    assert refused > 100
+    assert refused > 60
     assert longest < fuzzing.LONGEST_MESSAGE

@@ -1,0 +1,149 @@
+"""GRAB: whole bodies that grasp objects; its two hands and the object are read.
+
+Source: Taheri et al., *GRAB: A Dataset of Whole-Body Human Grasping of Objects*, ECCV 2020, and
+https://github.com/otaheri/GRAB. ``grab/SUBJECT/NAME.npz`` has a sequence at 120 Hz; the hands of
+the subjects stand as meshes in ``tools/subject_meshes``. The world has z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator import poses
+from smooth_operator.errors import RecordingError, require
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.io.documents import check_plain_file
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.datasets.mano.model import PlacedHand, load_model
+from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table, text
+from smooth_operator.lab.datasets.readers.scene import Scene, Thing, checked_count, stamps_at
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.types import Side
+
+RATE_HZ: Final = 120.0
+_MOST_MESH_BYTES: Final = 2_000_000
+_SIDES: Final[dict[str, Side]] = {"rhand": "right", "lhand": "left"}
+_KEYS: Final = ("rhand", "lhand", "object", "obj_name")
+_PARAMS: Final = ("global_orient", "hand_pose", "transl")
+
+
+class Grab:
+    """Files of sequences, ``grab/SUBJECT/NAME.npz``."""
+
+    what = "a sequence of GRAB"
+    expects = (
+        "NAME.npz with rhand, lhand (params: global_orient (T, 3), hand_pose (T, 24), transl "
+        "(T, 3); vtemp), object (params: global_orient, transl; object_mesh) and obj_name"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether it is an ``.npz`` with GRAB's tables."""
+        if path.suffix != ".npz" or not path.is_file():
+            return False
+        try:
+            return all(key in open_arrays(path) for key in _KEYS)
+        except RecordingError:
+            return False
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The sequence."""
+        name = f"{path.resolve().parent.name}/{path.stem}"
+        yield ClipRef(name, path, layout="grab", size=path.stat().st_size)
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hands and the object."""
+        where = str(ref.path)
+        names = (*_KEYS, "framerate", "motion_intent", "n_frames")
+        held = table(load_restricted(ref.path, names=names), where, _KEYS)
+        root = ref.path.resolve().parent.parent.parent
+        placed: dict[Side, PlacedHand] = {}
+        counts: dict[str, int] = {}
+        for key, side in _SIDES.items():
+            part = table(held[key], f"{where}, {key}", ("params", "vtemp"))
+            params = table(part["params"], f"{where}, {key} params", _PARAMS)
+            turn = array(params["global_orient"], f"{where}, {key} global_orient", (None, 3))
+            pose = array(params["hand_pose"], f"{where}, {key} hand_pose", (None, None))
+            at = array(params["transl"], f"{where}, {key} transl", (None, 3))
+            if not 0 < pose.shape[1] <= 45:
+                raise RecordingError(f"{where}: hand_pose of {key} has {pose.shape[1]} numbers")
+            counts |= {f"{key} {n}": len(a) for n, a in zip(_PARAMS, (turn, pose, at), strict=True)}
+            checked_count(counts, where)
+            model = load_model(options.mano, side)
+            turns = model.rotations(turn, pose, pca=True, flat_hand_mean=True)
+            template = _vertices(root, part["vtemp"], where)
+            placed[side] = model.place(turns, np.zeros(10), at, tips="smplx", template=template)
+        count = checked_count(counts, where)
+        thing = _object(held, root, options, where)
+        checked_count({**counts, "object": len(thing.poses)}, where)
+        rate = options.rate or _rate(held.get("framerate"), where)
+        name = thing.name
+        intent = text(held.get("motion_intent"))
+        return Scene(
+            placed,
+            stamps_at(count, rate),
+            "grab",
+            (ref.path,),
+            things=[thing],
+            task=f"{intent.replace('_', ' ')} the {name}" if intent else None,
+        ).clip(ref, "grab", self.expects)
+
+
+def _rate(value: Any, where: str) -> float:
+    if value is None:
+        return RATE_HZ
+    return float(array(np.ravel(numbers(value)), f"{where}, framerate", (1,), finite=True)[0])
+
+
+def _object(held: dict[Any, Any], root: Path, options: ReadingOptions, where: str) -> Thing:
+    part = table(held["object"], f"{where}, object", ("params",))
+    params = table(part["params"], f"{where}, object params", ("global_orient", "transl"))
+    turn = array(params["global_orient"], f"{where}, object global_orient", (None, 3))
+    at = array(params["transl"], f"{where}, object transl", (None, 3))
+    checked_count({"object global_orient": len(turn), "object transl": len(at)}, where)
+    # Its authors multiply vertices, as rows, by the matrix, which turns them the other way round.
+    pose = np.concatenate([at, poses.from_rotation_vectors(-turn)], axis=1)
+    mesh = _inside(root, text(part.get("object_mesh")))
+    if options.objects is not None and mesh is not None:
+        mesh = options.objects / mesh.name
+    return Thing(text(held["obj_name"]) or "object", pose, mesh)
+
+
+def _inside(root: Path, relative: str | None) -> Path | None:
+    """A path of a file, if it stays in the data set's folder."""
+    if relative is None:
+        return None
+    parts = Path(relative.replace("\\", "/")).parts
+    if Path(relative).is_absolute() or ".." in parts:
+        return None
+    return root.joinpath(*parts)
+
+
+def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
+    """(778, 3) of the subject's own hand."""
+    path = _inside(root, text(relative))
+    if path is None or not path.is_file():
+        raise RecordingError(
+            f"{where}: the subject's hand, {text(relative) or 'vtemp'}, is not in {root}; extract "
+            "tools/subject_meshes of the data set there: the hands have no other shape"
+        )
+    require("reading GRAB", "lab", "trimesh")
+    import trimesh
+
+    size = check_plain_file(path)
+    if size > _MOST_MESH_BYTES:
+        raise RecordingError(f"{path}: it has {size} bytes, too many for the mesh of a hand")
+    try:
+        with path.open("rb") as stream:
+            mesh: Any = trimesh.load(stream, file_type=path.suffix[1:], process=False)
+            points = np.asarray(mesh.vertices, np.float64)
+    except Exception as error:  # trimesh promises no list
+        said = " ".join(str(error).split())[:160]
+        raise RecordingError(f"{path}: it is no mesh that can be read: {said}") from error
+    return array(points, str(path), (778, 3), finite=True)
+
+
+GRAB: Final = Grab()

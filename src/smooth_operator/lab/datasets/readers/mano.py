@@ -1,0 +1,313 @@
+"""Parameters of MANO as smplx, manopth and HaMeR have them, in an ``.npz`` or a pickle.
+
+A file has one hand, with its side, or two: in tables ``right`` and ``left``, or with names that
+begin with ``right_`` and ``left_``. What numbers alone do not tell must stand in it: whether zeros
+are the flat hand (``flat_hand_mean``), and whether coefficients are those of principal components
+(``use_pca``). ``docs/reference/data-sets.md`` lists the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator import poses
+from smooth_operator.errors import ConfigError, RecordingError, listed
+from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
+from smooth_operator.lab.datasets.mano.model import PlacedHand, load_model
+from smooth_operator.lab.datasets.mano.pickle_parts import NotDataError
+from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, numbers, table, text
+from smooth_operator.lab.datasets.readers.both_hands import shares
+from smooth_operator.lab.datasets.readers.scene import Scene, checked_count, world_pose
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.poses import WORLD_AXES
+from smooth_operator.types import Side, as_side
+
+_ROOT: Final = ("global_orient", "root_orient", "rot")
+_POSE: Final = ("hand_pose", "pose")
+_WHOLE: Final = ("poses", "mano_pose", "theta", "thetas")
+_SHAPE: Final = ("betas", "shape", "mano_shape")
+_PLACE: Final = ("transl", "trans", "translation", "pred_cam_t_full")
+_HAND: Final = (*_ROOT, *_POSE, *_WHOLE, *_SHAPE, *_PLACE, "valid", "confidence")
+_SIDE: Final = ("side", "is_right", "is_rhand")
+_ABOUT: Final = (
+    *_SIDE, "flat_hand_mean", "use_pca", "mirrored", "center_idx",
+    "fps", "framerate", "timestamps", "world", "task",
+)  # fmt: skip
+_WORLDS: Final = ("z_up", "openxr", "z_up_y_forward")
+_HEAD_BYTES: Final = 4 << 20
+_RIGID: Final = 0.02
+
+
+class Mano:
+    """Files with parameters."""
+
+    what = "parameters of MANO"
+    expects = (
+        "for each hand global_orient (T, 3), hand_pose (T, 45), betas (10,) and transl (T, 3), or "
+        "the rotations as matrices; side, flat_hand_mean, use_pca; fps or timestamps"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether it has names of a pose and a shape."""
+        if not path.is_file():
+            return False
+        if path.suffix == ".npz":
+            try:
+                arrays = open_arrays(path)
+            except RecordingError:
+                return False
+            bare = {name.removeprefix("right_").removeprefix("left_") for name in arrays}
+            tables = [arrays[side] for side in SIDES if side in arrays]
+            return _complete(bare) or any(one.dtype.hasobject for one in tables)
+        if path.suffix not in (".pkl", ".pickle"):
+            return False
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        return b"shapedirs" not in head and _complete(
+            {name for name in _HAND if name.encode() in head}
+        )
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The file."""
+        yield ClipRef(path.stem, path, layout="mano", size=path.stat().st_size)
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hands."""
+        where = str(ref.path)
+        names = {f"{start}{name}" for start in ("", "right_", "left_") for name in _HAND}
+        names |= {f"{start}{name}" for start in ("", "right_", "left_") for name in _ABOUT}
+        held = table(load_restricted(ref.path, names=sorted({*names, *SIDES})), where)
+        found = {side: _parameters(part, where, side) for side, part in _parts(held, where)}
+        count = checked_count(
+            {f"{side} hand": len(one.rotations_or_pose) for side, one in found.items()}, where
+        )
+        placed = {side: one.placed(options.mano, side) for side, one in found.items()}
+        world, axes = _world(held, where)
+        return Scene(
+            placed,
+            _stamps(held, count, options, where),
+            world,
+            (ref.path,),
+            world_pose(axes),
+            {side: np.median(one.betas, axis=0) for side, one in found.items()},
+            task=text(held.get("task"), 1000),
+            confidence={
+                side: one.confidence for side, one in found.items() if one.confidence is not None
+            },
+        ).clip(ref, "mano", self.expects)
+
+
+def _complete(names: set[str]) -> bool:
+    pose = names & set(_WHOLE) or (names & set(_ROOT) and names & set(_POSE))
+    return bool(pose and names & set(_SHAPE))
+
+
+def _parts(held: dict[Any, Any], where: str) -> Iterator[tuple[Side, dict[str, Any]]]:
+    """The parameters of each hand, with what the file says of both."""
+    about = {key: held[key] for key in _ABOUT if key in held and key not in _SIDE}
+    two = False
+    for side in SIDES:
+        own = {
+            key.removeprefix(f"{side}_"): value
+            for key, value in held.items()
+            if isinstance(key, str) and key.startswith(f"{side}_")
+        }
+        if held.get(side) is not None:
+            own |= table(held[side], f"{where}, {side}")
+        if own:
+            two = True
+            yield side, {**about, **own}
+    if two:
+        return
+    labels = [held[key] for key in _SIDE if key in held]
+    if not labels:
+        raise RecordingError(
+            f"{where}: it does not say which hand it is; add side, 'right' or 'left', or save both "
+            "with names that begin with right_ and left_"
+        )
+    yield (
+        _side(labels[0], where),
+        {key: value for key, value in held.items() if key in _HAND} | about,
+    )
+
+
+def _side(label: Any, where: str) -> Side:
+    said = text(label)
+    try:
+        if said is not None:
+            return as_side(said)
+        flags = numbers(label).ravel()
+    except (ConfigError, NotDataError) as error:
+        raise RecordingError(f"{where}: {error}") from error
+    if not len(flags) or (flags != flags[0]).any() or flags[0] not in (0.0, 1.0):
+        raise RecordingError(f"{where}: is_right must be 1 or 0, the same in all frames")
+    return "right" if flags[0] else "left"
+
+
+@dataclass(frozen=True, eq=False)
+class _Parameters:
+    rotations_or_pose: np.ndarray
+    root: np.ndarray
+    betas: Float[np.ndarray, "n 10"]
+    translation: Float[np.ndarray, "T 3"]
+    pca: bool
+    flat: bool
+    mirrored: bool
+    about_wrist: bool
+    confidence: np.ndarray | None
+
+    def placed(self, folder: Path | None, side: Side) -> PlacedHand:
+        """The hand; one seen in a mirrored picture is a right one, mirrored back."""
+        mirrored = self.mirrored and side == "left"
+        model = load_model(folder, "right" if mirrored else side)
+        if self.rotations_or_pose.ndim == 4:
+            turns = np.concatenate([self.root[:, None], self.rotations_or_pose], axis=1)
+        else:
+            turns = model.rotations(
+                self.root, self.rotations_or_pose, pca=self.pca, flat_hand_mean=self.flat
+            )
+        moves: Any = "wrist" if self.about_wrist else "model"
+        if not mirrored:
+            return model.place(turns, self.betas, self.translation, moves=moves)
+        found = model.place(turns, self.betas, np.zeros_like(self.translation), moves=moves)
+        points = found.landmarks * np.array([-1.0, 1.0, 1.0]) + self.translation[:, None]
+        with np.errstate(all="ignore"):  # of points beyond any hand, which are refused later
+            return PlacedHand(points, poses.wrist_from_landmarks(points, side))
+
+
+def _parameters(part: Mapping[str, Any], where: str, side: Side) -> _Parameters:
+    label = f"{where}, {side} hand"
+    root, pose = _pose(part, label)
+    count = len(pose)
+    betas = _first(part, _SHAPE, label)
+    betas = betas[None] if betas.ndim == 1 else betas
+    betas = array(betas[..., :10], f"{label}, betas", (None, 10), finite=True)
+    at = array(_first(part, _PLACE, label), f"{label}, transl", (None, 3))
+    rows = {"hand_pose": count, "global_orient": len(root), "transl": len(at)}
+    rows |= {} if len(betas) == 1 else {"betas": len(betas)}
+    checked_count(rows, label)
+    confidence = None
+    if part.get("confidence") is not None:
+        confidence = shares(array(part["confidence"], f"{label}, confidence", (count,)))
+    if part.get("valid") is not None:
+        seen = array(part["valid"], f"{label}, valid", (count,), finite=True) != 0
+        at = np.where(seen[:, None], at, np.nan)
+    matrices = pose.ndim == 4
+    pca = False if matrices else _flag(part, "use_pca", label, default=pose.shape[1] != 45)
+    if not matrices and not pca and pose.shape[1] != 45:
+        raise RecordingError(f"{label}: hand_pose has {pose.shape[1]} numbers, 45 without use_pca")
+    if not matrices and pca and part.get("use_pca") is None:
+        raise RecordingError(
+            f"{label}: hand_pose has {pose.shape[1]} numbers; if they are coefficients of "
+            "principal components, say so with use_pca = True"
+        )
+    if not matrices and part.get("flat_hand_mean") is None:
+        raise RecordingError(
+            f"{label}: it does not say whether zeros are the flat hand: add flat_hand_mean, "
+            "True or False as it was given to smplx (default False) or manopth (default True)"
+        )
+    flat = True if matrices else _flag(part, "flat_hand_mean", label, default=True)
+    centre = part.get("center_idx")
+    about_wrist = centre is not None and bool(_scalar(centre, f"{label}, center_idx") == 0)
+    mirrored = _flag(part, "mirrored", label, default=False)
+    return _Parameters(pose, root, betas, at, pca, flat, mirrored, about_wrist, confidence)
+
+
+def _pose(part: Mapping[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
+    """Root and fingers, both as axis times angle or coefficients, or both as matrices."""
+    whole = next((part[key] for key in _WHOLE if part.get(key) is not None), None)
+    if whole is not None:
+        rows = array(whole, f"{label}, poses", (None, 48))
+        return rows[:, :3], rows[:, 3:]
+    root, pose = _first(part, _ROOT, label), _first(part, _POSE, label)
+    if pose.ndim >= 4 or pose.shape[1:] == (15, 9):
+        pose = array(pose.reshape(len(pose), -1), f"{label}, hand_pose", (None, 135))
+        root = array(root.reshape(len(root), -1), f"{label}, global_orient", (None, 9))
+        root, pose = root.reshape(-1, 3, 3), pose.reshape(-1, 15, 3, 3)
+        for name, turns in (("global_orient", root), ("hand_pose", pose)):
+            _check_turns(turns.reshape(-1, 3, 3), f"{label}, {name}")
+        return root, pose
+    if pose.ndim == 3:
+        pose = array(pose, f"{label}, hand_pose", (None, 15, 3)).reshape(-1, 45)
+    pose = array(pose, f"{label}, hand_pose", (None, None))
+    if not 0 < pose.shape[1] <= 45:
+        raise RecordingError(f"{label}: hand_pose has {pose.shape[1]} numbers a frame, not 1 to 45")
+    return array(root.reshape(len(root), -1), f"{label}, global_orient", (None, 3)), pose
+
+
+def _check_turns(turns: np.ndarray, label: str) -> None:
+    known = turns[np.isfinite(turns).all(axis=(1, 2))]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(known @ np.swapaxes(known, 1, 2) - np.eye(3)) > _RIGID
+        if off.any() or (np.linalg.det(known) < 0).any():
+            raise RecordingError(f"{label}: it has matrices that are no rotations")
+
+
+def _first(part: Mapping[str, Any], names: tuple[str, ...], label: str) -> np.ndarray:
+    value = next((part[name] for name in names if part.get(name) is not None), None)
+    if value is None:
+        have = listed(sorted(str(key)[:40] for key in part))
+        raise RecordingError(f"{label}: it lacks {names[0]}; it has {have or 'nothing'}")
+    try:
+        found = numbers(value)
+    except NotDataError as error:
+        raise RecordingError(f"{label}, {names[0]}: {error}") from error
+    if found.ndim == 0:
+        raise RecordingError(f"{label}: {names[0]} is one number")
+    return found
+
+
+def _scalar(value: Any, label: str) -> float:
+    try:
+        found = numbers(value).ravel()
+    except NotDataError as error:
+        raise RecordingError(f"{label}: {error}") from error
+    if len(found) != 1 or not np.isfinite(found[0]):
+        raise RecordingError(f"{label}: it must be one number")
+    return float(found[0])
+
+
+def _flag(part: Mapping[str, Any], name: str, label: str, *, default: bool) -> bool:
+    if part.get(name) is None:
+        return default
+    value = _scalar(part[name], f"{label}, {name}")
+    if value not in (0.0, 1.0):
+        raise RecordingError(f"{label}: {name} must be True or False")
+    return bool(value)
+
+
+def _world(held: Mapping[str, Any], where: str) -> tuple[str, np.ndarray]:
+    said = text(held.get("world"))
+    if said is None:
+        return "mano/unstated", WORLD_AXES["z_up"]
+    if said == CAMERA:
+        return CAMERA, WORLD_AXES["z_up"]
+    if said not in _WORLDS:
+        raise RecordingError(f"{where}: world must be {CAMERA} or one of {listed(_WORLDS)}")
+    return f"mano/{said}", WORLD_AXES[said]
+
+
+def _stamps(
+    held: Mapping[str, Any], count: int, options: ReadingOptions, where: str
+) -> Float[np.ndarray, " T"]:
+    if held.get("timestamps") is not None:
+        return array(held["timestamps"], f"{where}, timestamps", (count,), finite=True)
+    rate = options.rate
+    for name in ("fps", "framerate"):
+        if rate is None and held.get(name) is not None:
+            rate = _scalar(held[name], f"{where}, {name}")
+    try:
+        return stamps_from_rate(count, rate, where)
+    except ConfigError as error:
+        raise RecordingError(f"{where}: {error}") from error
+
+
+MANO: Final = Mano()

@@ -1,0 +1,200 @@
+"""OakInk2: two hands and many objects in tasks of several steps, from motion capture.
+
+Source: Zhan et al., *OakInk2*, CVPR 2024, and https://github.com/oakink/OakInk2.
+``anno_preview/TOKEN.pkl`` has a sequence, frame by frame at 120 Hz, in a world with y up.
+``program/task_target.json`` says what is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator import poses
+from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.io.documents import read_json
+from smooth_operator.lab.datasets.clip import Clip
+from smooth_operator.lab.datasets.mano.model import load_model
+from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted, table, text
+from smooth_operator.lab.datasets.readers.scene import (
+    Scene,
+    Thing,
+    checked_count,
+    nearby,
+    rigid,
+    world_pose,
+)
+from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.poses import WORLD_AXES
+from smooth_operator.types import Side
+
+RATE_HZ: Final = 120.0
+_KEYS: Final = ("raw_mano", "mocap_frame_id_list", "obj_list", "obj_transf")
+_SIDES: Final[dict[str, Side]] = {"rh": "right", "lh": "left"}
+_TO_WORLD: Final = world_pose(WORLD_AXES["openxr"])
+
+
+class OakInk2:
+    """Files of sequences, ``anno_preview/TOKEN.pkl``."""
+
+    what = "a sequence of OakInk2"
+    expects = (
+        "anno_preview/TOKEN.pkl with mocap_frame_id_list, raw_mano (frame -> rh__pose_coeffs "
+        "(1, 16, 4), rh__tsl (1, 3), rh__betas (1, 10) and the same with lh), obj_list, obj_transf"
+    )
+
+    def matches(self, path: Path) -> bool:
+        """Whether it is a pickle in a folder of annotations, named as sequences are."""
+        return (
+            path.suffix == ".pkl"
+            and "++" in path.name
+            and path.resolve().parent.name.startswith("anno")
+            and path.is_file()
+        )
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The sequence."""
+        yield ClipRef(
+            path.stem.replace("++", "/"), path, layout="oakink2", size=path.stat().st_size
+        )
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hands, objects and the camera on the head."""
+        where = str(ref.path)
+        held = table(load_restricted(ref.path), where, _KEYS)
+        ids = _ids(held["mocap_frame_id_list"], f"{where}, mocap_frame_id_list")
+        count = checked_count({"mocap_frame_id_list": len(ids)}, where)
+        mano = table(held["raw_mano"], f"{where}, raw_mano")
+        placed, shape = {}, {}
+        for short, side in _SIDES.items():
+            turns = _rows(mano, ids, f"{short}__pose_coeffs", (16, 4), where)
+            at = _rows(mano, ids, f"{short}__tsl", (3,), where)
+            betas = _rows(mano, ids, f"{short}__betas", (10,), where)
+            known = np.isfinite(betas).all(axis=1) & np.isfinite(at).all(axis=1)
+            if not known.any():
+                continue
+            size = np.linalg.norm(turns, axis=-1, keepdims=True)
+            good = (np.abs(size - 1.0) < 0.1).all(axis=(1, 2))
+            if (known & ~good).any():
+                raise RecordingError(
+                    f"{where}: {short}__pose_coeffs must be unit quaternions w x y z; frame "
+                    f"{ids[int(np.argmax(known & ~good))]} has others"
+                )
+            matrices = np.full((count, 16, 3, 3), np.nan)
+            matrices[known] = poses.rotation_matrices(turns[known] / size[known])
+            shape[side] = np.median(betas[known], axis=0)
+            betas[~known] = 0.0
+            model = load_model(options.mano, side)
+            placed[side] = model.place(matrices, betas, at, moves="wrist", tips="manopth")
+        root = nearby(ref.path.resolve().parent, "program/task_target.json", "program")
+        folder = None if root is None else root
+        things = _things(held, ids, options.objects or _meshes(ref.path), where)
+        task = _task(folder, ref.path.stem.replace("++", "/"))
+        camera = _camera(held, ids, where)
+        return Scene(
+            placed,
+            (ids - ids[0]) / (options.rate or RATE_HZ),
+            "oakink2",
+            (ref.path,),
+            _TO_WORLD,
+            shape,
+            camera,
+            things,
+            task,
+        ).clip(ref, "oakink2", self.expects)
+
+
+def _ids(value: Any, where: str) -> np.ndarray:
+    ids = array(value, where, (None,), finite=True).astype(np.int64)
+    if len(ids) and (np.diff(ids) <= 0).any():
+        raise RecordingError(f"{where}: numbers of frames must increase")
+    return ids
+
+
+def _rows(
+    mano: dict[Any, Any], ids: np.ndarray, key: str, shape: tuple[int, ...], where: str
+) -> np.ndarray:
+    """(T, ...) of a key; NaN for frames that raw_mano does not have."""
+    rows = np.full((len(ids), *shape), np.nan)
+    for row, number in zip(rows, ids.tolist(), strict=True):
+        frame = mano.get(number)
+        if frame is not None:
+            named = f"{where}, raw_mano of frame {number}"
+            row[...] = array(table(frame, named, (key,))[key], f"{named}, {key}", (1, *shape))[0]
+    return rows
+
+
+def _things(held: dict[Any, Any], ids: np.ndarray, meshes: Path | None, where: str) -> list[Thing]:
+    moved = table(held["obj_transf"], f"{where}, obj_transf")
+    things = []
+    for name in held["obj_list"] if isinstance(held["obj_list"], list | tuple) else ():
+        label = text(name)
+        if label is None or name not in moved:
+            raise RecordingError(f"{where}: an object of obj_list is not in obj_transf")
+        frames = table(moved[name], f"{where}, obj_transf of {label}")
+        found = np.full((len(ids), 7), np.nan)
+        for row, number in zip(found, ids.tolist(), strict=True):
+            if number in frames:
+                named = f"{where}, obj_transf of {label}, frame {number}"
+                row[:] = rigid(array(frames[number], named, (4, 4)), named)
+        things.append(Thing(label, found, _mesh(meshes, label)))
+    return things
+
+
+def _meshes(path: Path) -> Path | None:
+    return nearby(
+        path.resolve().parent,
+        "object_repair/align_ds",
+        "object_raw/align_ds",
+        "object_preview/align_ds",
+    )
+
+
+def _mesh(folder: Path | None, name: str) -> Path | None:
+    place = None if folder is None else folder / Path(name).name
+    if place is None or not place.is_dir():
+        return None
+    found = sorted(file for file in place.iterdir() if file.suffix in (".obj", ".ply"))
+    return found[0] if found else None
+
+
+def _task(program: Path | None, key: str) -> str | None:
+    """What is done, of ``task_target.json``; None where the file is not there."""
+    if program is None:
+        return None
+    file = program if program.is_file() else program / "task_target.json"
+    if not file.is_file():
+        return None
+    try:
+        said = read_json(file)
+    except (OSError, DocumentError) as error:
+        raise RecordingError(f"{file}: it can't be read: {error}") from error
+    return text(said.get(key), 1000) if isinstance(said, dict) else None
+
+
+def _camera(held: dict[Any, Any], ids: np.ndarray, where: str) -> np.ndarray | None:
+    """Poses of the egocentric camera, held between its own frames, which are 30 Hz."""
+    names, extrinsics = held.get("cam_def"), held.get("cam_extr")
+    if not isinstance(names, dict) or not isinstance(extrinsics, dict):
+        return None
+    mine = [
+        key for serial, name in names.items() if "ego" in str(text(name)).lower()
+        for key in (serial, name) if isinstance(key, str) and key in extrinsics
+    ]  # fmt: skip
+    frames = extrinsics.get(mine[0]) if mine else None
+    if not isinstance(frames, dict) or not frames:
+        return None
+    kept = sorted(key for key in frames if type(key) is int)
+    if not kept:
+        return None
+    named = f"{where}, cam_extr"
+    stack = np.stack([array(frames[key], named, (4, 4)) for key in kept])
+    found = rigid(stack, named, inverse=True)
+    last = np.clip(np.searchsorted(kept, ids, side="right") - 1, 0, None)
+    return np.asarray(found[last])
+
+
+OAKINK2: Final = OakInk2()

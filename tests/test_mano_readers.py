@@ -1,0 +1,224 @@
+"""Data sets in MANO's parameters: a reader finds what an independent writer put there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mano_files
+import mano_layouts as layouts
+import numpy as np
+import pytest
+
+from smooth_operator import poses
+from smooth_operator.errors import RecordingError
+from smooth_operator.lab.datasets.clip import CAMERA, Clip
+from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("mano")
+    mano_files.write_models(folder)
+    return folder
+
+
+def read(layout: str, path: Path, models: Path, **options: Any) -> Clip:
+    reader = DATASETS.load(layout)
+    assert reader.matches(path)
+    (ref,) = reader.clips(path)
+    assert ref.layout == layout
+    return reader.read(ref, ReadingOptions(mano=models, **options))
+
+
+@pytest.mark.parametrize("case", layouts.CASES)
+def test_a_clip_is_what_was_written(tmp_path: Path, models: Path, case: str) -> None:
+    layout, write = layouts.CASES[case]
+    made = write(tmp_path)
+    found = read(layout, made.path, models)
+    assert set(found.hands) == set(made.landmarks)
+    for side, frames in made.landmarks.items():
+        hand = found.hands[side]  # type: ignore[index]
+        for frame, points in frames.items():
+            np.testing.assert_allclose(hand.landmarks[frame], points, atol=2e-6)
+            axes = poses.wrist_from_landmarks(points, side)  # type: ignore[arg-type]
+            assert hand.T_world_wrist is not None
+            apart = poses.separation(hand.T_world_wrist[frame], axes)
+            np.testing.assert_allclose(apart, 0.0, atol=5e-5)
+        if made.shape.get(side) is not None:
+            np.testing.assert_allclose(found.shape[side], made.shape[side], atol=1e-6)  # type: ignore[index]
+    assert made.stamps is not None
+    np.testing.assert_allclose(found.stamps, made.stamps)
+    assert found.task == made.task
+    objects = {one.name: one for one in found.objects}
+    for name, matrices in made.objects.items():
+        known = np.isfinite(objects[name].T_world_object).all(axis=1)
+        assert known.sum() >= layouts.FRAMES - 1
+        got = poses.matrices(objects[name].T_world_object[known])
+        np.testing.assert_allclose(got, matrices[known], atol=2e-6)
+    for name, mesh in made.meshes.items():
+        assert objects[name].mesh == mesh.resolve() or objects[name].mesh == mesh
+    if made.camera is not None:
+        assert found.T_world_camera is not None
+        camera = np.broadcast_to(made.camera, (layouts.FRAMES, 4, 4))
+        np.testing.assert_allclose(poses.matrices(found.T_world_camera), camera, atol=1e-6)
+    assert found.video == (made.video and made.video.resolve())
+    assert (found.world == CAMERA) == (case in ("ho3d", "ho3d two hands", "mano pickle"))
+
+
+def test_each_path_belongs_to_its_own_layout(tmp_path: Path) -> None:
+    for case, (layout, write) in layouts.CASES.items():
+        made = write(tmp_path / case.replace(" ", "_"))
+        first = next(name for name in DATASETS if DATASETS.load(name).matches(made.path))
+        assert first == layout, case
+
+
+def test_frames_without_a_hand_are_missing(tmp_path: Path, models: Path) -> None:
+    for case, side in (("dexycb", "right"), ("ho3d", "right"), ("hot3d", "left")):
+        made = layouts.WRITERS[case](tmp_path / case)
+        hand = read(case, made.path, models).hands[side]  # type: ignore[index]
+        assert hand.valid is not None
+        assert hand.valid.all(axis=1).tolist() == [f != 2 for f in range(layouts.FRAMES)]
+        assert hand.T_world_wrist is not None
+        assert np.isnan(hand.T_world_wrist[2]).all()
+
+
+@pytest.mark.parametrize("layout", layouts.WRITERS)
+def test_exchanged_models_and_a_missing_one_are_refused(
+    tmp_path: Path, models: Path, layout: str
+) -> None:
+    made = layouts.WRITERS[layout](tmp_path / "data")
+    with pytest.raises(RecordingError, match=r"mano\.is\.tue\.mpg\.de"):
+        read(layout, made.path, None)  # type: ignore[arg-type]
+    wrong = tmp_path / "wrong"
+    wrong.mkdir()
+    for a, b in (("RIGHT", "LEFT"), ("LEFT", "RIGHT")):
+        (wrong / f"MANO_{a}.pkl").write_bytes((models / f"MANO_{b}.pkl").read_bytes())
+    with pytest.raises(RecordingError, match="were the two files exchanged"):
+        read(layout, made.path, wrong)
+
+
+def test_another_rate(tmp_path: Path, models: Path) -> None:
+    for layout in ("arctic", "taco"):
+        made = layouts.WRITERS[layout](tmp_path / layout)
+        found = read(layout, made.path, models, rate=60.0)
+        np.testing.assert_allclose(np.diff(found.stamps), 1 / 60)
+
+
+# --- files that differ ---------------------------------------------------------------------------
+
+
+def refused(layout: str, path: Path, models: Path) -> str:
+    with pytest.raises(RecordingError) as caught:
+        read(layout, path, models)
+    return str(caught.value)
+
+
+def test_what_is_missing_is_named(tmp_path: Path, models: Path) -> None:
+    made = layouts.dexycb(tmp_path / "a")
+    np.savez(made.path / "pose.npz", pose_m=np.zeros((8, 1, 51)))
+    assert "lacks pose_y" in refused("dexycb", made.path, models)
+    made = layouts.dexycb(tmp_path / "b")
+    (made.path / "meta.yml").write_text("mano_sides: [right]\n")
+    assert "it lacks mano_calib" in refused("dexycb", made.path, models)
+    made = layouts.dexycb(tmp_path / "c")
+    (tmp_path / "c" / "calibration").rename(tmp_path / "c" / "elsewhere")
+    assert "no folder calibration" in refused("dexycb", made.path, models)
+    made = layouts.ho3d(tmp_path / "d")
+    for file in (made.path / "meta").iterdir():
+        file.write_bytes(mano_files.pickled({"objName": "mug", "handJoints3D": np.zeros(3)}))
+    assert "the evaluation split has no poses" in refused("ho3d", made.path, models)
+    made = layouts.arctic(tmp_path / "e")
+    made.path.write_bytes(mano_files.npy_of_object({"right": {}}))
+    assert "it lacks left" in refused("arctic", made.path, models)
+    made = layouts.oakink2(tmp_path / "f")
+    made.path.write_bytes(mano_files.pickled({"raw_smplx": {}}))
+    assert "it lacks raw_mano" in refused("oakink2", made.path, models)
+    made = layouts.taco(tmp_path / "g")
+    (made.path / "right_hand.pkl").write_bytes(mano_files.pickled({"0": {"hand_pose": 1}}))
+    assert "it lacks hand_trans" in refused("taco", made.path, models)
+    made = layouts.grab(tmp_path / "h")
+    (tmp_path / "h" / "tools" / "subject_meshes" / "male" / "s1_lhand.ply").unlink()
+    assert "extract tools/subject_meshes" in refused("grab", made.path, models)
+    made = layouts.hot3d(tmp_path / "i")
+    (made.path / "metadata.json").write_text('{"headset": "Vision"}')
+    assert "which axis is up" in refused("hot3d", made.path, models)
+
+
+def changed(folder: Path, **values: Any) -> Path:
+    """One hand in a file, some names changed, or left out where the value is None."""
+    pose, root = layouts.MOTION["right"]
+    held: dict[str, Any] = {
+        "global_orient": root, "hand_pose": pose, "betas": layouts.BETAS["right"], "fps": 30.0,
+        "transl": layouts.PLACE["right"], "side": "right", "flat_hand_mean": True,
+    }  # fmt: skip
+    held.update(values)
+    folder.mkdir(exist_ok=True)
+    np.savez(folder / "a.npz", **{key: value for key, value in held.items() if value is not None})
+    return folder / "a.npz"
+
+
+def test_ambiguous_parameters_are_refused(tmp_path: Path, models: Path) -> None:
+    pose = layouts.MOTION["right"][0]
+    for values, said in (
+        ({"side": None}, "does not say which hand it is"),
+        ({"side": "both"}, "side must be 'right' or 'left'"),
+        ({"flat_hand_mean": None}, "add flat_hand_mean, True or False"),
+        ({"hand_pose": pose[:, :12]}, "say so with use_pca = True"),
+        ({"hand_pose": pose[:, :12], "use_pca": False}, "12 numbers, 45 without use_pca"),
+        ({"transl": None}, "it lacks transl"),
+        ({"transl": layouts.PLACE["right"][:3]}, "different numbers of frames"),
+        ({"fps": None}, "no time stamps"),
+        ({"world": "upside_down"}, "world must be camera or one of z_up"),
+        ({"side": "left"}, "left hand: the fingers bend out of the back of the hand in "),
+        ({"transl": np.full((8, 3), np.nan)}, "no frame has a hand"),
+        ({"global_orient": np.tile(2 * np.eye(3), (8, 1, 1)),
+          "hand_pose": np.tile(np.eye(3), (8, 15, 1, 1))}, "matrices that are no rotations"),
+    ):  # fmt: skip
+        assert said in refused("mano", changed(tmp_path, **values), models), values
+
+
+def test_other_names_and_forms_give_the_same_hand(tmp_path: Path, models: Path) -> None:
+    pose, root = layouts.MOTION["right"]
+    plain = read("mano", changed(tmp_path / "0"), models).hands["right"].landmarks
+    mean = layouts.ARRAYS["right"]["hands_mean"]
+    same: tuple[dict[str, Any], ...] = (
+        {"hand_pose": pose.reshape(-1, 15, 3)},
+        {"hand_pose": pose - mean, "flat_hand_mean": False},
+        {"global_orient": None, "hand_pose": None, "poses": np.concatenate([root, pose], axis=1)},
+        {"transl": None, "trans": layouts.PLACE["right"], "betas": layouts.BETAS["right"][None]},
+        {"side": None, "is_right": np.ones(8)},
+        {"hand_pose": layouts.coefficients("right", 45, mean=True), "use_pca": True,
+         "flat_hand_mean": False},
+    )  # fmt: skip
+    for number, values in enumerate(same):
+        other = read("mano", changed(tmp_path / str(number + 1), **values), models)
+        np.testing.assert_allclose(other.hands["right"].landmarks, plain, atol=1e-9)
+    seen = changed(tmp_path / "seen", valid=np.arange(8) != 3)
+    valid = read("mano", seen, models).hands["right"].valid
+    assert valid is not None
+    assert valid[:, 9].tolist() == [f != 3 for f in range(8)]
+
+
+def test_a_left_hand_from_a_mirrored_picture(tmp_path: Path, models: Path) -> None:
+    """As HaMeR and WiLoR have it: parameters of a right hand, mirrored before it is moved."""
+    right = read("mano", changed(tmp_path / "a"), models).hands["right"].landmarks
+    at = layouts.PLACE["right"][:, None]
+    path = changed(tmp_path / "b", side="left", mirrored=True)
+    left = read("mano", path, models).hands["left"]
+    np.testing.assert_allclose(left.landmarks, (right - at) * [-1.0, 1.0, 1.0] + at, atol=1e-9)
+    wrist = poses.wrist_from_landmarks(left.landmarks, "left")
+    assert left.T_world_wrist is not None
+    np.testing.assert_allclose(left.T_world_wrist, wrist, atol=1e-9)
+
+
+def test_hands_of_the_other_side_are_refused(tmp_path: Path, models: Path) -> None:
+    made = layouts.arctic(tmp_path)
+    held = {}
+    for side, other in (("right", "left"), ("left", "right")):
+        pose, root = layouts.MOTION[other]
+        pose = pose - layouts.ARRAYS[side]["hands_mean"]
+        held[side] = {"rot": root, "pose": pose, "trans": layouts.PLACE[side],
+                      "shape": layouts.BETAS[side]}  # fmt: skip
+    made.path.write_bytes(mano_files.npy_of_object(held))
+    assert "fingers bend out of the back" in refused("arctic", made.path, models)
