@@ -20,7 +20,7 @@ from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.lab.datasets.writers.resampling import drift, resampled
 
-ALL = ["webdataset", "parquet", "lerobot"]
+ALL = ["webdataset", "parquet", "lerobot", "spider"]
 OPTIONS = WritingOptions(shard_mb=0.1)
 
 

@@ -22,7 +22,7 @@ SOURCE = PROJECT / "src" / "smooth_operator"
 OTHER_NAMES = {
     "smooth_operator.method", "smooth_operator.origin",  # metadata records of the log
     "smooth_operator.sources", "smooth_operator.sinks", "smooth_operator.readers",  # entry points
-    "smooth_operator.commands", "smooth_operator.datasets",
+    "smooth_operator.commands", "smooth_operator.datasets", "smooth_operator.writers",
 }  # fmt: skip
 """Names that are no modules."""
 SKIP = "<!-- no-test -->"

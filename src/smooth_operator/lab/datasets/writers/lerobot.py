@@ -378,7 +378,7 @@ class _LeRobot:
     )
 
     def open(self, output: Path, options: WritingOptions) -> _Writer:
-        require("a LeRobot data set", "lerobot", "pyarrow")
+        require("a LeRobot data set", "datasets", "pyarrow")
         return _Writer(output, options)
 
 

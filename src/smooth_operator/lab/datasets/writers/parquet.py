@@ -238,7 +238,7 @@ class _Parquet:
     loses = LOST
 
     def open(self, output: Path, options: WritingOptions) -> _Writer:
-        require("Parquet files of clips", "lerobot", "pyarrow")
+        require("Parquet files of clips", "datasets", "pyarrow")
         return _Writer(output, options)
 
 

@@ -137,6 +137,8 @@ WRITERS: Final = Registry(
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
             ("webdataset", "webdataset:WEBDATASET", "tar shards, a sample a clip"),
             ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
+            ("spider", "spider:SPIDER", "keypoints and objects as SPIDER reads them"),
+            ("flashdex", "flashdex:FLASHDEX", "clips as FlashDexRetarget reads them"),
         )
     },
     needs=("what", "loses", "open"),

@@ -1,0 +1,121 @@
+"""Clips in the layout of SPIDER's keypoint stage, which its ``preprocess`` programs read.
+
+::
+
+    processed/NAME/mano/EMBODIMENT/TASK/task_info.json
+    processed/NAME/mano/EMBODIMENT/TASK/0/trajectory_keypoints.npz
+    processed/NAME/assets/objects/OBJECT/visual.obj
+
+EMBODIMENT is ``bimanual``, ``right`` or ``left``; TASK is the clip. The files are in tar shards,
+which are unpacked in the folder itself; meshes stand there already.
+
+=====================  ==========  ================================================================
+``qpos_wrist_SIDE``    (T, 7)      wrist, x y z [m] and quaternion wxyz: z to the base of the
+                                   middle finger, y to the thumb on a right hand and away from it
+                                   on a left one, x out of the palm
+``qpos_finger_SIDE``   (T, 5, 7)   fingertips, thumb to pinky; their rotation is 1 0 0 0
+``qpos_obj_SIDE``      (T, 7)      the object of that hand
+=====================  ==========  ================================================================
+
+A hand or an object that the clip lacks is at zero with rotation 1 0 0 0. One object for both hands
+is the right one's. Source: https://github.com/facebookresearch/spider.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator import poses
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.datasets.clip import SIDES
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.arrays import slug, unique_slug
+from smooth_operator.lab.datasets.writers.keypoints import FileShards, Scene
+from smooth_operator.lab.datasets.writers.registry import WritingOptions
+from smooth_operator.lab.datasets.writers.webdataset import npz_bytes
+
+_RATE: Final = 50.0  # ref_dt = 0.02, the default of SPIDER's programs
+_TIPS: Final = [4, 8, 12, 16, 20]
+_AXES: Final = np.array([0.0, 0.0, 0.0, *np.sqrt([0.5, 0.0, 0.5, 0.0])])
+"""Pose of SPIDER's wrist axes in ours: its x, y, z are our -z, y, x."""
+
+
+class _Writer(FileShards):
+    def __init__(self, output: Path, options: WritingOptions) -> None:
+        self._rate = options.rate or _RATE
+        self._name = slug(options.name)
+        fixed = {"rate": self._rate, "name": self._name, "loose": options.loose}
+        super().__init__(output, options, "spider", 256.0, fixed)
+
+    def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
+        root = f"processed/{self._name}"
+        meshes = f"{root}/assets/objects"
+        scene = self.scene(clip, self._rate, meshes)
+        both = len(scene.points) == 2
+        embodiment = "bimanual" if both else next(iter(scene.points))
+        arrays, folders = _arrays(scene)
+        task = unique_slug(clip.clip.name, entry["key"])
+        info: dict[str, Any] = {
+            "task": task,
+            "dataset_name": self._name,
+            "robot_type": "mano",
+            "embodiment_type": embodiment,
+            "data_id": 0,
+            "ref_dt": 1.0 / self._rate,
+        }
+        for side in SIDES:
+            folder = folders.get(side)
+            place = None if folder is None else f"{meshes}/{folder}"
+            info[f"{side}_object_mesh_dir"] = place
+            info[f"{side}_object_convex_dir"] = None if place is None else f"{place}/convex"
+        info["smooth_operator"] = {
+            "key": entry["key"],
+            "name": clip.clip.name,
+            "task": clip.clip.task,
+            "world": clip.clip.world,
+            "filled": scene.filled,
+        }
+        place = f"{root}/mano/{embodiment}/{task}"
+        self.add_file(f"{place}/task_info.json", to_json(info, indent=2).encode())
+        self.add_file(f"{place}/0/trajectory_keypoints.npz", npz_bytes(arrays))
+        entry["path"] = place
+        entry["frames"] = len(arrays["qpos_wrist_right"])
+
+
+def _arrays(scene: Scene) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
+    """The arrays, and side -> folder of the mesh of its object."""
+    count = len(next(iter(scene.wrists.values())))
+    arrays: dict[str, np.ndarray] = {}
+    folders: dict[str, str | None] = {}
+    shared = len(set(scene.holds.values())) == 1 and len(scene.holds) == 2
+    for side in SIDES:
+        wrist = np.tile(poses.IDENTITY, (count, 1))
+        finger = np.tile(poses.IDENTITY, (count, 5, 1))
+        held = np.tile(poses.IDENTITY, (count, 1))
+        if side in scene.wrists:
+            wrist = poses.compose(scene.wrists[side], _AXES)
+            finger[..., :3] = scene.points[side][:, _TIPS]
+        if side in scene.holds and not (shared and side == "left"):
+            held, folders[side] = scene.objects[scene.holds[side]]
+        arrays[f"qpos_wrist_{side}"] = wrist.astype(np.float32)
+        arrays[f"qpos_finger_{side}"] = finger.astype(np.float32)
+        arrays[f"qpos_obj_{side}"] = held.astype(np.float32)
+    return arrays, folders
+
+
+class _Spider:
+    what = "keypoints for SPIDER"
+    loses = (
+        "It holds human hands for SPIDER's own retargeting: no commands, joints, validity, "
+        "confidence, camera, video or figures; of each hand the wrist and five fingertips, and one "
+        "object a hand. Clips are brought to 50 frames a second, gaps of up to 20 % filled."
+    )
+
+    def open(self, output: Path, options: WritingOptions) -> _Writer:
+        return _Writer(output, options)
+
+
+SPIDER: Final = _Spider()
