@@ -171,7 +171,7 @@ def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]
     import trimesh
 
     try:
-        mesh = trimesh.load(path, force="mesh", process=False)
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
         mesh.apply_scale(scale)
         hull = np.asarray(mesh.convex_hull.vertices, np.float64)
         lines = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in np.asarray(mesh.vertices).tolist()]
