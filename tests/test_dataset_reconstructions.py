@@ -15,7 +15,7 @@ import pytest
 from test_dataset_readers import clip_of
 
 from smooth_operator.errors import RecordingError, SmoothOperatorError
-from smooth_operator.lab.datasets.registry import ReadingOptions
+from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
 from smooth_operator.poses import matrices, separation, wrist_from_landmarks
 from smooth_operator.types import Side
 
@@ -72,6 +72,10 @@ def test_hawor(tmp_path: Path) -> None:
     assert (found.name, found.layout, found.world) == ("kitchen", "hawor", "hawor")
     assert found.video == tmp_path / "kitchen.mp4"
     assert len(found.source) == 3
+    reader = DATASETS.load("hawor")  # which does not look into the rest of the folder
+    assert reader.matches(path.parent)
+    assert [ref.path for ref in reader.clips(path.parent)] == [path]
+    assert not reader.matches(tmp_path)
     for side, seed in zip(SIDES, (2, 3), strict=True):
         own = mended(arrays[side]) if side == "left" else arrays[side]
         expected = reference(own, side, parameters(seed))

@@ -46,6 +46,7 @@ _NAMES: Final = (
 _FRAME_BYTES: Final = 4096
 """What a frame takes in memory, with its arrays."""
 _LABEL: Final = re.compile(rb"(?=(?:Right|Left) (?:wrist|landmarks)|Head pose)")
+_NUMBER: Final = {int, float}  # and no truth value, which is an int, too
 _WRIST: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -311,10 +312,11 @@ def _checked(rows: Any, count: int) -> list[Any]:
 
 
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
-    good = isinstance(value, list) and len(value) == count
-    if not good or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value):
+    if not isinstance(value, list) or len(value) != count or not set(map(type, value)) <= _NUMBER:
         raise RecordingError(f"'{what}' must be {count} numbers, not {brief(value)}")
-    return np.array([float(v) if abs(v) < 1e300 else np.nan for v in value])
+    found = np.array(value, np.float64)
+    found[np.abs(found) >= 1e300] = np.nan
+    return found
 
 
 def _objects(path: Path, found: _Collected) -> Iterator[dict[str, Any]]:

@@ -59,12 +59,13 @@ class Hawor:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is the file of that name."""
-        return path.name == "world_space_res.pth" and path.is_file()
+        """Whether it is the file of that name, or the folder that has it and much else."""
+        return _world_file(path).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """The file; its folder is named as the video."""
-        yield ClipRef(path.parent.name or path.stem, path, layout="hawor", size=_size(path))
+        file = _world_file(path)
+        yield ClipRef(file.parent.name or file.stem, file, layout="hawor", size=_size(file))
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Its hands and the camera in one world; frames that are not flagged are NaN.
@@ -255,6 +256,10 @@ def _part(arrays: StoredArrays, name: str, shape: tuple[int | None, ...] | None)
         words = ", ".join("any" if n is None else str(n) for n in shape)
         raise RecordingError(f"{arrays.path}: {name} must have shape ({words}), not {stored.shape}")
     return stored.numbers()
+
+
+def _world_file(path: Path) -> Path:
+    return path if path.name == "world_space_res.pth" else path / "world_space_res.pth"
 
 
 def _size(path: Path) -> int:
