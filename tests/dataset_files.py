@@ -71,16 +71,23 @@ def hand(side: Side, seconds: float = 1.0) -> Hand:
 
 
 def wrong_frames(points: np.ndarray, valid: np.ndarray, side: Side) -> tuple[int, int]:
-    """Frames whose fingertips lie clearly on the wrong side of the palm; and whole frames."""
+    """Frames that show the other hand, and whole frames.
+
+    In those, the fingertips lie clearly on the wrong side of the palm; the median of three palms,
+    so that one landmark in a wrong place makes no other hand.
+    """
     whole = points[valid.all(axis=1)]
-    normal = np.cross(whole[:, 5] - whole[:, 0], whole[:, 17] - whole[:, 0])
     length = np.linalg.norm(whole[:, 9] - whole[:, 0], axis=1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     tips = whole[:, [8, 12, 16, 20]] - whole[:, [5, 9, 13, 17]]
-    bent = (tips * normal[:, None]).sum(axis=-1).sum(axis=1) / np.maximum(length, 1e-12)
+    bends = []
+    for one, other in ((5, 17), (5, 13), (9, 17)):
+        normal = np.cross(whole[:, one] - whole[:, 0], whole[:, other] - whole[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        bends.append(np.median((tips * normal[:, None]).sum(axis=-1), axis=1))
+    bent = np.median(bends, axis=0) / np.maximum(length, 1e-12)
     if side == "left":
         bent = -bent
-    return int((bent < -0.5).sum()), len(whole)
+    return int((bent < -0.1).sum()), len(whole)
 
 
 # EgoDex: ARKit's world (x to the right, y up, z to the viewer), 4 x 4 transforms.

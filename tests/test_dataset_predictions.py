@@ -184,7 +184,7 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path: Path) -> None:
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for i, (name, content, mutate) in enumerate(
-            4 * hostile_datasets.seeds(tmp_path)["predictions"]
+            2 * hostile_datasets.seeds(tmp_path)["predictions"]
         ):
             path = tmp_path / "mutant" / name
             path.write_bytes(mutate(random.Random(f"predictions {i}"), content))

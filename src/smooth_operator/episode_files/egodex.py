@@ -64,14 +64,16 @@ def read_egodex(
 def egodex_hand(
     tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side
 ) -> HandRecording:
-    """The same before its units and stamps are checked; joints that ARKit lost are NaN.
+    """The same before its units and stamps are checked; joints that ARKit lost, or that are no poses, are NaN.
 
     Raises:
         RecordingError: as ``read_egodex``.
     """
     names = EGODEX_JOINTS[side]
     joints = np.stack([egodex_transforms(tree, name, path) for name in names], axis=1)
-    seen = np.isfinite(joints).all(axis=(2, 3))
+    with np.errstate(all="ignore"):  # of numbers beyond any transform
+        volume = np.linalg.det(joints[..., :3, :3])  # 1 of a rotation; mirrored ones have -1
+    seen = np.isfinite(joints).all(axis=(2, 3)) & (volume > 0.5) & (volume < 2.0)
     sure = egodex_confidences(tree, side, len(joints))
     if sure is not None:
         seen &= ~(sure <= 0.0)  # NaN: the file does not say
