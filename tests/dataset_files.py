@@ -12,6 +12,7 @@ import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -73,14 +74,14 @@ def hand(side: Side, seconds: float = 1.0) -> Hand:
 def wrong_frames(points: np.ndarray, valid: np.ndarray, side: Side) -> tuple[int, int]:
     """Frames that show the other hand, and whole frames.
 
-    In those, the fingertips lie clearly on the wrong side of the palm; the median of three palms,
-    so that one landmark in a wrong place makes no other hand.
+    In those, the fingertips lie clearly on the wrong side of the palm; that is the median of the
+    planes of any two knuckles, so that one landmark in a wrong place makes no other hand.
     """
     whole = points[valid.all(axis=1)]
     length = np.linalg.norm(whole[:, 9] - whole[:, 0], axis=1)
     tips = whole[:, [8, 12, 16, 20]] - whole[:, [5, 9, 13, 17]]
     bends = []
-    for one, other in ((5, 17), (5, 13), (9, 17)):
+    for one, other in combinations((5, 9, 13, 17), 2):
         normal = np.cross(whole[:, one] - whole[:, 0], whole[:, other] - whole[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         bends.append(np.median((tips * normal[:, None]).sum(axis=-1), axis=1))
