@@ -64,7 +64,7 @@ def read_egodex(
 def egodex_hand(
     tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side
 ) -> HandRecording:
-    """The same before its units and stamps are checked; joints that ARKit lost, or that are no poses, are NaN.
+    """The same before units and stamps are checked; joints that ARKit lost or are no poses are NaN.
 
     Raises:
         RecordingError: as ``read_egodex``.
