@@ -483,7 +483,7 @@ def test_a_jump_of_the_tracker_cuts(answered: RobotClip) -> None:
 def test_what_breaks_a_limit_is_dropped(
     answered: RobotClip, limits: dict[str, Any], reason: str
 ) -> None:
-    far = {**answered.tracks, "right.tip_error_max": np.full(len(answered.clip), 0.5)}
+    far = {**answered.tracks, "right.reached": np.zeros(len(answered.clip))}
     assert episodes(replace(answered, tracks=far)) == [("deep/c", ())]
     assert episodes(replace(answered, tracks=far), **limits) == [("deep/c", (reason,))]
 

@@ -103,11 +103,12 @@ Examples:
     max_collision: Annotated[float, arg(metavar="SHARE")] = 0.2
     """Largest share of frames in which links of the robot hand are over 2 mm inside each other."""
 
-    max_tip_error: Annotated[float, arg(metavar="MM")] = 30.0
+    max_tip_error: Annotated[float, arg(metavar="MM")] = 60.0
     """Largest mean distance between robot fingertips and the human's, on the robot's scale [mm]."""
 
     min_reach: Annotated[float, arg(metavar="SHARE")] = 0.5
-    """Least share of frames in which every fingertip comes within 25 mm of the human's."""
+    """Least share of frames in which every fingertip is nearer to the human's than a quarter of the
+    robot hand's length."""
 
     no_limits: bool = False
     """Keep every clip, whole; the options above have no effect."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -19,10 +19,11 @@ from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
 from smooth_operator.metrics.joints import max_joint_step
 from smooth_operator.metrics.safety import COLLISION_DEPTH
-from smooth_operator.types import CommandTrajectory, HandRecording, Side
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
-REACHED: Final = 0.025
-"""A robot fingertip that is this near to the human's is taken to reach it [m]."""
+REACHED: Final = 0.25
+"""A robot fingertip that is nearer to the human's than this share of the robot hand's length is
+taken to reach it. The hands have other proportions: some are never nearer than a fifth."""
 
 COLLISION_RATE_HZ: Final = 5.0
 """How often self-collision is looked at [Hz]: a look takes as long as a tenth of a command."""
@@ -53,7 +54,7 @@ FIGURES: Final = (
     Figure("jump_m_s", "m/s", "down", "largest speed of the human wrist or of a fingertip to it"),
     Figure("tip_error_mm", "mm", "down", "robot fingertips to the aligned human ones, mean"),
     Figure("tip_error_p95_mm", "mm", "down", "the same of the worst finger, 95th percentile"),
-    Figure("reach", "", "up", "share of frames with every fingertip within 25 mm of the human's"),
+    Figure("reach", "", "up", "share of frames in which every fingertip reaches the human's"),
     Figure("collision", "", "down", "share of frames with two links more than 2 mm inside"),
     Figure("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
     Figure("joint_step_rad", "rad", "down", "largest step of a joint from a frame to the next"),
@@ -63,42 +64,75 @@ FIGURES: Final = (
 """What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode."""
 
 
+Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
+
+
 def quality_tracks(
-    recording: HandRecording,
-    commands: CommandTrajectory,
-    loss: Float[np.ndarray, " T"],
+    recordings: Sequence[HandRecording],
+    commands: Sequence[CommandTrajectory],
+    losses: Sequence[Float[np.ndarray, " T"]],
     hand: Hand,
     alignment: AlignmentConfig,
-) -> dict[str, Float[np.ndarray, " T"]]:
-    """Figures of each frame of one hand; NaN where one is not known.
+) -> list[Tracks]:
+    """Figures of each frame of some recordings of one hand; NaN where one is not known.
+
+    The recordings are measured together, as most of the time is spent between arrays.
 
     Args:
-        recording: the human hand.
-        commands: what answers it.
-        loss: (T,) tracking loss.
+        recordings: the human hand.
+        commands: what answers each.
+        losses: (T,) tracking loss of each.
         hand: the robot hand.
         alignment: the method's own, so that the human is measured as the method saw it.
 
     Returns:
-        ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the wrist, the
-        faster; ``tip_error`` [m] mean over fingertips; ``tip_error_max`` [m]; ``penetration`` [m],
+        for each: ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the
+        wrist, the faster; ``tip_error`` [m] mean over fingertips; ``tip_error_max`` [m];
+        ``reached``, 1 where every fingertip is within ``REACHED``, or else 0; ``penetration`` [m],
         at ``COLLISION_RATE_HZ``; ``loss``.
     """
-    human = align_recording(recording, hand, alignment)
+    joined = _joined(recordings)
+    human = align_recording(joined, hand, alignment)
     tips = human[:, [TIPS[FINGERS.index(name)] for name in hand.fingers]]
-    answered = commands.status == 0
     names = hand.tree.names
-    robot = np.asarray(hand.tree.positions(commands.joint_positions))
-    robot_tips = robot[:, [names.index(name) for name in hand.tip_names]]
-    error = np.linalg.norm(robot_tips - tips, axis=-1)
-    error[~answered] = np.nan
-    return {
-        "speed": _speed(recording, tips - human[:, WRIST, None]),
-        "tip_error": error.mean(axis=-1),
-        "tip_error_max": error.max(axis=-1),
-        "penetration": _penetration(hand, commands, recording.rate_hz),
-        "loss": np.asarray(loss, np.float64),
-    }
+    columns = [names.index(name) for name in hand.tip_names]
+    positions = np.concatenate([each.joint_positions for each in commands])
+    error = np.linalg.norm(np.asarray(hand.tree.positions(positions))[:, columns] - tips, axis=-1)
+    error[np.concatenate([each.status for each in commands]) != Status.OK] = np.nan
+    worst_tip = error.max(axis=-1)
+    reached = np.where(np.isnan(worst_tip), np.nan, worst_tip <= REACHED * hand_length(hand))
+    looks = [_looks(recording) for recording in recordings]
+    depths = penetration_depths(
+        hand, np.concatenate([c.joint_positions[at] for c, at in zip(commands, looks, strict=True)])
+    )
+    found: list[Tracks] = []
+    start = looked = 0
+    for recording, look, loss in zip(recordings, looks, losses, strict=True):
+        own = slice(start, start + len(recording))
+        start = own.stop
+        penetration = np.full(len(recording), np.nan)
+        if depths is not None:
+            penetration[look] = depths[looked : looked + len(penetration[look])]
+        looked += len(penetration[look])
+        found.append(
+            {
+                "speed": _speed(recording, tips[own] - human[own, WRIST, None]),
+                "tip_error": error[own].mean(axis=-1),
+                "tip_error_max": worst_tip[own],
+                "reached": reached[own],
+                "penetration": penetration,
+                "loss": np.asarray(loss, np.float64),
+            }
+        )
+    return found
+
+
+def hand_length(hand: Hand) -> float:
+    """From the wrist of a robot hand to its farthest fingertip, in the neutral pose [m]."""
+    names = hand.tree.names
+    points = np.asarray(hand.tree.positions(hand.full_configuration(hand.neutral)))
+    tips = points[[names.index(name) for name in hand.tip_names]]
+    return float(np.linalg.norm(tips - hand.wrist, axis=-1).max())
 
 
 def quality_figures(episode: RobotClip) -> dict[str, float]:
@@ -141,8 +175,8 @@ def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float |
     def track(name: str) -> np.ndarray:
         return episode.tracks.get(f"{side}.{name}", unknown)
 
-    error, depth = track("tip_error_max"), track("penetration")
-    known_error, known_depth = error[np.isfinite(error)], depth[np.isfinite(depth)]
+    depth = track("penetration")
+    known_depth = depth[np.isfinite(depth)]
     confidence = episode.clip.confidence.get(side, unknown)
     wrist = episode.T_world_wrist.get(side)
     stamps = episode.clip.stamps
@@ -153,8 +187,8 @@ def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float |
         "wrist": None if wrist is None else summary.mean(poses.is_valid(wrist)),
         "jump_m_s": summary.maximum(track("speed")[1:]),
         "tip_error_mm": summary.scaled(summary.mean(track("tip_error")), 1e3),
-        "tip_error_p95_mm": summary.scaled(summary.percentile(error, 95.0), 1e3),
-        "reach": summary.mean(known_error <= REACHED),
+        "tip_error_p95_mm": summary.scaled(summary.percentile(track("tip_error_max"), 95.0), 1e3),
+        "reach": summary.mean(track("reached")),
         "collision": summary.mean(known_depth > COLLISION_DEPTH),
         "collision_depth_mm": summary.scaled(summary.maximum(known_depth), 1e3),
         "joint_step_rad": max_joint_step(commands.joint_positions),
@@ -183,14 +217,18 @@ def _speed(recording: HandRecording, reaches: np.ndarray) -> Float[np.ndarray, "
     return np.concatenate([[np.nan], np.where(moved < 0, np.nan, speed)])
 
 
-def _penetration(hand: Hand, commands: CommandTrajectory, rate: float) -> Float[np.ndarray, " T"]:
-    """Self-penetration [m] of every so many frames, NaN in between."""
-    step = max(1, round(rate / COLLISION_RATE_HZ)) if np.isfinite(rate) else 1
-    depths = np.full(len(commands), np.nan)
-    found = penetration_depths(hand, commands.joint_positions[::step])
-    if found is not None:
-        depths[::step] = found
-    return depths
+def _looks(recording: HandRecording) -> slice:
+    """The frames in which self-penetration is looked for."""
+    rate = recording.rate_hz
+    return slice(None, None, max(1, round(rate / COLLISION_RATE_HZ)) if np.isfinite(rate) else 1)
+
+
+def _joined(recordings: Sequence[HandRecording]) -> HandRecording:
+    """Frames of several recordings of one side, for what takes each by itself."""
+    landmarks = np.concatenate([each.landmarks for each in recordings])
+    valid = np.concatenate([np.asarray(each.valid) for each in recordings])
+    stamps = np.arange(len(landmarks), dtype=np.float64)
+    return HandRecording(landmarks, stamps, recordings[0].side, valid)
 
 
 def _jerk(positions: np.ndarray, stamps: np.ndarray) -> float | None:

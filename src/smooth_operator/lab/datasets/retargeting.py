@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
-from smooth_operator.lab.datasets.quality import quality_tracks
+from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.offline.finished import digest
@@ -115,21 +115,28 @@ def retarget_clips(
         for each clip the result, or why there is none.
     """
     todo = [_prepared(clip, recipe) for clip in clips]
-    plans = [each for clip in todo if isinstance(clip, _Prepared) for each in clip.plans.values()]
-    answers = iter(_answers(plans, recipe))
+    works = [
+        _Work(number, side, each)
+        for number, clip in enumerate(todo)
+        if isinstance(clip, _Prepared)
+        for side, each in clip.plans.items()
+    ]
+    answers: dict[int, dict[Side, _Answer]] = {}
+    failed: dict[int, SmoothOperatorError] = {}
+    for group in _groups(works, recipe):
+        for work, found in zip(group, _answers(group, recipe), strict=True):
+            if isinstance(found, SmoothOperatorError):
+                failed[work.clip] = found
+            else:
+                answers.setdefault(work.clip, {})[work.side] = found
     results: list[RobotClip | SmoothOperatorError] = []
     for number, clip in enumerate(todo):
-        if isinstance(clip, SmoothOperatorError):
-            results.append(clip)
-            continue
-        own = {side: next(answers) for side in clip.plans}
-        failed = [found for found in own.values() if isinstance(found, SmoothOperatorError)]
-        if failed:
-            results.append(failed[0])
+        if isinstance(clip, SmoothOperatorError) or number in failed:
+            results.append(clip if isinstance(clip, SmoothOperatorError) else failed[number])
             continue
         sources = () if files is None else files[number]
         key = "" if keys is None else keys[number]
-        results.append(_result(clip, own, recipe, sources, key))  # type: ignore[arg-type]
+        results.append(_result(clip, answers[number], recipe, sources, key))
     return results
 
 
@@ -177,33 +184,63 @@ def _seen(hand: HandRecording) -> bool:
     return bool(hand.valid.any())
 
 
-_Answer = tuple[CommandTrajectory, np.ndarray]
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """One hand of one clip."""
+
+    clip: int
+    side: Side
+    plan: Plan
 
 
-def _answers(plans: Sequence[Plan], recipe: Recipe) -> Iterator[_Answer | SmoothOperatorError]:
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    commands: CommandTrajectory
+    tracks: Tracks
+
+
+def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
+    """What the same retargeter answers; with a scale for each recording, each has its own."""
+    if recipe.request.scale == "calibrate":
+        yield from ([work] for work in works)
+        return
+    for side in SIDES:
+        group = [work for work in works if work.side == side]
+        if group:
+            yield group
+
+
+def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOperatorError]:
+    """The commands of a group; if they fail together, each is tried by itself."""
     reuse = recipe.request.scale != "calibrate"
-    for todo in plans:
-        try:
-            yield answer(todo, reuse=reuse)
-        except SmoothOperatorError as error:
-            yield error
+    recordings = [work.plan.recording for work in group]
+    first = group[0].plan
+    try:
+        found = [answer(work.plan, reuse=reuse) for work in group]
+        commands, losses = [each for each, _ in found], [loss for _, loss in found]
+        alignment = first.config.alignment
+        tracks = quality_tracks(recordings, commands, losses, first.hand, alignment)
+    except SmoothOperatorError as error:
+        if len(group) == 1:
+            return [error]
+        return [each for work in group for each in _answers([work], recipe)]
+    return [_Answer(*each) for each in zip(commands, tracks, strict=True)]
 
 
 def _result(
     todo: _Prepared,
-    answers: dict[Side, _Answer],
+    answers: Mapping[Side, _Answer],
     recipe: Recipe,
     files: Sequence[SourceFile],
     key: str,
 ) -> RobotClip:
     clip, request = todo.clip, recipe.request
-    tracks: dict[str, np.ndarray] = {}
-    commands: dict[Side, CommandTrajectory] = {}
-    for side, (answered, loss) in answers.items():
-        own = todo.plans[side]
-        commands[side] = answered
-        found = quality_tracks(own.recording, answered, loss, own.hand, own.config.alignment)
-        tracks |= {f"{side}.{name}": values for name, values in found.items()}
+    commands = {side: answers[side].commands for side in todo.plans}
+    tracks = {
+        f"{side}.{name}": values
+        for side in todo.plans
+        for name, values in answers[side].tracks.items()
+    }
     config: dict[str, Any] = {
         "program": PROGRAM,
         "command": "dataset",
