@@ -24,6 +24,7 @@ names. What LeRobot would make inputs of a policy of, were it so called, begins 
 There is no NaN: a policy can't take it, and LeRobot's own tools turn it into a null that its loader
 does not read. Where a pose is not known, the last one is held, or the first that is, or else it is
 the identity; the column ``…_valid`` is false there. The joints of a hand that the clip lacks are 0.
+Quaternions do not change their sign from a frame to the next, and begin with w >= 0.
 """
 
 from __future__ import annotations
@@ -245,11 +246,15 @@ def _sided(joint: str, side: Side) -> str:
 
 
 def _poses(found: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 7) poses without gaps, and (T,) whether each was known."""
+    """(T, 7) poses without gaps and without changes of sign, and (T,) whether each was known."""
     known = np.zeros(count, bool) if found is None else np.asarray(poses.is_valid(found))
     if found is None or not known.any():
         return np.tile(poses.IDENTITY, (count, 1)), known
-    return _held(found), known
+    held = _held(found)
+    # q and -q are the same rotation; a jump from one to the other is no motion to learn.
+    along = (held[1:, 3:] * held[:-1, 3:]).sum(axis=1)
+    signs = np.cumprod(np.concatenate([held[:1, 3] < 0.0, along < 0.0]) * -2.0 + 1.0)
+    return np.concatenate([held[:, :3], held[:, 3:] * signs[:, None]], axis=1), known
 
 
 def _held(rows: np.ndarray) -> np.ndarray:
