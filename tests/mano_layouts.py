@@ -178,7 +178,7 @@ def ho3d(folder: Path, hands: int = 1) -> Made:
         if frame == 2:  # without annotation
             held = {key: None if key != b"objName" else value for key, value in held.items()}
         file = sequence / "meta" / f"{frame + 10:04d}.pkl"
-        file.write_bytes(mano_files.Pickled().put(held).done())
+        file.write_bytes(pickled(held))
         files.append(file)
     turn = np.diag([1.0, -1.0, -1.0])
     thing = homogeneous(turn, np.zeros(3)) @ _object()

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import random
 from pathlib import Path
 from typing import Any
 
+import hostile_mano
 import mano_files
 import mano_layouts as layouts
 import numpy as np
 import pytest
 
 from smooth_operator import poses
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.lab.datasets.clip import CAMERA, Clip
 from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
 
@@ -222,3 +225,28 @@ def test_hands_of_the_other_side_are_refused(tmp_path: Path, models: Path) -> No
                       "shape": layouts.BETAS[side]}  # fmt: skip
     made.path.write_bytes(mano_files.npy_of_object(held))
     assert "fingers bend out of the back" in refused("arctic", made.path, models)
+
+
+@pytest.mark.parametrize("layout", layouts.WRITERS)
+def test_damaged_files_are_read_soundly_or_refused(
+    tmp_path: Path, models: Path, layout: str
+) -> None:
+    """A few; ``python tests/hostile_mano.py 300`` does many."""
+    (tmp_path / "mano_models").symlink_to(models)
+    made = layouts.WRITERS[layout](tmp_path / "data")
+    for number in range(5):
+        rng = random.Random(f"{layout} {number}")
+        file = made.files[number % len(made.files)]
+        content = file.read_bytes()
+        file.write_bytes(hostile_mano.MUTATE[file.suffix](rng, content))
+        with contextlib.suppress(SmoothOperatorError):
+            hostile_mano.read_soundly(layout, made.path)
+        file.write_bytes(content)
+    hostile_mano.read_soundly(layout, made.path)
+
+
+def test_a_time_that_no_clock_has_is_refused(tmp_path: Path, models: Path) -> None:
+    made = layouts.hot3d(tmp_path)
+    table = made.path / "dynamic_objects.csv"
+    table.write_text(table.read_text().replace("56752108188860", "9999999999999999999"))
+    assert "timestamp[ns] is damaged" in refused("hot3d", made.path, models)

@@ -88,6 +88,7 @@ class ManoModel:
     components: Float[np.ndarray, "45 45"]
     mean: Float[np.ndarray, "45"]
 
+    @np.errstate(all="ignore")  # numbers beyond any hand become NaN or are refused later
     def rotations(
         self,
         root: Float[np.ndarray, "T 3"],
@@ -108,6 +109,7 @@ class ManoModel:
         full = full if flat_hand_mean else full + self.mean
         return from_axis_angle(np.concatenate([root, full], axis=1).reshape(-1, 16, 3))
 
+    @np.errstate(all="ignore")
     def place(
         self,
         rotations: Float[np.ndarray, "T 16 3 3"],
@@ -171,6 +173,7 @@ def _chain(
     return turned, moved
 
 
+@np.errstate(all="ignore")
 def from_axis_angle(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
     """Rotation matrices of axis times angle [rad], by Rodrigues' formula."""
     angle = np.linalg.norm(vectors, axis=-1)

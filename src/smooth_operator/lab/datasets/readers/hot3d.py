@@ -38,7 +38,8 @@ from smooth_operator.types import Side
 _HANDS: Final = "mano_hand_pose_trajectory.jsonl"
 _OBJECTS: Final = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
 _SIDES: Final[dict[str, Side]] = {"0": "left", "1": "right"}
-_MOST_BYTES: Final = 400_000_000
+_MOST_BYTES: Final = 200_000_000
+_MOST_TABLE_BYTES: Final = 64_000_000
 _LONGEST_LINE: Final = 100_000
 _TWICE_NS: Final = 5_000_000  # cameras of one headset expose so close to each other
 _NEAR_NS: Final = 20_000_000  # an object's pose counts for a frame that is so near
@@ -187,7 +188,7 @@ def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
     """Object -> time [ns] -> x y z w x y z."""
     found: dict[str, dict[int, list[float]]] = {}
     try:
-        reader = csv.reader(io.StringIO(read_text(path, most_bytes=_MOST_BYTES)))
+        reader = csv.reader(io.StringIO(read_text(path, most_bytes=_MOST_TABLE_BYTES)))
         header = next(reader, [])
         missing = [column for column in _COLUMNS if column not in header]
         if missing:
@@ -199,7 +200,7 @@ def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
             uid, time, *values = (row[i] for i in at)
             if not uid.isalnum() or len(uid) > 40 or len(found) > 1000:
                 raise RecordingError(f"{path}: an object_uid is damaged")
-            if not time.isdecimal() or len(time) > 19:
+            if not time.isdecimal() or len(time) > 18:
                 raise RecordingError(f"{path}: a timestamp[ns] is damaged")
             found.setdefault(uid, {})[int(time)] = [float(value) for value in values]
     except (OSError, DocumentError, csv.Error, LookupError, ValueError) as error:

@@ -71,6 +71,7 @@ class Scene:
     video: Path | None = None
     meta: Mapping[str, Any] = field(default_factory=dict)
 
+    @np.errstate(all="ignore")  # numbers beyond any hand become NaN or are refused
     def clip(self, ref: ClipRef, layout: str, expects: str) -> Clip:
         """The clip, its hands checked: units, stamps, and that each is of its side by its shape.
 
