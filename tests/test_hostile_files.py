@@ -233,7 +233,7 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path: Path) -> None:
 def test_a_reader_of_hdf5_that_hangs_or_dies_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from smooth_operator.teleop.recording import hdf5_process, hdf5_tree
+    from smooth_operator.episode_files import hdf5_process, hdf5_tree
 
     path = good(tmp_path, "a.h5")
     first = read_episode(path)

@@ -7,14 +7,15 @@ back. Their types are those of ``foxglove_types.py``, whose numbers of fields st
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from itertools import groupby, repeat
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from smooth_operator.landmarks import BONES, WRIST
+from smooth_operator.landmarks import BONES, LANDMARKS, WRIST
 from smooth_operator.teleop.recording.foxglove_types import (
     FRAMES,
     HAND_SCENE,
@@ -45,20 +46,24 @@ TRACKER_FRAME: Final = "tracker"
 palm."""
 _BESIDE: Final = np.array([0.25, 0.0, 0.0])  # [m]
 
+# A Point3 as field 5 of LinePrimitive: what stands before each number is the same in all.
+_POINT: Final = np.dtype(
+    [("head", "<u2"), *((f"{k}{v}", t) for v in "xyz" for k, t in (("key_", "u1"), ("", "<f8")))]
+)
+_POINTS: Final = np.zeros(len(LANDMARKS), _POINT)
+_POINTS["head"] = int.from_bytes(head(5, 27), "little")
+for _axis, _key in enumerate(("key_x", "key_y", "key_z"), 1):
+    _POINTS[_key] = double_key(_axis)
+
 Keypoints: TypeAlias = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, "k 21 3"]]
 """Joint positions [rad] to the robot's landmarks in its palm's frame [m]; NaN for those that it has
-not."""
+not, which are the same at all positions."""
 
 _PERIOD_NS: Final = round(1e9 / RATE_HZ)
 _HUMAN: Final = (0.9, 0.6, 0.35, 1.0)
 _ROBOT: Final = (0.0, 0.45, 0.7, 1.0)
 _THICKNESS: Final = 0.004  # [m]
 _LINE_LIST: Final = 2
-
-# A Point3 as field 5 of LinePrimitive: what stands before each number is the same in all.
-_POINT: Final = np.dtype(
-    [("head", "<u2"), *((f"{k}{v}", t) for v in "xyz" for k, t in (("key_", "u1"), ("", "<f8")))]
-)
 
 
 class Message(NamedTuple):
@@ -72,7 +77,7 @@ class Message(NamedTuple):
 class FoxgloveMessages:
     """Foxglove's messages of one hand and one robot, at most ``RATE_HZ`` a second.
 
-    They are gathered, and the robot's keypoints found for many commands in one call.
+    They are gathered, and the skeletons of many frames and commands made in one call.
 
     Args:
         keypoints: where the robot's landmarks are; None draws no robot.
@@ -81,8 +86,9 @@ class FoxgloveMessages:
     def __init__(self, keypoints: Keypoints | None) -> None:
         self._keypoints = keypoints
         self._due: dict[str, int] = {}
-        self._place: Float[np.ndarray, "3"] | None = None
+        self._place: bytes | None = None  # of the tracker's frame
         self._messages: list[Message] = []
+        self._hands: list[tuple[int, np.ndarray, bytes]] = []  # times, landmarks, whether valid
         self._robot: list[tuple[int, np.ndarray]] = []  # times and joint positions
 
     def hand(self, frame: HandFrame, at: int) -> None:
@@ -100,11 +106,10 @@ class FoxgloveMessages:
         if not any(frame.valid.tolist()) or not self._is_due(HAND_SCENE, at):
             return
         if self._place is None and frame.valid[WRIST]:
-            self._place = _BESIDE - frame.landmarks[WRIST]
-        place = _BESIDE if self._place is None else self._place
-        self._add(FRAMES, at, part(1, _transform(place, at)))
-        scene = _scene("human hand", TRACKER_FRAME, frame.landmarks, frame.valid, _HUMAN, at)
-        self._add(HAND_SCENE, at, scene)
+            self._place = _transform(_BESIDE - frame.landmarks[WRIST])
+        place = self._place or _transform(_BESIDE)
+        self._add(FRAMES, at, part(1, time(1, at) + place))
+        self._hands.append((at, frame.landmarks.copy(), frame.valid.tobytes()))
 
     def wrist(self, wrist: WristCommand, at: int) -> None:
         """The same for the commanded wrist."""
@@ -134,15 +139,17 @@ class FoxgloveMessages:
 
     def take(self) -> list[Message]:
         """The messages since the last call, by topic in order of time."""
+        for valid, group in groupby(self._hands, lambda hand: hand[2]):
+            times, points, _ = zip(*group, strict=True)
+            scenes = _scenes("human hand", TRACKER_FRAME, times, np.array(points), valid, _HUMAN)
+            self._messages += map(Message, repeat(HAND_SCENE), times, scenes)
         if self._robot and self._keypoints is not None:
             times, positions = zip(*self._robot, strict=True)
             found = self._keypoints(np.array(positions))
-            for at, points, valid in zip(
-                times, found, np.asarray(np.isfinite(found).all(axis=2)), strict=True
-            ):
-                scene = _scene("robot hand", ROBOT_FRAME, points, valid, _ROBOT, at)
-                self._add(ROBOT_SCENE, at, scene)
-            self._robot = []
+            valid = np.asarray(np.isfinite(found[0]).all(axis=1)).tobytes()  # the same for all
+            scenes = _scenes("robot hand", ROBOT_FRAME, times, found, valid, _ROBOT)
+            self._messages += map(Message, repeat(ROBOT_SCENE), times, scenes)
+        self._hands, self._robot = [], []
         messages, self._messages = self._messages, []
         return messages
 
@@ -159,29 +166,26 @@ class FoxgloveMessages:
         return True
 
 
-def _scene(
+def _scenes(
     name: str,
     frame: str,
-    landmarks: Float[np.ndarray, "21 3"],
-    valid: Bool[np.ndarray, "21"],
+    times: Sequence[int],
+    landmarks: Float[np.ndarray, "k 21 3"],
+    valid: bytes,
     colour: tuple[float, ...],
-    at: int,
-) -> bytes:
-    """A skeleton as lines, one for each bone whose two ends are known: a ``SceneUpdate``."""
-    before, after = _line(valid.tobytes(), colour)
-    line = part(11, before + _points(landmarks[valid]) + after)
-    entity = b"".join((time(1, at), _entity(name, frame), line))
-    return part(2, entity)
+) -> Iterator[bytes]:
+    """A skeleton at some times, each as lines, one for each bone whose two ends are known.
 
-
-def _points(points: Float[np.ndarray, "k 3"]) -> bytes:
-    """Points of a ``LinePrimitive``; single precision is enough to draw, and is packed better."""
-    rows = np.empty(len(points), _POINT)
-    rows["head"] = int.from_bytes(head(5, 27), "little")
-    for axis, values in enumerate(points.T.astype(np.float32)):
-        rows[f"key_{'xyz'[axis]}"] = double_key(axis + 1)
-        rows["xyz"[axis]] = values
-    return rows.tobytes()
+    Single precision is enough to draw, and is packed better.
+    """
+    before, after = _line(valid, colour)
+    entity = _entity(name, frame)
+    known = landmarks[:, np.frombuffer(valid, bool)].astype(np.float32)
+    rows = np.tile(_POINTS[: known.shape[1]], (len(known), 1))
+    rows["x"], rows["y"], rows["z"] = np.moveaxis(known, 2, 0)
+    for at, points in zip(times, rows, strict=True):
+        line = part(11, b"".join((before, points.tobytes(), after)))
+        yield part(2, b"".join((time(1, at), entity, line)))
 
 
 @lru_cache(maxsize=256)
@@ -228,10 +232,10 @@ def _placed(found: Float[np.ndarray, "7"], frame: str, at: int) -> bytes:
     return time(1, at) + text(2, frame) + part(3, _pose(found[:3], found[3:]))
 
 
-def _transform(translation: Float[np.ndarray, "3"], at: int) -> bytes:
+def _transform(translation: Float[np.ndarray, "3"]) -> bytes:
+    """From the robot's frame to the tracker's: a ``FrameTransform`` without its time."""
     return b"".join(
         (
-            time(1, at),
             text(2, ROBOT_FRAME),
             text(3, TRACKER_FRAME),
             part(4, _numbers(translation)),

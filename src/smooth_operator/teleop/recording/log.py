@@ -24,7 +24,12 @@ from smooth_operator.teleop.recording import foxglove_types, schemas
 from smooth_operator.teleop.recording import log_messages as encoded
 from smooth_operator.teleop.recording.foxglove import FoxgloveMessages, Keypoints
 from smooth_operator.teleop.recording.loop_state import LoopState
-from smooth_operator.teleop.recording.mcap_writer import COMPRESSIONS, McapWriter, OpenChannel
+from smooth_operator.teleop.recording.mcap_writer import (
+    COMPRESSIONS,
+    McapWriter,
+    OpenChannel,
+    close_at,
+)
 from smooth_operator.teleop.recording.protobuf_types import type_set
 from smooth_operator.teleop.recording.schemas import (
     ARM,
@@ -322,8 +327,7 @@ class LogWriter:
         self._check_open()
         self._log_time = at
         self._add_config()
-        for topic, data in messages:
-            self._add(topic, at, data)
+        self._add(at, *messages)
         now = time.monotonic()
         if self._waiting_since is None:
             self._waiting_since = now
@@ -332,15 +336,26 @@ class LogWriter:
             with self._writing():
                 self._end_chunk()
 
+    def _add(self, at: int, *messages: tuple[str, bytes]) -> None:
+        sequence = self._sequence
+        command = sequence[COMMAND]
+        for topic, data in messages:
+            channel = self._channels.get(topic) or self._channel(topic)
+            # What is said of a command has its number, by which the reader joins them.
+            number = command if topic in OF_COMMANDS else sequence[topic]
+            self._writer.add(channel, number, at, data)
+            sequence[topic] += 1
+
     def _add_config(self) -> None:
         if self._config is not None:
-            self._add(CONFIG, self._log_time, encoded.config_message(self._config))
+            message = encoded.config_message(self._config)
             self._config, self._config_written = None, True
+            self._add(self._log_time, (CONFIG, message))
 
     def _end_chunk(self, *, sync: bool = False) -> McapWriter:
         assert self._stream is not None
         for topic, at, data in self._foxglove.take():
-            self._add(topic, at, data)
+            self._add(at, (topic, data))
         self._writer.end_chunk()
         if sync:
             os.fsync(self._stream.fileno())
@@ -349,13 +364,6 @@ class LogWriter:
         self._whole_bytes = self._stream.tell()
         writer: McapWriter = self._writer
         return writer
-
-    def _add(self, topic: str, at: int, data: bytes) -> None:
-        channel = self._channels.get(topic) or self._channel(topic)
-        # What is said of a command has its number, by which the reader joins them.
-        number = self._sequence[COMMAND if topic in OF_COMMANDS else topic]
-        self._writer.add(channel, number, at, data)
-        self._sequence[topic] += 1
 
     def _channel(self, topic: str) -> OpenChannel:
         """Registers a topic."""
@@ -385,16 +393,5 @@ class LogWriter:
     def _failed(self, error: OSError) -> OutputError:
         stream, self._stream = self._stream, None
         if stream is not None:
-            self._give_up(stream)
+            close_at(stream, self._whole_bytes)  # without the chunk that is written in part
         return output_error(self.path, error)
-
-    def _give_up(self, stream: IO[bytes]) -> None:
-        """Close the file without the chunk that is written in part."""
-        with contextlib.suppress(OSError):
-            file = os.dup(stream.fileno())
-            try:
-                with contextlib.suppress(OSError):
-                    stream.close()
-                os.ftruncate(file, self._whole_bytes)
-            finally:
-                os.close(file)

@@ -6,6 +6,8 @@ rest of a log. Messages are therefore framed here; all other records are the lib
 
 from __future__ import annotations
 
+import contextlib
+import os
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
@@ -248,3 +250,15 @@ def _bytes(record: records.McapRecord) -> bytes:
     builder: Any = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
+
+
+def close_at(stream: IO[bytes], size: int) -> None:
+    """Close a file that can't be written any more, as far as it goes, and cut it to a size."""
+    with contextlib.suppress(OSError):
+        file = os.dup(stream.fileno())
+        try:
+            with contextlib.suppress(OSError):
+                stream.close()
+            os.ftruncate(file, size)
+        finally:
+            os.close(file)

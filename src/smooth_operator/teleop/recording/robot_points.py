@@ -32,13 +32,16 @@ def landmark_keypoints(hand: Hand) -> Keypoints:
     bodies = np.array([palm, *(body for body, _ in points.values())])
     local = np.array([np.zeros(3), *(place for _, place in points.values())])
 
+    position, xpos, xmat = data.qpos, data.xpos, data.xmat  # views, which stay
+
     def keypoints(q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k 21 3"]:
         places = np.empty((len(q), len(bodies), 3))
         turns = np.empty((len(q), len(bodies), 9))
-        for row, qpos in enumerate(hand.qpos(q)):
-            data.qpos[:] = qpos
+        for qpos, place, turn in zip(hand.qpos(q), places, turns, strict=True):
+            position[:] = qpos
             mujoco.mj_kinematics(model, data)
-            places[row], turns[row] = data.xpos[bodies], data.xmat[bodies]
+            xpos.take(bodies, 0, place)
+            xmat.take(bodies, 0, turn)
         matrices = turns.reshape(*turns.shape[:2], 3, 3)
         places += (matrices @ local[:, :, None])[..., 0]
         found = np.full((len(q), len(LANDMARKS), 3), math.nan)

@@ -42,7 +42,7 @@ command, ``method``, ``preset``, ``config`` (JSON)."""
 LIVE: Final = (ARM, LOOP, STATE, WRIST)
 """Topics that only the logs of a live loop have."""
 
-OF_COMMANDS: Final = (TIMING, STATUS, LOOP, WRIST, ARM)
+OF_COMMANDS: Final = frozenset((TIMING, STATUS, LOOP, WRIST, ARM))
 """Topics with one message for a command at most, of the same number."""
 
 _CODES: Final = "\n".join(f"    {status.name} = {int(status)};" for status in Status)

@@ -35,12 +35,13 @@ class StampMap:
     def __call__(self, tick: Tick) -> tuple[float, HandFrame | None]:
         """The stamp of a tick's command, and the frame that is to have the same."""
         arrival = tick.arrival
-        if arrival is None or not math.isfinite(arrival.stamp):
+        stamp = math.nan if arrival is None else arrival.stamp
+        if arrival is None or not math.isfinite(stamp):
             return self._next(tick.time - self._late), None
         if arrival.session != self._session:
             self._session = arrival.session
-            self._shift, self._late = arrival.received - arrival.stamp, 0.0
-        stamp = arrival.stamp + self._shift
+            self._shift, self._late = arrival.received - stamp, 0.0
+        stamp += self._shift
         self._late = max(arrival.received - stamp, _FORGET * self._late)
         return self._next(stamp), arrival.frame
 
