@@ -47,7 +47,6 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import Tick
 
 RATE = 100.0
-REPEATS = 3
 WRITERS: dict[str, Callable[..., Any]] = {"Protocol Buffers": LogWriter, "JSON": JsonLogWriter}
 
 
@@ -57,6 +56,7 @@ class Settings:
 
     Attributes:
         frames: of the log that is written and read.
+        repeats: how often it is written and read; the best is reported.
         seconds: of the session at 100 Hz, for each encoding.
         hand: the robot hand.
         output: JSON file; build/benchmarks/log.json unless given.
@@ -64,6 +64,7 @@ class Settings:
     """
 
     frames: int = 20_000
+    repeats: int = 3
     seconds: float = 20.0
     hand: str = "mimic_p050"
     output: Path | None = None
@@ -78,13 +79,17 @@ def main(settings: Settings) -> None:
     for name, writer in WRITERS.items():
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "log.mcap"
-            runs = [write(path, writer, hand, ticks[: settings.frames]) for _ in range(REPEATS)]
+            runs = [
+                write(path, writer, hand, ticks[: settings.frames]) for _ in range(settings.repeats)
+            ]
             spent, total = min(runs, key=lambda run: run[1])
             row = [spent.mean(), *np.percentile(spent, (50, 95, 99)), total / settings.frames]
             size = path.stat().st_size
             report.add(f"{name}/write", dict(zip(WRITE, row, strict=True)))
             written.append([name, *(1e3 * value for value in row)])
-            times = np.array([timed(path, settings.frames) for _ in range(REPEATS)]).min(axis=0)
+            times = np.array([timed(path, settings.frames) for _ in range(settings.repeats)]).min(
+                axis=0
+            )
             report.add(f"{name}/read", {"s": times[0], "cpu_s": times[1], "bytes": float(size)})
             read.append([name, *times, size / 1e6, size / settings.frames])
             rate = round(settings.seconds * RATE)
@@ -94,7 +99,8 @@ def main(settings: Settings) -> None:
             live.append([name, *(1e3 * value for value in row)])
     header = ("", "mean", "p50", "p95", "p99", "with its end")
     report.table(
-        f"Writing {settings.frames} frames, best of {REPEATS}: processor time of a frame [ms]",
+        f"Writing {settings.frames} frames, best of {settings.repeats}: "
+        "processor time of a frame [ms]",
         header,
         written,
     )
@@ -103,7 +109,7 @@ def main(settings: Settings) -> None:
         f"{settings.seconds:g} s at {RATE:g} Hz: processor time of a tick [ms]", header, live
     )
     report.table(
-        f"Reading {settings.frames} frames, best of {REPEATS}",
+        f"Reading {settings.frames} frames, best of {settings.repeats}",
         ("", "time [s]", "of the processor [s]", "size [MB]", "bytes a frame"),
         read,
     )

@@ -17,8 +17,9 @@ from ticks import make_tick
 from smooth_operator import SyntheticOperator, load_hand
 from smooth_operator.landmarks import BONES, LANDMARKS
 from smooth_operator.teleop.recording import LogWriter, read_log
+from smooth_operator.teleop.recording.robot_points import landmark_keypoints
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.types import JointCommand, Status
+from smooth_operator.types import JointCommand, Side, Status
 
 # What Foxglove's published messages have, field by field.
 REQUIRED = {
@@ -153,6 +154,18 @@ def test_the_scene_shows_hand_and_robot_side_by_side(session: Path) -> None:
         (lines,) = message["entities"][0]["lines"]
         tip = hand.tree.positions(q)[hand.tree.names.index(LANDMARKS[8])]
         assert np.abs(xyz(lines["points"]) - tip).max(axis=1).min() < 1e-6
+
+
+@pytest.mark.parametrize(("name", "side"), [("mimic_p050", "left"), ("allegro_hand", "right")])
+def test_the_drawn_landmarks_are_those_of_the_kinematics(name: str, side: Side) -> None:
+    hand = load_hand(name, side)
+    low, high = hand.joint_limits.T
+    q = np.random.default_rng(3).uniform(low, high, (5, len(low)))
+    found = landmark_keypoints(hand)(q)
+    named = [k for k, landmark in enumerate(LANDMARKS) if landmark in hand.tree.names]
+    columns = [hand.tree.names.index(LANDMARKS[k]) for k in named]
+    np.testing.assert_allclose(found[:, named], hand.tree.positions(q)[:, columns], atol=1e-12)
+    assert np.isnan(np.delete(found, named, axis=1)).all()
 
 
 def test_stamps_that_go_back_and_unknown_joints_are_no_obstacle(tmp_path: Path) -> None:
