@@ -177,6 +177,8 @@ def test_what_differs_is_refused_by_name(tmp_path: Path, value: Any, said: str) 
 
 def test_damaged_files_are_read_soundly_or_refused(tmp_path: Path) -> None:
     """A short form of ``python tests/hostile_datasets.py 300 0 predictions``."""
+    for library in ("h5py", "pyarrow"):
+        pytest.importorskip(library, reason="needs extras")
     import hostile_datasets
 
     (tmp_path / "mutant").mkdir()

@@ -125,6 +125,19 @@ def test_a_file_of_egodex_that_differs_is_refused_by_name(tmp_path: Path) -> Non
         clip_of(path)
 
 
+@pytest.mark.parametrize("version", ["earliest", "latest"])
+def test_egodex_is_distinguished_from_other_hdf5(tmp_path: Path, version: str) -> None:
+    h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
+    reader = DATASETS.load("egodex")
+    for name, found in (("transforms/rightHand", True), ("hand/landmarks", False)):
+        path = tmp_path / f"{found}.hdf5"
+        with h5py.File(path, "w", libver=version) as file:
+            file[name] = np.zeros((3, 4, 4))
+        assert reader.matches(path) is found
+    (tmp_path / "a.hdf5").write_bytes(b"transforms\0")
+    assert not reader.matches(tmp_path / "a.hdf5")
+
+
 # --- headset apps ------------------------------------------------------------------------------
 
 

@@ -24,6 +24,8 @@ from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.readers.both_hands import checked_hands, shares, video_beside
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 
+_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
+_HEAD_BYTES: Final = 4096
 _ABOUT: Final = ("task", "environment", "object", "session_name", "llm_verbs", "llm_objects")
 
 
@@ -40,6 +42,12 @@ class Egodex:
         """Whether it is an HDF5 file with the group ``transforms``."""
         if path.suffix.lower() not in (".hdf5", ".h5") or not path.is_file():
             return False
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        if not head.startswith(_MAGIC):
+            return False
+        if b"transforms\0" in head:  # a name of the top group; HDF5 itself takes 70 times as long
+            return True
         try:
             return "transforms" in read_tree(path, head=True)["/"].names
         except (RecordingError, MissingExtraError):
