@@ -12,6 +12,7 @@ clips. ``--picture`` draws one frame of one clip without and with the object.
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,12 +28,13 @@ from smooth_operator.lab.objects.comparison import (
     PUBLISHED,
     REPORTED_HANDS,
     REPORTED_SEEDS,
+    Judged,
     compare,
     table,
     targets,
 )
 from smooth_operator.lab.objects.picture import draw_comparison
-from smooth_operator.lab.objects.scenes import SceneSpec
+from smooth_operator.lab.objects.scenes import SceneSpec, make_clip
 from smooth_operator.reporting.run_report import Report
 
 
@@ -77,11 +79,13 @@ def main(settings: Settings) -> None:
         for kind, form in COMBINATIONS
         if kind in settings.kinds and form in settings.forms
     ]
-    rows = compare(
-        settings.hands, specs, settings.methods, note=lambda line: print(line, flush=True)
-    )
-    for hand in (None, *settings.hands) if len(settings.hands) > 1 else (None,):
-        print(f"\n{hand or 'all hands'}, {len(specs)} clips a hand\n\n{table(rows, hand)}")
+    clips = [make_clip(spec) for spec in specs]
+    rows: list[Judged] = []
+    for hand in settings.hands:
+        rows += compare((hand,), clips, settings.methods, note=_note)
+        print(f"\n{hand}, {len(clips)} clips\n\n{table(rows, hand)}", flush=True)
+    if len(settings.hands) > 1:
+        print(f"\nAll hands, {len(clips)} clips each\n\n{table(rows)}\n")
     if {AWARE, BLIND} <= set(settings.methods):
         for name, (mean, low, high) in targets(rows).items():
             print(f"{name}: {mean:.3f} [{low:.3f}, {high:.3f}]")
@@ -89,6 +93,10 @@ def main(settings: Settings) -> None:
         found = {c: row.figures[c] for c in COLUMNS if math.isfinite(row.figures[c])}
         report.add(f"{row.hand}/{row.clip}/{row.method}", found)
     report.finish(settings.output, settings.compare)
+
+
+def _note(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from smooth_operator.lab.objects.hand_surface import HandSurface
 from smooth_operator.lab.objects.interaction_metrics import interaction_figures
 from smooth_operator.lab.objects.placement import landmarks_in_world, palm_in_world
 from smooth_operator.lab.objects.retargeter import ObjectAwareRetargeter, whole_config
-from smooth_operator.lab.objects.scenes import Form, Kind, MadeClip, SceneSpec, make_clip
+from smooth_operator.lab.objects.scenes import Form, Kind, MadeClip
 from smooth_operator.lab.objects.terms import DEFAULT, ObjectSettings
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.landmarks import FINGERS, TIPS
@@ -82,7 +82,7 @@ class Judged:
 
 def compare(
     hands: Iterable[str],
-    specs: Sequence[SceneSpec],
+    clips: Sequence[MadeClip],
     methods: Sequence[str],
     settings: ObjectSettings = DEFAULT,
     note: Callable[[str], None] = lambda _: None,
@@ -91,15 +91,15 @@ def compare(
 
     Args:
         hands: names of robot hands.
-        specs: of the clips.
+        clips: of hands of one side.
         methods: ``AWARE``, ``FIXED_WRIST``, ``BLIND``, ``FITTED``, or ``method:preset``.
         settings: of the object-aware ones.
         note: takes a line for each hand.
     """
-    clips = [make_clip(spec) for spec in specs]
+    side = next(iter(clips[0].clip.hands))
     out = []
     for name in hands:
-        hand = load_hand(name, specs[0].side)
+        hand = load_hand(name, side)
         surface = HandSurface(hand)
         for method in methods:
             answer, alignment = answer_of(method, hand, settings)

@@ -50,6 +50,10 @@ class Fixed:
     share: Float[np.ndarray, "K 4"]
     radius: Float[np.ndarray, " K"]
 
+    def of(self, chosen: np.ndarray) -> Fixed:
+        """Some of them, by a mask or by indices."""
+        return Fixed(self.body[chosen], self.share[chosen], self.radius[chosen])
+
     def at(self, frames: Float[np.ndarray, "*n B 4 3"]) -> Float[np.ndarray, "*n K 3"]:
         """Where the points are, on the host [m]."""
         return np.asarray(np.einsum("ki,...kic->...kc", self.share, frames[..., self.body, :, :]))

@@ -18,15 +18,17 @@ from jaxtyping import Bool, Float
 
 from smooth_operator import poses
 from smooth_operator.lab.objects.contacts import Contacts, Scene
-from smooth_operator.lab.objects.hand_surface import HandSurface
+from smooth_operator.lab.objects.hand_surface import Fixed, HandSurface
 from smooth_operator.lab.objects.placement import apply
-from smooth_operator.lab.objects.signed_distance import Grid, Solid, signed_distance
+from smooth_operator.lab.objects.signed_distance import FAR_M, Grid, Solid, signed_distance
 from smooth_operator.landmarks import FINGERS
 
 CONTACT_M: Final = 0.005
 """Clearance within which a fingertip is in contact [m]."""
 
 _CHUNK: Final = 32  # frames measured together
+_NEAR_M: Final = 0.03
+"""Bodies whose spheres are all farther from the objects are not inside [m]."""
 _SURE_M: Final = 0.004
 """Points that are this far outside by a mesh's grid are not measured exactly [m]."""
 
@@ -66,24 +68,50 @@ def hand_depths(
     clearance = np.full((count, len(tips)), np.nan)
     place = np.full((count, len(tips), 3), np.nan)
     frames = surface.frames(joint_positions)
+    tip_points = np.isin(np.arange(len(points.body)), np.concatenate(tips))
     for start in range(0, count, _CHUNK):
         part = slice(start, min(start + _CHUNK, count))
-        world = apply(T_world_palm[part], points.at(frames[part]))
-        least = np.full(world.shape[:2], np.inf)
-        for solid, track in zip(scene.solids, scene.T_world_object, strict=True):
-            local = apply(poses.invert(track[part]), world)
-            known = np.isfinite(local).all(axis=-1)
-            distance = np.full(known.shape, np.inf)
-            distance[known] = _distances(solid, local[known])
-            least = np.minimum(least, distance)
+        rough = _least(surface.spheres, frames[part], T_world_palm[part], scene, part, exact=False)
+        near = (rough - surface.spheres.radius < _NEAR_M).any(axis=0)
+        chosen_points = np.isin(points.body, surface.spheres.body[near]) | tip_points
+        least = np.full((len(rough), len(points.body)), FAR_M)
+        some = points.of(chosen_points)
+        least[:, chosen_points] = _least(some, frames[part], T_world_palm[part], scene, part)
         seen = np.isfinite(least).all(axis=1)
         deepest[part] = np.where(seen, np.maximum(-least.min(axis=1), 0.0), np.nan)
         for f, chosen in enumerate(tips):
+            world = apply(T_world_palm[part], points.of(chosen).at(frames[part]))
             nearest = least[:, chosen].argmin(axis=1)
             row = np.arange(len(nearest))
             clearance[part, f] = np.where(seen, least[row, chosen[nearest]], np.nan)
-            place[part, f] = np.where(seen[:, None], world[row, chosen[nearest]], np.nan)
+            place[part, f] = np.where(seen[:, None], world[row, nearest], np.nan)
     return Depths(deepest, clearance, place)
+
+
+def _least(
+    points: Fixed,
+    frames: Float[np.ndarray, "t B 4 3"],
+    T_world_palm: Float[np.ndarray, "t 7"],
+    scene: Scene,
+    part: slice,
+    exact: bool = True,
+) -> Float[np.ndarray, "t K"]:
+    """Signed distance of points of the hand from the nearest object [m]; infinite if not known."""
+    world = apply(T_world_palm, points.at(frames))
+    least = np.full(world.shape[:2], np.inf)
+    for solid, track in zip(scene.solids, scene.T_world_object, strict=True):
+        local = apply(poses.invert(track[part]), world)
+        known = np.isfinite(local).all(axis=-1)
+        distance = np.full(known.shape, np.inf)
+        measured = _distances if exact else _roughly
+        distance[known] = measured(solid, local[known])
+        least = np.minimum(least, distance)
+    return least
+
+
+def _roughly(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Distances without the triangles of a mesh."""
+    return np.asarray(signed_distance(solid.shape, points))
 
 
 def _distances(solid: Solid, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

@@ -7,15 +7,17 @@ wrist may move off it, so that fingers of another length reach what the human to
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
+from smooth_operator.compilation.compile_cache import enable_cache, healing
+from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.datasets.clip import Clip
@@ -39,11 +41,15 @@ from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetarget
 from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.shared import fingerprint
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, Side
 
-ITERATIONS = 80
+ITERATIONS: Final = 80
 """Newton steps at most: contacts bend the cost more than landmarks do."""
+
+_KEPT: Final = 4
+_known: OrderedDict[tuple[str, TrajectoryMethodConfig, int], ObjectAwareRetargeter] = OrderedDict()
 
 
 class ObjectAware(NamedTuple):
@@ -208,7 +214,15 @@ def object_aware(
     return found.commands, found.loss, dict(found.figures), found.T_world_wrist
 
 
-@lru_cache(maxsize=4)
 def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> ObjectAwareRetargeter:
     """Programs are compiled once for a hand and a configuration."""
-    return ObjectAwareRetargeter(hand, config, seed=seed)
+    key = (fingerprint(hand), config, seed)
+    found = _known.pop(key, None)
+    if found is None:
+        dispatch_here()
+        with healing(enable_cache()):
+            found = ObjectAwareRetargeter(hand, config, seed=seed)
+    _known[key] = found
+    while len(_known) > _KEPT:
+        _known.popitem(last=False)
+    return found

@@ -39,7 +39,6 @@ from smooth_operator.types import HandRecording, Side
 Kind: TypeAlias = Literal["grasp", "pinch", "twist", "slide"]
 Form: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "mesh"]
 
-RATE_HZ: Final = 60.0
 PAD_SHARE: Final = 0.0395
 """Radius of a fingertip over the length of the hand: 7.5 mm at 0.19 m."""
 TRUE_M: Final = 0.001
@@ -70,6 +69,7 @@ class SceneSpec:
         seed: of the person, the object's size and the motion.
         side: which hand.
         noise: standard deviation of each landmark's coordinate in each frame [m]; 0 for none.
+        rate: frames a second [Hz].
     """
 
     kind: Kind = "pinch"
@@ -77,6 +77,7 @@ class SceneSpec:
     seed: int = 0
     side: Side = "right"
     noise: float = 0.0
+    rate: float = 60.0
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind) or self.form not in get_args(Form):
@@ -121,7 +122,7 @@ def make_clip(spec: SceneSpec) -> MadeClip:
     grip, angles = hand.grip(touch)
 
     # The object in the frame of the hand, what is touched, and how far fingertips are from it
-    stamps = np.arange(round(sum(_PARTS) * RATE_HZ)) / RATE_HZ
+    stamps = np.arange(round(sum(_PARTS) * spec.rate)) / spec.rate
     opening, action, lift = _timeline(stamps)
     count = len(stamps)
     turn = _TWIST * np.sin(2 * np.pi * action) * (spec.kind == "twist")
