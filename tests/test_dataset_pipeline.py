@@ -32,6 +32,7 @@ from smooth_operator.lab.datasets.sources import Found, find_items, in_shard, pa
 from smooth_operator.lab.datasets.store import Store
 from smooth_operator.lab.datasets.writing import Summary
 from smooth_operator.lab.offline.finished import digest
+from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.sampling import SamplingConfig
@@ -518,12 +519,18 @@ def test_limits_that_can_not_be() -> None:
 # The command.
 
 
-def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     source = tmp_path / "in"
     source.mkdir()
     shutil.copy(folder / "a.pair.npz", source)
     (source / "bad.pair.npz").write_bytes(b"PK\x03\x04")
-    words = ["dataset", str(source), "--layout", LAYOUT, "--method", "sbr", "--preset", "realtime"]
+    monkeypatch.setitem(PRESETS["sbr"], "tiny", TINY)
+    words = ["dataset", str(source), "--layout", LAYOUT, "--method", "sbr", "--preset", "tiny"]
     words += ["--output", str(tmp_path / "out"), "--format", "parquet", "--workers", "0"]
     assert main([*words, "--min-seconds", "0.2"]) == 1
     said = capsys.readouterr()

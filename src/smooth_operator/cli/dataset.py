@@ -86,7 +86,12 @@ def request_of(options: Dataset) -> DatasetRequest:
         options.layout,
         NO_LIMITS if options.no_limits else limits,
         options.format,
-        WritingOptions(rate=options.fps, videos=options.videos),
+        WritingOptions(
+            rate=options.fps,
+            videos=options.videos,
+            shard_mb=options.shard_mb,
+            loose=options.loose,
+        ),
         None if options.shard is None else parse_shard(options.shard),
         options.merge,
         options.workers,

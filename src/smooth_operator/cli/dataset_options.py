@@ -119,6 +119,12 @@ Examples:
     fps: Annotated[float | None, arg(metavar="HZ")] = None
     """Frames per second of the data set [Hz]; as the format has it if left out."""
 
+    loose: bool = False
+    """Formats spider and flashdex: files as those programs read them, in place of tar files."""
+
+    shard_mb: Annotated[float | None, arg(metavar="MB")] = None
+    """Size at which a file of the data set is full [MB]; as the format has it if left out."""
+
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Processes; one per core if left out, 0 for none but this one."""
 

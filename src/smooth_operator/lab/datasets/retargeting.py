@@ -12,13 +12,13 @@ import numpy as np
 
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.datasets.answers import answers
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.offline.finished import digest
-from smooth_operator.lab.offline.jobs import answer
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
@@ -103,7 +103,7 @@ def retarget_clips(
 ) -> list[RobotClip | SmoothOperatorError]:
     """Clips with the commands of their robot hands, in the order of the clips.
 
-    Retargeters are built once in a process and kept; see ``smooth_operator.lab.offline.jobs``.
+    Retargeters are built once in a process and kept.
 
     Args:
         clips: the human hands.
@@ -121,14 +121,14 @@ def retarget_clips(
         if isinstance(clip, _Prepared)
         for side, each in clip.plans.items()
     ]
-    answers: dict[int, dict[Side, _Answer]] = {}
+    done: dict[int, dict[Side, _Answer]] = {}
     failed: dict[int, SmoothOperatorError] = {}
     for group in _groups(works, recipe):
         for work, found in zip(group, _answers(group, recipe), strict=True):
             if isinstance(found, SmoothOperatorError):
                 failed[work.clip] = found
             else:
-                answers.setdefault(work.clip, {})[work.side] = found
+                done.setdefault(work.clip, {})[work.side] = found
     results: list[RobotClip | SmoothOperatorError] = []
     for number, clip in enumerate(todo):
         if isinstance(clip, SmoothOperatorError) or number in failed:
@@ -136,7 +136,7 @@ def retarget_clips(
             continue
         sources = () if files is None else files[number]
         key = "" if keys is None else keys[number]
-        results.append(_result(clip, answers[number], recipe, sources, key))
+        results.append(_result(clip, done[number], recipe, sources, key))
     return results
 
 
@@ -212,11 +212,11 @@ def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
 
 def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOperatorError]:
     """The commands of a group; if they fail together, each is tried by itself."""
-    reuse = recipe.request.scale != "calibrate"
+    keep = recipe.request.scale != "calibrate"  # each scale is a program of its own
     recordings = [work.plan.recording for work in group]
     first = group[0].plan
     try:
-        found = [answer(work.plan, reuse=reuse) for work in group]
+        found = answers([work.plan for work in group], keep=keep)
         commands, losses = [each for each, _ in found], [loss for _, loss in found]
         alignment = first.config.alignment
         tracks = quality_tracks(recordings, commands, losses, first.hand, alignment)
@@ -229,17 +229,17 @@ def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOpe
 
 def _result(
     todo: _Prepared,
-    answers: Mapping[Side, _Answer],
+    done: Mapping[Side, _Answer],
     recipe: Recipe,
     files: Sequence[SourceFile],
     key: str,
 ) -> RobotClip:
     clip, request = todo.clip, recipe.request
-    commands = {side: answers[side].commands for side in todo.plans}
+    commands = {side: done[side].commands for side in todo.plans}
     tracks = {
         f"{side}.{name}": values
         for side in todo.plans
-        for name, values in answers[side].tracks.items()
+        for name, values in done[side].tracks.items()
     }
     config: dict[str, Any] = {
         "program": PROGRAM,

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
@@ -25,7 +24,7 @@ from smooth_operator.lab.offline.scan import Scan, find_scan
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
-from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.types import HandRecording, Side, Status
 
 State: TypeAlias = Literal["done", "kept", "failed"]
 """Made now, found whole from an earlier run, or not there."""
@@ -131,7 +130,12 @@ def retarget_one(job: Job) -> Entry:
     total = len(recording)
     frames = slice(0, total) if asked.frames is None else frame_slice(asked.frames, total)
     todo = plan(recording[frames], asked)
-    commands, loss = answer(todo, reuse=asked.scale != "calibrate")
+    tools = _tools(todo, reuse=asked.scale != "calibrate")
+    if tools.scan is None:
+        commands, loss = tools.retargeter.run(todo.recording)
+        commands = replace(commands, latency_ms=np.full(len(commands), np.nan))
+    else:
+        commands, loss = tools.scan.run(todo.recording)
     good = loss[np.isfinite(loss)]
     entry = Entry(
         name=job.found.name,
@@ -161,20 +165,6 @@ def retarget_one(job: Job) -> Entry:
     job.output.parent.mkdir(parents=True, exist_ok=True)
     write_encoded_commands(job.output, encoded, config)
     return entry
-
-
-def answer(todo: Plan, *, reuse: bool) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-    """Commands for a recording, without latencies, and the (T,) tracking loss of each frame.
-
-    Args:
-        todo: the plan.
-        reuse: keep what is built for the next recording of the same hand and configuration.
-    """
-    tools = _tools(todo, reuse=reuse)
-    if tools.scan is not None:
-        return tools.scan.run(todo.recording)
-    commands, loss = tools.retargeter.run(todo.recording)
-    return replace(commands, latency_ms=np.full(len(commands), np.nan)), loss
 
 
 def _read(path: Path, asked: RetargetRequest) -> tuple[HandRecording, float | None]:
