@@ -307,6 +307,15 @@ def test_attacks_within_numpy_files(tmp_path: Path) -> None:
         load_restricted(tmp_path / "d.npy")
 
 
+def test_a_zip_that_unpacks_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from smooth_operator.lab.datasets.mano import unpickle
+
+    monkeypatch.setattr(unpickle, "FREE_BYTES", 1 << 16)
+    np.savez_compressed(tmp_path / "a.npz", a=np.array({"x": bytes(8 << 20)}, dtype=object))
+    with pytest.raises(RecordingError, match="unpacks to more than"):
+        load_restricted(tmp_path / "a.npz")
+
+
 def test_files_that_are_none(tmp_path: Path) -> None:
     for data in (b"", b".", b"N", b"\x80", b"\x80\x09N.", b"hello", b"\x93NUMPY", b"PK\x03\x04xx"):
         with pytest.raises(RecordingError, match=r"a\.pkl: "):

@@ -19,7 +19,12 @@ from smooth_operator.formats.arrays import StoredArray, open_arrays
 from smooth_operator.io.documents import check_plain_file
 from smooth_operator.lab.datasets.mano.pickle_arrays import PickledArray, numbers
 from smooth_operator.lab.datasets.mano.pickle_machine import Machine
-from smooth_operator.lab.datasets.mano.pickle_parts import Budget, NotDataError
+from smooth_operator.lab.datasets.mano.pickle_parts import (
+    FREE_BYTES,
+    RATIO,
+    Budget,
+    NotDataError,
+)
 from smooth_operator.lab.datasets.mano.pickle_values import check_nesting, find_global
 
 __all__ = ("MOST_BYTES", "array", "load_restricted", "numbers", "table", "text")
@@ -152,13 +157,18 @@ def _stored(item: StoredArray, where: str) -> Any:
         return item.load()
     if item.dtype != np.dtype(object):
         raise RecordingError(f"{where}: it has fields of objects, which are not read; {_READ}")
+    # A zip of a few bytes may unpack to any number of them.
+    most = min(FREE_BYTES + RATIO * item.path.stat().st_size, MOST_BYTES)
     try:
         with item.open() as stream:
-            data = stream.read(MOST_BYTES + 1)
+            data = stream.read(most + 1)
     except Exception as error:  # zipfile and the decompressors promise no list
         raise RecordingError(f"{where}: it is damaged or cut off ({_reason(error)})") from error
-    if len(data) > MOST_BYTES:
-        raise RecordingError(f"{where}: it has more than the {MOST_BYTES} bytes that are read")
+    if len(data) > most:
+        raise RecordingError(
+            f"{where}: it unpacks to more than the {most} bytes that a file of this size may; if "
+            "the file is right, save it without compression"
+        )
     # The header has been read once, so its length is sound: two or four bytes after the version.
     long = data[6:7] != b"\x01"
     start = 12 if long else 10

@@ -135,11 +135,12 @@ def _things(held: dict[Any, Any], ids: np.ndarray, meshes: Path | None, where: s
         if label is None or name not in moved:
             raise RecordingError(f"{where}: an object of obj_list is not in obj_transf")
         frames = table(moved[name], f"{where}, obj_transf of {label}")
+        named = f"{where}, obj_transf of {label}"
         found = np.full((len(ids), 7), np.nan)
-        for row, number in zip(found, ids.tolist(), strict=True):
-            if number in frames:
-                named = f"{where}, obj_transf of {label}, frame {number}"
-                row[:] = rigid(array(frames[number], named, (4, 4)), named)
+        known = [row for row, number in enumerate(ids.tolist()) if number in frames]
+        if known:
+            stack = [array(frames[int(ids[row])], named, (4, 4)) for row in known]
+            found[known] = rigid(np.stack(stack), named)
         things.append(Thing(label, found, _mesh(meshes, label)))
     return things
 
