@@ -168,6 +168,21 @@ def test_the_drawn_landmarks_are_those_of_the_kinematics(name: str, side: Side) 
     assert np.isnan(np.delete(found, named, axis=1)).all()
 
 
+def test_a_robot_that_can_not_be_drawn_costs_no_command(tmp_path: Path) -> None:
+    def broken(positions: np.ndarray) -> np.ndarray:
+        raise ValueError("another hand")
+
+    log = LogWriter(tmp_path / "a.mcap", keypoints=broken)
+    log.write_command(JointCommand(np.zeros(1), ("a",), 1.0), Status.OK, 1.0)
+    with pytest.raises(ValueError, match="another hand"):
+        log.flush()
+    log.close()
+    assert set(messages(tmp_path / "a.mcap")) == {"/foxglove/joints"}
+    commands = read_log(tmp_path / "a.mcap").commands
+    assert commands is not None
+    assert len(commands) == 1
+
+
 def test_stamps_that_go_back_and_unknown_joints_are_no_obstacle(tmp_path: Path) -> None:
     path = tmp_path / "b.mcap"
     with LogWriter(path) as log:

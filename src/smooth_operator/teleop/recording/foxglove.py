@@ -139,17 +139,18 @@ class FoxgloveMessages:
 
     def take(self) -> list[Message]:
         """The messages since the last call, by topic in order of time."""
-        for valid, group in groupby(self._hands, lambda hand: hand[2]):
+        hands, self._hands = self._hands, []
+        robot, self._robot = self._robot, []  # first, so that an error comes once
+        for valid, group in groupby(hands, lambda hand: hand[2]):
             times, points, _ = zip(*group, strict=True)
             scenes = _scenes("human hand", TRACKER_FRAME, times, np.array(points), valid, _HUMAN)
             self._messages += map(Message, repeat(HAND_SCENE), times, scenes)
-        if self._robot and self._keypoints is not None:
-            times, positions = zip(*self._robot, strict=True)
+        if robot and self._keypoints is not None:
+            times, positions = zip(*robot, strict=True)
             found = self._keypoints(np.array(positions))
             valid = np.asarray(np.isfinite(found[0]).all(axis=1)).tobytes()  # the same for all
             scenes = _scenes("robot hand", ROBOT_FRAME, times, found, valid, _ROBOT)
             self._messages += map(Message, repeat(ROBOT_SCENE), times, scenes)
-        self._hands, self._robot = [], []
         messages, self._messages = self._messages, []
         return messages
 

@@ -158,11 +158,11 @@ class Recorder:
 
     def _write(self) -> None:
         flushed = time.monotonic()
-        period = min(self._flush_s, _PERIOD_S)
         while True:
+            due = max(flushed + self._flush_s - time.monotonic(), 0.0)
             with self._change:
                 self._change.wait_for(
-                    lambda: self._ending or len(self._waiting) >= self._lot, period
+                    lambda: self._ending or len(self._waiting) >= self._lot, min(due, _PERIOD_S)
                 )
                 ticks, ending = list(self._waiting), self._ending
                 self._waiting.clear()
