@@ -209,12 +209,14 @@ def test_parts_are_data_sets_of_their_own(tmp_path: Path) -> None:
     assert [read(tmp_path / "out" / f"part-{i:05d}")[0]["total_episodes"] for i in (0, 1)] == [1, 1]
 
 
-def test_many_clips_are_few_files(tmp_path: Path) -> None:
+def test_many_clips_are_few_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smooth_operator.lab.datasets.writers.lerobot._Writer.most_clips", 50)
     write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(120)])
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
-    assert len(files) < 12
-    _, frames, _ = read(tmp_path / "out")
+    assert len(files) == 6 + 3 * 3  # three shards: frames, episodes, index
+    _, frames, episodes = read(tmp_path / "out")
     assert frames.num_rows == 360
+    assert episodes.column("data/file_index").to_pylist() == [0] * 50 + [1] * 50 + [2] * 20
 
 
 def mp4(path: Path, *, frames: int = 200, step: int = 512, scale: int = 15360) -> Path:

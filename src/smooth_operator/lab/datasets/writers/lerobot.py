@@ -72,6 +72,8 @@ _OFF_GRID: Final = 0.25  # frames
 
 
 class _Writer(ShardedWriter):
+    most_clips = 1000  # whose statistics, 50 kB each, are kept until the shard is full
+
     def __init__(self, output: Path, options: WritingOptions) -> None:
         self._layout: RobotLayout | None = None
         self._episodes = self._frames = 0

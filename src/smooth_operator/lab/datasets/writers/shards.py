@@ -47,6 +47,9 @@ class ShardedWriter(ABC):
         fixed: those of its settings that all clips of a folder must share.
     """
 
+    most_clips = 10_000
+    """Clips in a shard at most: its index is kept in memory until it is full."""
+
     def __init__(
         self,
         output: Path,
@@ -149,7 +152,7 @@ class ShardedWriter(ABC):
             self._add(clip, entry)
             self._pending.append(entry)
             self._pending_keys.add(key)
-            if self._size() >= self._limit:
+            if self._size() >= self._limit or len(self._pending) >= self.most_clips:
                 self._finish()
         except (OSError, MemoryError) as error:
             self._abandon()
