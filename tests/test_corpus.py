@@ -314,6 +314,6 @@ def test_on_ray_a_killed_worker_loses_nothing(tmp_path: Path, source: Path) -> N
     assert source.with_name("killed").exists()
     assert (summary["clips"], summary["made"]) == (10, 10)
     here = tmp_path / "here"
-    retarget_corpus(items(source), here, packing(), cluster=None, workers=0)
+    retarget_corpus(fatal(), here, packing(), cluster=None, workers=0)
     data = {name: found for name, found in digests(here).items() if name.startswith("data/")}
     assert data == {k: v for k, v in digests(output).items() if k.startswith("data/")}

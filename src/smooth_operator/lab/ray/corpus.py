@@ -93,6 +93,7 @@ def retarget_corpus(
         WorkerError: the cluster can't be reached, or a worker can't do what is asked for.
         MissingExtraError: Ray or PyArrow is not installed.
     """
+    output = output.absolute()
     state = state_folder(output)
     try:
         (state / "shards").mkdir(parents=True, exist_ok=True)

@@ -50,7 +50,7 @@ def write_manifest(path: Path, items: Iterable[Item], per_shard: int) -> tuple[i
     count, found = 0, hashlib.sha256(str(per_shard).encode())
     with atomic_write(path) as file, pa.ipc.new_file(file, schema) as writer:
         left = iter(items)
-        while texts := [to_json(item) for item in islice(left, per_shard)]:
+        while texts := [to_json(_absolute(item)) for item in islice(left, per_shard)]:
             writer.write_batch(pa.RecordBatch.from_arrays([pa.array(texts)], schema=schema))
             found.update("\n".join(texts).encode())
             count += len(texts)
@@ -90,6 +90,12 @@ class Manifest:
             again = taken[item.name]
             found.append(item if again == 1 else replace(item, name=f"{item.name}~{again}"))
         return found
+
+
+def _absolute(item: Item) -> Item:
+    """An item as a worker in another folder finds it."""
+    ref = None if item.ref is None else replace(item.ref, path=item.ref.path.absolute())
+    return replace(item, ref=ref, root=None if item.root is None else item.root.absolute())
 
 
 def _item(values: dict[str, Any]) -> Item:

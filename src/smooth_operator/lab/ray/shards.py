@@ -54,6 +54,7 @@ class ShardReport:
         read_s: time in which nothing could be done before a clip was read [s].
         write_s: time for spooling, filtering and writing the output [s].
         busy_s: time from begin to end [s].
+        cpu_s: time of processors that the worker's process took meanwhile [s].
         idle_s: time that the worker had waited before for a shard [s].
         start_s: time that the worker took to start, in its first report [s].
         memory_mb: largest memory of the worker so far [MB].
@@ -77,6 +78,7 @@ class ShardReport:
     read_s: float = 0.0
     write_s: float = 0.0
     busy_s: float = 0.0
+    cpu_s: float = 0.0
     idle_s: float = 0.0
     start_s: float = 0.0
     memory_mb: float = 0.0
@@ -124,7 +126,7 @@ class ShardWorker:
 
     def make(self, shard: int) -> ShardReport:
         """One shard; what is done of it already is not done again."""
-        began = time.perf_counter()
+        began, cpu = time.perf_counter(), time.process_time()
         own: dict[str, Any] = {
             "idle_s": began - self._free_since,
             "start_s": self._start_s,
@@ -138,7 +140,8 @@ class ShardWorker:
             found = {"error": describe(error)}
         self._start_s = 0.0
         self._free_since = time.perf_counter()
-        own |= {"busy_s": self._free_since - began, "memory_mb": _peak_memory_mb()}
+        own |= {"busy_s": self._free_since - began, "cpu_s": time.process_time() - cpu}
+        own["memory_mb"] = _peak_memory_mb()
         return ShardReport(shard, **found, **own)
 
     def _kept(self, shard: int) -> dict[str, Any] | None:
