@@ -6,7 +6,6 @@ are as many a second as the data set's, all of the same length.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 import struct
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.writers.shards import hidden
+from smooth_operator.lab.datasets.writers.shards import hidden, remove
 
 VIDEO_KEY: Final = "observation.images.camera"
 _CODECS: Final = {
@@ -169,8 +168,7 @@ def place(source: Path, target: Path, how: str) -> None:
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = hidden(target)
-    with contextlib.suppress(FileNotFoundError):
-        temporary.unlink()
+    remove(target)  # a link to the same file would stay under its hidden name
     real = Path(os.path.realpath(source))
     if how == "copy":
         shutil.copyfile(real, temporary)
