@@ -23,6 +23,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Dropped, Limits, select
+from smooth_operator.lab.datasets.manifest import is_manifest
 from smooth_operator.lab.datasets.parts import in_frame
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
@@ -367,6 +368,27 @@ def test_a_list_that_is_none(text: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
     with pytest.raises(RecordingError, match=says):
         find_items([str(tmp_path / "list.csv")])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl"])
+def test_damaged_lists_are_read_or_refused(suffix: str, tmp_path: Path) -> None:
+    good = {
+        ".csv": b'path,task,side,rate\n"a,b.npz",stir,right,30\nc.npz,,left,\n' * 3,
+        ".jsonl": b'{"path": "a.npz", "task": "stir", "side": "right", "rate": 30}\n' * 6,
+    }[suffix]
+    random = np.random.default_rng(0)
+    path = tmp_path / f"list{suffix}"
+    refused = 0
+    for _ in range(150):
+        data = bytearray(good)
+        for at in random.integers(0, len(data), 3):
+            data[at] = random.integers(256)
+        path.write_bytes(data[: random.integers(10, len(data) + 1)])
+        try:
+            find_items([str(path)]) if is_manifest(path) else None
+        except RecordingError:
+            refused += 1
+    assert 0 < refused < 150
 
 
 def test_a_list_says_task_and_side(folder: Path, tmp_path: Path) -> None:

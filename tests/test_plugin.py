@@ -89,7 +89,7 @@ def test_the_parts_of_a_plugin_show_up_and_work(run: Callable[..., str], tmp_pat
     assert np.ptp(positions, axis=0).max() > 0.05
 
 
-def test_a_layout_of_data_sets(python: Path, tmp_path: Path) -> None:
+def test_a_layout_and_a_format_of_data_sets(python: Path, tmp_path: Path) -> None:
     for side in ("right", "left"):
         recording = SyntheticOperator(seed=4, side=side, rate_hz=RATE).record(0.2)
         (tmp_path / "take").mkdir(exist_ok=True)
@@ -103,7 +103,20 @@ layout, = (name for name in DATASETS if DATASETS.load(name).matches(path))
 ref, = DATASETS.load(layout).clips(path)
 clip = DATASETS.load(layout).read(ref, ReadingOptions(rate={RATE}))
 print(layout, DATASETS[layout].summary, len(clip), *clip.hands)
+
+import numpy as np
+from smooth_operator import CommandTrajectory
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+joints = np.arange(20.0).reshape(10, 2)
+commands = CommandTrajectory(joints, ("a", "b"), clip.stamps, np.zeros(10), np.zeros(10, int))
+with WRITERS.load("csv").open(Path({str(tmp_path / "tables")!r}), WritingOptions()) as writer:
+    writer.write(RobotClip(clip, {{"left": commands}}, {{}}, {{}}, {{}}, key="one"))
 """
     done = subprocess.run([python, "-c", code], capture_output=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "two_csv from toy-retargeting 10 right left"
+    header, *rows = (tmp_path / "tables" / "one.csv").read_text().splitlines()
+    assert header == "stamp,left.a,left.b"
+    table = np.array([row.split(",") for row in rows], float)
+    np.testing.assert_array_equal(table[:, 1:], np.arange(20.0).reshape(10, 2))

@@ -70,7 +70,7 @@ def read_manifest(path: Path) -> Iterator[Row]:
     if suffix == ".csv":
         yield from _of_csv(text, path)
         return
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(text.split("\n"), 1):
         line = line.strip()
         if not line or (suffix == ".txt" and line.startswith("#")):
             continue
@@ -92,10 +92,13 @@ def _of_csv(text: str, path: Path) -> Iterator[Row]:
             f"{path}: a list needs the column 'path' in its first line, and may have "
             f"{', '.join(_COLUMNS[1:])}; found {brief(', '.join(table.fieldnames or ()))}"
         )
-    for values in table:
-        filled = {name: value for name, value in values.items() if value}
-        if filled:
-            yield _row(filled, f"{path}, line {table.line_num}")
+    try:
+        for values in table:
+            filled = {name: value for name, value in values.items() if name and value}
+            if filled:
+                yield _row(filled, f"{path}, line {table.line_num}")
+    except csv.Error as error:
+        raise RecordingError(f"{path}, line {table.line_num}: {error}; expected a table") from error
 
 
 def _row(values: Any, where: str) -> Row:
