@@ -32,7 +32,6 @@ CORE = {
     "human": 4,
     "objective": 5,
     "solvers": 5,
-    "metrics": 6,
     "methods": 6,
 }
 """Core: module -> level. It imports nothing of what follows."""
@@ -50,6 +49,7 @@ SHARED = {
     "simulation": 5,
     "calibration": 5,
     "synthetic": 5,
+    "metrics": 6,
     ROOT: 7,
     "baselines": 7,
     "compilation": 7,
