@@ -13,7 +13,6 @@ from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.landmark_filter import LandmarkFilterConfig
-from smooth_operator.lab.offline.scan import Scan
 from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
@@ -230,13 +229,6 @@ def test_after_a_long_gap_the_basin_is_found_anew(smooth: Retargeter, hand: Hand
     resumed = commands(smooth, HandRecording(landmarks, stamps, "right"))
     fresh = commands(smooth, recording(landmarks[5:]))
     np.testing.assert_allclose(hand.tips(resumed[-1]), hand.tips(fresh[-1]), atol=2e-3)
-
-
-def test_it_scans_to_the_same_commands(
-    smooth: Retargeter, motion: HandRecording, answer: np.ndarray
-) -> None:
-    trajectory, _ = Scan(smooth).run(motion)
-    np.testing.assert_allclose(trajectory.joint_positions, answer, atol=1e-5)
 
 
 def crossing(hand: Hand) -> HandRecording:

@@ -44,7 +44,6 @@ MOVED: Final[dict[str, tuple[str, ...]]] = {
     "methods.geort_model": ("baselines.geort_model",),
     "methods.joint_angle": ("baselines.joint_angle",),
     "methods.published_angles": ("baselines.published_angles",),
-    "methods.scan": ("lab.offline.scan",),
     "methods.slsqp_method": ("baselines.slsqp_method",),
     "metrics.plots": ("reporting.metric_plots",),
     "hands.spec_writer": ("hand_files.spec_writer",),

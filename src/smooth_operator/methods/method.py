@@ -52,10 +52,6 @@ class Method(ABC):
 
     hand: Hand
 
-    can_scan: ClassVar[bool] = True
-    """Whether to try running many frames of a recording in one compiled loop
-    (``smooth_operator.lab.offline.scan``). False where that is known to round differently."""
-
     @property
     @abstractmethod
     def needs(self) -> tuple[int, ...]:
@@ -114,8 +110,6 @@ class Method(ABC):
 
 class HostMethod(Method):
     """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
-
-    can_scan = False
 
     @abstractmethod
     def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:

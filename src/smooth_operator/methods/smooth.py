@@ -192,8 +192,6 @@ class Smooth(Method):
     hand: Hand
     config: SmoothConfig
 
-    can_scan = False  # on every hand that was tried it rounded differently: 8 s of compiling saved
-
     @cached_property
     def eq_1(self) -> Objective:
         """Eq. (1) alone, by which Algorithm 1 finds the basin."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator
+import math
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,22 @@ from smooth_operator.formats.commands import config_path
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found, clashes, find_recordings
 from smooth_operator.lab.offline.finished import finished, foreign, remove_leftovers
-from smooth_operator.lab.offline.jobs import Entry, Job, retarget_one
-from smooth_operator.parallel import run_tasks
+from smooth_operator.lab.offline.jobs import Entry, Job, retarget_group
+from smooth_operator.parallel import TaskResult, run_tasks, usable_cores
 from smooth_operator.planning import RetargetRequest
 
 SUMMARY: Final = "summary.json"
 """Name of the account of the last run, in the folder of results."""
+
+MOST: Final = 16
+"""Recordings that a worker takes at a time: its lanes, twice, so that short ones leave no lane
+idle."""
+
+MOST_FRAMES: Final = 200_000
+"""Their frames, unless one alone has more: about 300 MB."""
+
+_CLUSTER: Final = 16
+"""Workers that a cluster is taken to have, where it is not said."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +111,8 @@ def retarget_all(
     """Retargets recordings in parallel; a failure of one does not touch another.
 
     Each result is written whole or not at all. It depends on its recording and the request alone,
-    to the last bit: not on the number of workers, nor on what else was done before. To that end
+    to the last bit: not on the number of workers, on what it is done together with
+    (``Retargeter.batch``), nor on what was done before. To that end
     latencies, which are no property of commands computed side by side, are NaN, and the
     configurations bear no date.
 
@@ -113,14 +125,57 @@ def retarget_all(
         the result of each, as they finish.
     """
     repeated = False
-    for result in run_tasks(retarget_one, jobs, workers=workers, cluster=cluster):
-        found, entry = jobs[result.index].found, result.value
+    again: list[Job] = []
+    groups = grouped(jobs, workers, cluster)
+    for result in run_tasks(retarget_group, groups, workers=workers, cluster=cluster):
+        group = groups[result.index]
         repeated = repeated or result.attempts > 1
-        if entry is None:
-            entry = Entry(found.name, found.output, "failed", found.frames, reason=result.error)
-        yield replace(entry, seconds=result.seconds, attempts=result.attempts)
+        if result.value is not None:
+            yield from (replace(entry, attempts=result.attempts) for entry in result.value)
+        elif len(group) > 1:  # its worker died: one of them may be at fault
+            again += group
+        else:
+            yield _lost(group[0], result)
+    for result in run_tasks(
+        retarget_group, [(j,) for j in again], workers=workers, cluster=cluster
+    ):
+        entry = _lost(again[result.index], result) if result.value is None else result.value[0]
+        yield replace(entry, attempts=result.attempts)
     if repeated:  # a worker that died in the middle of a write leaves its file; no other writes now
         remove_leftovers({job.output.parent for job in jobs})
+
+
+def grouped(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> list[tuple[Job, ...]]:
+    """Recordings that a worker takes side by side, in their order; results do not depend on it.
+
+    There are as many groups as keep all workers busy to the end; none is too large for the memory.
+    """
+    count = workers or (usable_cores() if cluster is None else _CLUSTER)
+    turns = max(1, math.ceil(len(jobs) / (count * MOST)))
+    size = max(1, math.ceil(len(jobs) / (count * turns)))
+    groups: list[tuple[Job, ...]] = []
+    now: list[Job] = []
+    frames = 0
+    for job in jobs:
+        if now and (len(now) == size or frames + job.found.frames > MOST_FRAMES):
+            groups.append(tuple(now))
+            now, frames = [], 0
+        now.append(job)
+        frames += job.found.frames
+    return [*groups, tuple(now)] if now else groups
+
+
+def _lost(job: Job, result: TaskResult[tuple[Entry, ...]]) -> Entry:
+    found = job.found
+    return Entry(
+        found.name,
+        found.output,
+        "failed",
+        found.frames,
+        reason=result.error,
+        seconds=result.seconds,
+        attempts=result.attempts,
+    )
 
 
 def _refusal(path: Path, output: Path) -> str | None:

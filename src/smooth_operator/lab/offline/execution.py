@@ -41,6 +41,15 @@ class Outcome:
     first_command_s: float
 
 
+def runner(todo: Plan) -> Runner:
+    """A retargeter for the plan, nothing compiled yet; for presets that need it one of whole
+    recordings."""
+    config = todo.config.trajectory
+    if config is None:
+        return Retargeter(todo.hand, config=todo.config, seed=todo.seed)
+    return TrajectoryRetargeter(todo.hand, config, todo.seed)
+
+
 def build(todo: Plan) -> tuple[Runner, float]:
     """A retargeter for the plan, compiled; for presets that need it one of whole recordings.
 
@@ -51,13 +60,12 @@ def build(todo: Plan) -> tuple[Runner, float]:
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
-    config = todo.config.trajectory
-    if config is None:
+    if todo.config.trajectory is None:
         return build_retargeter(todo.hand, todo.config, todo.seed)
     started = time.perf_counter()
     dispatch_here()
     with healing(enable_cache()):
-        whole = TrajectoryRetargeter(todo.hand, config, todo.seed)
+        whole = runner(todo)
         whole.warm_up()
     return whole, time.perf_counter() - started
 

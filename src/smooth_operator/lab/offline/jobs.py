@@ -1,14 +1,16 @@
-"""One recording of a folder: its job, and the worker function."""
+"""Recordings of a folder: their jobs, and the worker function, which takes some side by side."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
+from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import stamps_from_rate
@@ -18,13 +20,12 @@ from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found
-from smooth_operator.lab.offline.execution import Runner, build
+from smooth_operator.lab.offline.execution import Runner, runner
 from smooth_operator.lab.offline.finished import digest, identity
-from smooth_operator.lab.offline.scan import Scan, find_scan
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.parallel.results import timed
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
-from smooth_operator.types import HandRecording, Side, Status
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 State: TypeAlias = Literal["done", "kept", "failed"]
 """Made now, found whole from an earlier run, or not there."""
@@ -118,24 +119,97 @@ class Entry:
     attempts: int = 0
 
 
-def retarget_one(job: Job) -> Entry:
-    """Reads, retargets and writes one recording, in a worker.
+def retarget_group(group: Sequence[Job]) -> tuple[Entry, ...]:
+    """Reads, retargets and writes some recordings, in a worker; those of one hand side by side.
 
-    Raises:
-        SmoothOperatorError: with the reason; nothing is then written.
+    A failure of one does not touch another; nothing is then written for it.
+
+    Returns:
+        their results, in their order.
     """
+    done: dict[int, Entry] = {}
+    batches: dict[object, list[tuple[int, _Read]]] = {}
+    for index, job in enumerate(group):
+        read, reason, _ = timed(_read_job, job)
+        if read is None:
+            done[index] = _failed(job, reason)
+        else:
+            batches.setdefault(read.tools, []).append((index, read))
+    for batch in batches.values():
+        done |= zip((index for index, _ in batch), _batch([r for _, r in batch]), strict=True)
+    return tuple(done[index] for index in range(len(group)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """A recording that was read, and what is to be done to it.
+
+    Attributes:
+        job: its job.
+        recording: all of it.
+        rate: that it needed [Hz]; None if it has stamps.
+        source: what shows whether the file is still the same.
+        frames: which frames are wanted.
+        todo: the plan for these.
+        tools: what makes equal retargeters; None for one of its own.
+    """
+
+    job: Job
+    recording: HandRecording
+    rate: float | None
+    source: dict[str, Any]
+    frames: slice
+    todo: Plan
+    tools: object
+
+
+def _read_job(job: Job) -> _Read:
     asked = job.request
     source = identity(job.found.path)
     recording, rate = _read(job.found.path, asked)
     total = len(recording)
     frames = slice(0, total) if asked.frames is None else frame_slice(asked.frames, total)
     todo = plan(recording[frames], asked)
-    tools = _tools(todo, reuse=asked.scale != "calibrate")
-    if tools.scan is None:
-        commands, loss = tools.retargeter.run(todo.recording)
-        commands = replace(commands, latency_ms=np.full(len(commands), np.nan))
-    else:
-        commands, loss = tools.scan.run(todo.recording)
+    alone = asked.scale == "calibrate"  # each scale is a program
+    tools = object() if alone else (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
+    return _Read(job, recording, rate, source, frames, todo, tools)
+
+
+def _batch(reads: Sequence[_Read]) -> list[Entry]:
+    """Recordings for one retargeter; if they fail together, each is tried by itself."""
+    found, reason, seconds = timed(_retarget, reads)
+    if found is None:
+        if len(reads) == 1:
+            return [_failed(reads[0].job, reason)]
+        return [entry for read in reads for entry in _batch([read])]
+    total = max(1, sum(len(commands) for commands, _ in found))
+    entries = []
+    for read, (commands, loss) in zip(reads, found, strict=True):
+        entry, reason, more = timed(lambda _: _written(read, commands, loss), None)  # noqa: B023
+        share = seconds * len(commands) / total
+        entry = _failed(read.job, reason) if entry is None else entry
+        entries.append(replace(entry, seconds=share + more))
+    return entries
+
+
+def _retarget(reads: Sequence[_Read]) -> list[tuple[CommandTrajectory, np.ndarray]]:
+    dispatch_here()
+    with healing(enable_cache()):  # the first batch compiles
+        return _runner(reads[0]).batch([read.todo.recording for read in reads])
+
+
+def _failed(job: Job, reason: str | None) -> Entry:
+    found = job.found
+    return Entry(found.name, found.output, "failed", found.frames, reason=reason)
+
+
+def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entry:
+    """The result of one recording, written.
+
+    Raises:
+        SmoothOperatorError: with the reason; nothing is then written.
+    """
+    job, recording, frames = read.job, read.recording, read.frames
     good = loss[np.isfinite(loss)]
     entry = Entry(
         name=job.found.name,
@@ -150,10 +224,10 @@ def retarget_one(job: Job) -> Entry:
     encoded = encode_commands(commands)
     config = configuration(
         "retarget",
-        todo,
-        source={"path": job.found.path, "frames": [frames.start, frames.stop], **source},
-        rate=rate,
-        request=asked,
+        read.todo,
+        source={"path": job.found.path, "frames": [frames.start, frames.stop], **read.source},
+        rate=read.rate,
+        request=job.request,
         commands={
             "sha256": digest(encoded),
             "held": entry.held,
@@ -176,26 +250,17 @@ def _read(path: Path, asked: RetargetRequest) -> tuple[HandRecording, float | No
     return rated_if_unstamped(read, asked.rate)
 
 
-@dataclass(frozen=True)
-class _Tools:
-    retargeter: Runner
-    scan: Scan | None
-
-
-_SHELF: Final[OrderedDict[tuple[str, str, int], _Tools]] = OrderedDict()
-"""The tools of this process: compiled once, used for every recording that they fit."""
+_SHELF: Final[OrderedDict[object, Runner]] = OrderedDict()
+"""The retargeters of this process: compiled once, used for every recording that they fit."""
 
 _SHELF_SIZE: Final = 4
 
 
-def _tools(todo: Plan, *, reuse: bool) -> _Tools:
-    if not reuse:  # each scale is a program, not worth compiling a longer one
-        return _Tools(build(todo)[0], None)
-    key = (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
+def _runner(read: _Read) -> Runner:
+    """A retargeter for a recording, which compiles what it needs when it is used."""
+    key = read.tools
     if key not in _SHELF:
-        retargeter, _ = build(todo)
-        scan = find_scan(retargeter) if isinstance(retargeter, Retargeter) else None
-        _SHELF[key] = _Tools(retargeter, scan)
+        _SHELF[key] = runner(read.todo)
         while len(_SHELF) > _SHELF_SIZE:
             _SHELF.popitem(last=False)
     _SHELF.move_to_end(key)

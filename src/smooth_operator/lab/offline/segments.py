@@ -103,3 +103,14 @@ def windows(count: int, size: int, ahead: int) -> list[tuple[int, int, int]]:
         if keep == count:
             break
     return parts
+
+
+def hold(
+    q: Float[np.ndarray, "T m"], stretches: list[slice], neutral: Float[np.ndarray, " m"]
+) -> None:
+    """The last pose between stretches and after them; the neutral one before the first."""
+    last, done = neutral, 0
+    for stretch in [*stretches, slice(len(q), len(q))]:
+        q[done : stretch.start] = last
+        if stretch.stop > stretch.start:
+            last, done = q[stretch.stop - 1], stretch.stop

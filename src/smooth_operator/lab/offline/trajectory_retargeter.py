@@ -13,7 +13,7 @@ recording but for its frames, and time does in proportion.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import jax
@@ -24,9 +24,9 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.offline.scan import Scan
 from smooth_operator.lab.offline.segments import (
     even_stamps,
+    hold,
     segments,
     tracker_noise,
     windows,
@@ -40,6 +40,7 @@ from smooth_operator.lab.offline.trajectory_solver import (
     smooth_trajectory,
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.methods.batching import Progress, progressing
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.program import align_frame, compiled
@@ -77,7 +78,6 @@ class TrajectoryRetargeter:
         objective, alignment = goals.objective, config.alignment
         tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
         self._begin = goals.begin
-        self._scan = Scan(self.causal)
 
         def aligned(landmarks: Array, valid: Array) -> Array:
             return jax.vmap(lambda *frame: align_frame(method, alignment, *frame).aligned)(
@@ -137,7 +137,7 @@ class TrajectoryRetargeter:
         recording: HandRecording,
         *,
         seed: int | None = None,
-        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+        track: Progress | None = None,
         extra: ExtraTerms | None = None,
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
         """A whole recording.
@@ -152,8 +152,43 @@ class TrajectoryRetargeter:
             the commands, and the (T,) tracking loss of each frame (NaN where there was no usable
             hand). There are no latencies: NaN.
         """
+        ((first, _),) = self.causal.batch([recording], seed=seed)
+        return self._whole(recording, first, progressing(len(recording), track), extra)
+
+    def batch(
+        self,
+        recordings: Sequence[HandRecording],
+        *,
+        seed: int | None = None,
+        track: Progress | None = None,
+    ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
+        """Whole recordings: their first answers side by side (``Retargeter.batch``), then each
+        solved as a whole. To the last bit a result is that of ``run``.
+
+        Args:
+            recordings: human hands of the retargeter's side.
+            seed: of the random numbers of each; None for the retargeter's own.
+            track: wraps the iteration over all frames, for a progress bar.
+
+        Returns:
+            what ``run`` gives for each.
+        """
+        firsts = self.causal.batch(recordings, seed=seed)
+        advance = progressing(sum(map(len, recordings)), track)
+        return [
+            self._whole(recording, first, advance, None)
+            for recording, (first, _) in zip(recordings, firsts, strict=True)
+        ]
+
+    def _whole(
+        self,
+        recording: HandRecording,
+        first: CommandTrajectory,
+        advance: Callable[[int], None],
+        extra: ExtraTerms | None,
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+        """One recording, from the first answers to it."""
         count, hand = len(recording), self.hand
-        first, _ = self._scan.run(recording, seed=seed)
         seen = first.status == Status.OK
         q, limits = np.asarray(first.joint_positions)[:, list(hand.actuated)], hand.limits
         neutral, joints = hand.neutral, len(hand.limits)
@@ -164,16 +199,16 @@ class TrajectoryRetargeter:
         stretches = segments(seen, recording.stamps, self.config.bridge)
         goals, reaches = self._goals(recording, seen, stretches)
         loss = np.full(count, np.nan)
-        steps = iter(range(count) if track is None else track(range(count)))
         done = 0
         for stretch in stretches:
             for keep, found, tracking in self._solved(
                 recording, stretch, q, limits, (goals, reaches), seen, extra
             ):
                 q[keep], loss[keep] = found, tracking
-                done = _advance(steps, done, keep.stop)
-        _advance(steps, done, count)
-        _hold(q, stretches, neutral)
+                advance(keep.stop - done)
+                done = keep.stop
+        advance(count - done)
+        hold(q, stretches, neutral)
         q = np.clip(q, limits[:, 0], limits[:, 1])
         if extra is not None:
             extra.settle(q[:, joints:])
@@ -360,20 +395,3 @@ def _filled(values: np.ndarray) -> np.ndarray:
     """Up to a whole chunk, with the last frame again: every call has one shape."""
     lacking = CHUNK - len(values)
     return np.concatenate([values, np.repeat(values[-1:], lacking, axis=0)]) if lacking else values
-
-
-def _hold(
-    q: Float[np.ndarray, "T m"], stretches: list[slice], neutral: Float[np.ndarray, " m"]
-) -> None:
-    """The last pose between stretches and after them; the neutral one before the first."""
-    last, done = neutral, 0
-    for stretch in [*stretches, slice(len(q), len(q))]:
-        q[done : stretch.start] = last
-        if stretch.stop > stretch.start:
-            last, done = q[stretch.stop - 1], stretch.stop
-
-
-def _advance(steps: Iterator[int], done: int, until: int) -> int:
-    for _ in range(done, until):
-        next(steps, None)
-    return until
