@@ -69,7 +69,7 @@ class Settings:
 
 def main(settings: Settings) -> None:
     if settings.picture is not None:
-        draw_comparison(settings.picture, hand=settings.hands[0])
+        draw_comparison(settings.picture)
         print(f"{settings.picture}: written")
         return
     report = Report("objects", vars(settings))

@@ -30,9 +30,17 @@ from smooth_operator.types import CommandTrajectory
 AWARE: Final = "object-aware"
 FIXED_WRIST: Final = "object-aware, wrist fixed"
 BLIND: Final = "smooth:offline"
-FITTED: Final = "smooth:offline, wrist fitted"
-PUBLISHED: Final = ("keyvector:vector", "keyvector:position", "dexpilot", "dexpilot:published")
-"""dex-retargeting's vector and position, and DexPilot with our solver and as published."""
+_FITTED: Final = ", wrist fitted"
+FITTED: Final = BLIND + _FITTED
+"""Such a wrist is moved so that the fingertips are, in the mean, where the human's are: a stronger
+opponent, of any method."""
+PUBLISHED: Final = (
+    "keyvector:vector",
+    "keyvector:vector" + _FITTED,
+    "dexpilot:published",
+    "dexpilot:published" + _FITTED,
+)
+"""dex-retargeting's ``vector`` by our solver, and DexPilot as published."""
 
 COMBINATIONS: Final[tuple[tuple[Kind, Form], ...]] = (
     ("grasp", "sphere"), ("grasp", "cylinder"), ("grasp", "box"), ("grasp", "mesh"),
@@ -92,7 +100,7 @@ def compare(
     Args:
         hands: names of robot hands.
         clips: of hands of one side.
-        methods: ``AWARE``, ``FIXED_WRIST``, ``BLIND``, ``FITTED``, or ``method:preset``.
+        methods: as ``answer_of`` takes them.
         settings: of the object-aware ones.
         note: takes a line for each hand.
     """
@@ -134,7 +142,7 @@ def answer_of(method: str, hand: Hand, settings: ObjectSettings) -> tuple[Answer
     """How a method answers clips with one hand, and its alignment.
 
     Args:
-        method: ``AWARE``, ``FIXED_WRIST``, ``BLIND``, ``FITTED``, or ``method:preset``.
+        method: ``AWARE``, ``FIXED_WRIST``, or ``method:preset``; ``, wrist fitted`` may follow.
         hand: the robot hand.
         settings: of the object-aware ones.
     """
@@ -147,7 +155,7 @@ def answer_of(method: str, hand: Hand, settings: ObjectSettings) -> tuple[Answer
             return found.commands, found.T_world_palm
 
         return with_objects, aware.config.alignment
-    name, _, preset = (BLIND if method == FITTED else method).partition(":")
+    name, _, preset = method.removesuffix(_FITTED).partition(":")
     config = method_config(name, preset or None)
     runner = (
         Retargeter(hand, config=config)
@@ -159,7 +167,7 @@ def answer_of(method: str, hand: Hand, settings: ObjectSettings) -> tuple[Answer
         recording = next(iter(made.clip.hands.values()))
         commands, _ = runner.run(recording)
         palm = palm_in_world(recording, hand, config.alignment)
-        if method == FITTED:
+        if method.endswith(_FITTED):
             palm = _fitted(hand, commands, landmarks_in_world(recording), palm)
         return commands, palm
 
