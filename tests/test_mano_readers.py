@@ -17,6 +17,7 @@ from smooth_operator import poses
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.lab.datasets.clip import CAMERA, Clip
 from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+from smooth_operator.lab.datasets.sources import find_items
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +70,27 @@ def test_a_clip_is_what_was_written(tmp_path: Path, models: Path, case: str) -> 
     assert (found.world == CAMERA) == (case in ("ho3d", "ho3d two hands", "mano pickle"))
 
 
-def test_each_path_belongs_to_its_own_layout(tmp_path: Path) -> None:
-    for case, (layout, write) in layouts.CASES.items():
-        made = write(tmp_path / case.replace(" ", "_"))
-        first = next(name for name in DATASETS if DATASETS.load(name).matches(made.path))
-        assert first == layout, case
+def test_a_folder_of_all_has_each_clip_once(tmp_path: Path) -> None:
+    for case, (_, write) in layouts.CASES.items():
+        write(tmp_path / case.replace(" ", "_"))
+    (tmp_path / "ho3d" / "manual_annotations").mkdir()
+    np.save(tmp_path / "ho3d" / "manual_annotations" / "a.npy", np.zeros((21, 3)))
+    found = find_items([str(tmp_path)])
+    assert not found.refused
+    assert [(item.layout, item.name) for item in found.items] == [
+        ("arctic", "arctic/raw_seqs/s01/box_grab_01"),
+        ("dexycb", "dexycb/20200709-subject-01/20200709_141754"),
+        ("dexycb", "dexycb_left/20200709-subject-01/20200709_141754"),
+        ("grab", "grab/grab/s1/mug_drink_1"),
+        ("ho3d", "ho3d/train/MC1"),
+        ("ho3d", "ho3d_two_hands/train/MC1"),
+        ("hot3d", "hot3d/P0003_c701bd11"),
+        ("hot3d", "hot3d_quest/P0003_c701bd11"),
+        ("mano", "mano/take"),
+        ("mano", "mano_pickle/take"),
+        ("oakink2", "oakink2/anno_preview/scene_01__A001/seq__2023-04-27-19-17-54"),
+        ("taco", "taco/Hand_Poses/(stir, spoon, bowl)/20231105_019"),
+    ]
 
 
 def test_frames_without_a_hand_are_missing(tmp_path: Path, models: Path) -> None:

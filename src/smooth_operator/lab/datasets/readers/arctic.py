@@ -30,6 +30,7 @@ from smooth_operator.types import Side
 
 RATE_HZ: Final = 30.0
 _SUFFIX: Final = ".mano.npy"
+_OTHERS: Final = (".object.npy", ".egocam.dist.npy", ".smplx.npy")
 _MM: Final = 0.001
 _HINGE: Final = np.array([0.0, 0.0, -1.0])  # of the top part, in the object's frame
 
@@ -44,13 +45,17 @@ class Arctic:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether its name ends as those of the hands do."""
-        return path.name.endswith(_SUFFIX) and path.is_file()
+        """Whether its name ends as those of the hands do, or it belongs to such a file."""
+        for suffix in (_SUFFIX, *_OTHERS):
+            if path.name.endswith(suffix):
+                return path.with_name(path.name.removesuffix(suffix) + _SUFFIX).is_file()
+        return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
-        name = f"{path.resolve().parent.name}/{path.name.removesuffix(_SUFFIX)}"
-        yield ClipRef(name, path, layout="arctic", size=path.stat().st_size)
+        """The sequence; none for its other files."""
+        if path.name.endswith(_SUFFIX):
+            name = path.name.removesuffix(_SUFFIX)
+            yield ClipRef(name, path, layout="arctic", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Its hands, the two parts of the object, and the camera on the head."""

@@ -59,7 +59,7 @@ class DexYcb:
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """The sequence."""
-        name = f"{path.resolve().parent.name}/{path.resolve().name}"
+        name = path.resolve().name
         yield ClipRef(name, path, layout="dexycb", size=(path / "pose.npz").stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:

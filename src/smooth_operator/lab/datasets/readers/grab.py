@@ -41,7 +41,9 @@ class Grab:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is an ``.npz`` with GRAB's tables."""
+        """Whether it is an ``.npz`` with GRAB's tables, or the folder of its tools."""
+        if (path / "subject_meshes").is_dir():
+            return True
         if path.suffix != ".npz" or not path.is_file():
             return False
         try:
@@ -50,9 +52,9 @@ class Grab:
             return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
-        name = f"{path.resolve().parent.name}/{path.stem}"
-        yield ClipRef(name, path, layout="grab", size=path.stat().st_size)
+        """The sequence; none in the tools."""
+        if path.is_file():
+            yield ClipRef(path.stem, path, layout="grab", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Its hands and the object."""

@@ -24,6 +24,7 @@ from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
 RATE_HZ: Final = 30.0
+_OTHERS: Final = ("calibration", "manual_annotations")
 _FRAME: Final = re.compile(r"(\d{1,6})\.pkl")
 _TO_CAMERA: Final = world_pose(poses.axes("x", "-y", "-z"))
 _HANDS: Final[dict[str, Side]] = {"handPose": "right", "rightHandPose": "right",
@@ -40,12 +41,16 @@ class Ho3d:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a folder with numbered pickles in ``meta``."""
+        """Whether it is a folder with numbered pickles in ``meta``, or next to such ones."""
+        if path.name in _OTHERS and (path.parent / "train").is_dir():
+            return True
         folder = path / "meta"
         return folder.is_dir() and next(_frames(folder), None) is not None
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
+        """The sequence; none in the other folders."""
+        if path.name in _OTHERS:
+            return
         yield ClipRef(
             path.resolve().name, path, layout="ho3d", size=sum(1 for _ in _frames(path / "meta"))
         )

@@ -24,6 +24,7 @@ from smooth_operator.types import Side
 
 RATE_HZ: Final = 30.0
 _CM: Final = 0.01
+_OTHERS: Final = ("Object_Poses", "Egocentric_Camera_Parameters", "Allocentric_Camera_Parameters")
 _SIDES: Final[tuple[Side, Side]] = ("right", "left")
 
 
@@ -37,18 +38,21 @@ class Taco:
     )
 
     def matches(self, path: Path) -> bool:
-        """Whether it is a folder with a hand and its shape."""
+        """Whether it is a folder with a hand and its shape, or of its objects and cameras."""
+        if path.name in _OTHERS and (path.parent / "Hand_Poses").is_dir():
+            return True
         return any(
             (path / f"{side}_hand.pkl").is_file() and (path / f"{side}_hand_shape.pkl").is_file()
             for side in _SIDES
         )
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
-        whole = path.resolve()
+        """The sequence; none in the other folders."""
+        if path.name in _OTHERS:
+            return
         size = sum((path / f"{side}_hand.pkl").stat().st_size for side in _SIDES
                    if (path / f"{side}_hand.pkl").is_file())  # fmt: skip
-        yield ClipRef(f"{whole.parent.name}/{whole.name}", path, layout="taco", size=size)
+        yield ClipRef(path.resolve().name, path, layout="taco", size=size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
         """Its hands, tool, target and the camera on the head."""
