@@ -269,6 +269,12 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
     reasons = [row["reason"] for row in table.to_pylist() if not row["kept"]]
     assert all("min_seconds" in reason for reason in reasons[:-1])
     assert "no clip '7'" in reasons[-1]
+    # What Ray Data writes of it is a source again.
+    pq.write_table(kept, tmp_path / "kept.parquet")
+    found = [each.ref for each in items(tmp_path / "kept.parquet") if each.ref is not None]
+    assert [(ref.name, ref.layout) for ref in found] == [
+        (name, "parquet") for name in kept["name"].to_pylist()
+    ]
     # From the arrays of a row in place of its file: the same commands, but for float32.
     again = retarget(written.select(["name", "stamps", "right_landmarks", "left_landmarks"]))
     assert again["kept"].to_pylist() == [True] * written.num_rows

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -34,17 +33,18 @@ class Packed:
     expects = "columns 'name', 'stamps' and 'right_landmarks' or 'left_landmarks' of this program"
 
     def matches(self, path: Path) -> bool:
-        """Whether the footer of a Parquet file says that it holds clips."""
+        """Whether a Parquet file has the columns of clips, whichever program wrote it."""
         if path.suffix.lower() != ".parquet" or not path.is_file():
             return False
         try:
-            said = parquet().read_schema(path).metadata or {}
-            return bool(json.loads(said[b"smooth_operator"])["format"] == "clips")
-        except Exception:  # no library, or another's file
+            names = set(parquet().read_schema(path).names)
+        except Exception:  # no library, or a damaged file
             return False
+        hands = {"right_landmarks", "left_landmarks"}
+        return {"name", "stamps"} <= names and bool(hands & names)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """A reference for each row; reads the columns of names and lengths.
+        """A reference for each row; reads the column of names.
 
         Raises:
             RecordingError: the file is damaged.
@@ -53,10 +53,8 @@ class Packed:
             check_plain_file(path)
             with parquet().ParquetFile(path, page_checksum_verification=True) as file:
                 for group in range(file.metadata.num_row_groups):
-                    table = _group(file, path, group, ["name", "frames"])
-                    names, frames = table["name"].to_pylist(), table["frames"].to_pylist()
-                    for row, (name, count) in enumerate(zip(names, frames, strict=True)):
-                        yield ClipRef(str(name), path, f"{group}/{row}", "parquet", count or 0)
+                    for row, name in enumerate(_group(file, path, group, ["name"])["name"]):
+                        yield ClipRef(str(name), path, f"{group}/{row}", "parquet")
         except SmoothOperatorError as error:
             raise RecordingError(f"{path}: {error}") from error
         except _errors() as error:
