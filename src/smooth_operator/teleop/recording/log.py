@@ -324,9 +324,11 @@ class LogWriter:
 
     def _append(self, at: int, *messages: tuple[str, bytes]) -> None:
         """Put messages into the chunk, at a time [ns]."""
-        self._check_open()
+        if self._stream is None:
+            self._check_open()
         self._log_time = at
-        self._add_config()
+        if self._config is not None:
+            self._add_config()
         self._add(at, *messages)
         now = time.monotonic()
         if self._waiting_since is None:

@@ -18,6 +18,7 @@ from smooth_operator.teleop.recording.wire import (
     part,
     text,
     texts,
+    varint,
     whole,
 )
 from smooth_operator.teleop.sinks.hand_state import HandState
@@ -28,6 +29,8 @@ _MAX_LOG_TIME: Final = 2**64 - 1
 _STAMP: Final = double_key(1)
 _TWO: Final = struct.Struct("<BdBd").pack
 _THREE: Final = struct.Struct("<BdBdBd").pack
+_SIX: Final = struct.Struct("<" + "Bd" * 6).pack
+_NUMBER: Final = whole(2, 0)[:1]  # what stands before the number of a tick
 _LATENCY: Final = double_key(2)
 _STAGE_MS: Final = double_key(2)
 _LOOP: Final = tuple(double_key(number) for number in (4, 5, 6, 8, 9))
@@ -91,25 +94,26 @@ def _stage(name: str) -> bytes:
 def loop_message(stamp: float, loop: LoopState) -> bytes:
     """The loop at a command, for ``/loop``."""
     time, received, tracker_stamp, tracking_loss, scale = _LOOP
+    received_at, tracker_at = loop.received, loop.tracker_stamp
     parts = [
-        pack_double(_STAMP, stamp),
-        whole(2, loop.number),
-        text(3, loop.mode),
-        _THREE(
-            time,
-            loop.time,
-            received,
-            _known(loop.received),
-            tracker_stamp,
-            _known(loop.tracker_stamp),
+        _SIX(
+            *(_STAMP, stamp, time, loop.time),
+            *(received, math.nan if received_at is None else received_at),
+            *(tracker_stamp, math.nan if tracker_at is None else tracker_at),
+            *(tracking_loss, loop.tracking_loss, scale, loop.scale),
         ),
-        _TWO(tracking_loss, loop.tracking_loss, scale, loop.scale),
+        _NUMBER,
+        varint(loop.number),
+        _mode_and_session(loop.mode, loop.session),
     ]
-    if loop.session is not None:
-        parts.append(whole(7, loop.session))
     if loop.events:
         parts += [part(10, event.encode()) for event in loop.events]
     return b"".join(parts)
+
+
+@lru_cache(maxsize=256)
+def _mode_and_session(mode: str, session: int | None) -> bytes:
+    return text(3, mode) + (b"" if session is None else whole(7, session))
 
 
 def wrist_message(stamp: float, wrist: WristCommand) -> bytes:

@@ -14,6 +14,7 @@ import numpy as np
 
 _FLOAT64: Final = np.dtype("<f8")
 _FIXED64, _BYTES = 1, 2
+_SMALL: Final = tuple(bytes((value,)) for value in range(256))
 
 pack_double: Final = struct.Struct("<Bd").pack
 """A field of a double: ``double_key(number)`` and the value."""
@@ -26,6 +27,10 @@ def double_key(number: int) -> int:
 
 def varint(value: int) -> bytes:
     """A whole number from 0 on."""
+    if value < 0x80:
+        return _SMALL[value]
+    if value < 0x4000:
+        return _SMALL[value & 0x7F | 0x80] + _SMALL[value >> 7]
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
