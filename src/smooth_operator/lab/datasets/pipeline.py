@@ -37,6 +37,7 @@ WORK: Final = "work"
 
 _MOST_ITEMS: Final = 64  # in a pack
 _FEW_ITEMS: Final = 8
+_MOST_BYTES: Final = 256_000_000  # that a worker reads for a pack, unless one file has more
 _SHARE: Final = 50  # packs a worker makes at least, so that a killed run loses 2 % at most
 
 
@@ -202,8 +203,16 @@ def _jobs(items: Sequence[Item], folder: Path, asked: DatasetRequest) -> Iterato
     workers = asked.workers or usable_cores()
     share = -(-len(items) // max(workers, 1))
     count = max(min(_FEW_ITEMS, share), min(_MOST_ITEMS, len(items) // (workers * _SHARE)), 1)
-    for start in range(0, len(items), count):
-        yield Job(tuple(items[start : start + count]), asked.recipe, folder)
+    now: list[Item] = []
+    size = 0
+    for item in items:
+        if now and (len(now) == count or size + item.size > _MOST_BYTES):
+            yield Job(tuple(now), asked.recipe, folder)
+            now, size = [], 0
+        now.append(item)
+        size += item.size
+    if now:
+        yield Job(tuple(now), asked.recipe, folder)
 
 
 def _run(

@@ -12,12 +12,12 @@ import numpy as np
 
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.lab.datasets.answers import answers
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.offline.answers import answers
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
 from smooth_operator.result_cache import key_digest

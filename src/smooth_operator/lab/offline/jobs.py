@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import stamps_from_rate
@@ -18,9 +16,8 @@ from smooth_operator.formats.commands import encode_commands, write_encoded_comm
 from smooth_operator.formats.frames import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.lab.offline.answers import answers, tools_of
 from smooth_operator.lab.offline.discovery import Found
-from smooth_operator.lab.offline.execution import Runner, runner
 from smooth_operator.lab.offline.finished import digest, identity
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.parallel.results import timed
@@ -171,7 +168,7 @@ def _read_job(job: Job) -> _Read:
     frames = slice(0, total) if asked.frames is None else frame_slice(asked.frames, total)
     todo = plan(recording[frames], asked)
     alone = asked.scale == "calibrate"  # each scale is a program
-    tools = object() if alone else (to_json(todo.hand.spec), to_json(todo.config), todo.seed)
+    tools = object() if alone else tools_of(todo)
     return _Read(job, recording, rate, source, frames, todo, tools)
 
 
@@ -193,9 +190,8 @@ def _batch(reads: Sequence[_Read]) -> list[Entry]:
 
 
 def _retarget(reads: Sequence[_Read]) -> list[tuple[CommandTrajectory, np.ndarray]]:
-    dispatch_here()
-    with healing(enable_cache()):  # the first batch compiles
-        return _runner(reads[0]).batch([read.todo.recording for read in reads])
+    keep = reads[0].job.request.scale != "calibrate"  # each scale is a program
+    return answers([read.todo for read in reads], keep=keep)
 
 
 def _failed(job: Job, reason: str | None) -> Entry:
@@ -248,20 +244,3 @@ def _read(path: Path, asked: RetargetRequest) -> tuple[HandRecording, float | No
         return read_recording(path, rate=rate, side=asked.side, layout=asked.layout)
 
     return rated_if_unstamped(read, asked.rate)
-
-
-_SHELF: Final[OrderedDict[object, Runner]] = OrderedDict()
-"""The retargeters of this process: compiled once, used for every recording that they fit."""
-
-_SHELF_SIZE: Final = 4
-
-
-def _runner(read: _Read) -> Runner:
-    """A retargeter for a recording, which compiles what it needs when it is used."""
-    key = read.tools
-    if key not in _SHELF:
-        _SHELF[key] = runner(read.todo)
-        while len(_SHELF) > _SHELF_SIZE:
-            _SHELF.popitem(last=False)
-    _SHELF.move_to_end(key)
-    return _SHELF[key]
