@@ -28,7 +28,8 @@ class CorpusSettings:
         format: name of the writer in ``WRITERS``.
         writing: arguments of ``WritingOptions``, without ``part`` and ``parts``.
         clips_per_shard: clips of a shard, which is a task of the engine and a part of the output.
-        group: clips that are retargeted in one call.
+        group: clips that are retargeted in one call, which a worker's death costs at most; with
+            fewer the lanes of ``Retargeter.batch`` wait for the longest clip.
         attempts: how often a clip may be at work in a process that dies, before it is given up.
         retarget: False packs the human clips alone, without commands: many small files become
             few, which the reader ``parquet`` takes as a source.
@@ -45,8 +46,8 @@ class CorpusSettings:
     format: str = "parquet"
     writing: Mapping[str, Any] = field(default_factory=dict)
     clips_per_shard: int = 256
-    group: int = 8
-    attempts: int = 3
+    group: int = 16
+    attempts: int = 4
     retarget: bool = True
 
     def __post_init__(self) -> None:

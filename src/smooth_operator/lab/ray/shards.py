@@ -157,10 +157,11 @@ class ShardWorker:
         try:
             left = [item for item in items if item.name not in spool.done]
             again = len(spool.retargeted)
-            # What a worker may have died of: each alone, with nothing else at work meanwhile.
-            suspects = [item for item in left if spool.begun[item.name]]
+            # One death has many causes. Where workers died twice, each clip that was in hand both
+            # times is alone, with nothing else at work meanwhile.
+            suspects = [item for item in left if spool.begun[item.name] > 1]
             computed = sum(self._alone(item, spool, times) for item in suspects)
-            left = [item for item in left if not spool.begun[item.name]]
+            left = [item for item in left if spool.begun[item.name] < 2]
             computed += sum(
                 self._group(group, spool, times) for group in self._groups(left, spool, times)
             )
