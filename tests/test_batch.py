@@ -25,7 +25,7 @@ from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side, Status
 
-# Quick to compile; the programs are those of test_dataset.py, and compiled once for both.
+# Quick to compile; the programs are those of test_retarget_folder.py, and compiled once for both.
 SBR = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
 LENGTHS = (70, 1, 131, 40, 64, 3, 5, 60, 20, 7)
 """More than there are lanes."""
