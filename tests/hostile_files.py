@@ -43,7 +43,7 @@ def recording(path: Path) -> None:
 
 
 def episode(path: Path) -> None:
-    from smooth_operator.io.jsonable import to_json
+    from smooth_operator.formats.jsonable import to_json
     from smooth_operator.teleop.recording.convert import read_episode
 
     found = read_episode(path)
@@ -85,7 +85,7 @@ def overwrite(path: Path) -> None:
 
 
 def latency(path: Path) -> None:
-    from smooth_operator.io.jsonable import to_json
+    from smooth_operator.formats.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.log_timing import log_timing
 

@@ -33,6 +33,7 @@ CORE = {
     "objective": 5,
     "solvers": 5,
     "methods": 6,
+    "metrics": 6,
 }
 """Core: module -> level. It imports nothing of what follows."""
 
@@ -49,7 +50,6 @@ SHARED = {
     "simulation": 5,
     "calibration": 5,
     "synthetic": 5,
-    "metrics": 6,
     ROOT: 7,
     "baselines": 7,
     "compilation": 7,

@@ -13,9 +13,9 @@ import pytest
 from jax import lax
 
 from smooth_operator import Retargeter
+from smooth_operator.compilation.lanes import over_lanes
 from smooth_operator.errors import ConfigError
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.methods.lanes import over_lanes
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.sbr import SbrConfig

@@ -22,6 +22,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from smooth_operator import Retargeter
 from smooth_operator.cli import main
+from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
@@ -30,7 +31,6 @@ from smooth_operator.lab.offline.dataset import Survey, retarget_all, survey
 from smooth_operator.lab.offline.discovery import find_recordings
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.offline.jobs import Entry, checked
-from smooth_operator.methods.batching import BLOCK
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest, make_request

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from smooth_operator.errors import OutputError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 
 # What a person can do about it, by errno; strerror alone names the trouble but not the way out.
 _REMEDIES = {

@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, brief
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.types import as_side
 

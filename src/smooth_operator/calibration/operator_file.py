@@ -8,10 +8,10 @@ from typing import Any, Final, cast
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import UPGRADE, ConfigError, DocumentError, brief
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.human.operator import Component, FingerProfile, OperatorProfile
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.entries import Entries
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import as_side
 
 FORMAT: Final = "smooth-operator operator"

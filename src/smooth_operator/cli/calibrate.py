@@ -18,11 +18,11 @@ from smooth_operator.errors import ConfigError, OutputError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, Component
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline.calibration_picture import draw_calibration
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.planning import PROGRAM

@@ -12,7 +12,7 @@ from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.session import requested
 from smooth_operator.errors import ConfigError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.lab.datasets.registry import ReadingOptions

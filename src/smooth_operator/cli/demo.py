@@ -13,8 +13,8 @@ from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
 from smooth_operator.cli.session import execute_shown, measure_shown, requested
 from smooth_operator.cli.synthetic import synthetic_operator
 from smooth_operator.formats.commands import write_commands
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hand_files.menagerie import drawn_on
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.offline import Outcome
 from smooth_operator.metrics import Trace
 from smooth_operator.planning import configuration, plan

@@ -11,7 +11,7 @@ import numpy as np
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.latency_options import Latency
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.log_reader import Log
 from smooth_operator.teleop.runtime.log_timing import added_latency, log_timing

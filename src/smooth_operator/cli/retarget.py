@@ -10,8 +10,8 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.formats.frames import frame_slice
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.planning import configuration, plan
 from smooth_operator.types import Status
 

@@ -16,7 +16,7 @@ from smooth_operator.cli.retarget_options import Retarget
 from smooth_operator.cli.session import requested
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.dataset import SUMMARY, Survey, check_folders, retarget_all, survey
 from smooth_operator.lab.offline.finished import claimed, read_configuration
 from smooth_operator.lab.offline.jobs import Entry, checked, notes

@@ -73,9 +73,9 @@ from smooth_operator.formats.checks import (
 )
 from smooth_operator.formats.commands import translate_status
 from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 

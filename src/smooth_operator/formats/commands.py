@@ -15,8 +15,8 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import UPGRADE, OutputError, RecordingError, brief
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.episode import check_commands
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.sniff import file_kind
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
 
 _KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,13 +19,13 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
-from smooth_operator.methods.batching import Answers, Progress, Track, lane_program, progressing
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.program import RetargetState as RetargetState
 from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.shared import shared_program
+from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,
@@ -36,6 +37,7 @@ from smooth_operator.types import (
 )
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
+_BATCH = Entry("smooth_operator.compilation.batching:retarget_batch")  # imported when it is used
 
 
 class Retargeter:
@@ -142,7 +144,7 @@ class Retargeter:
         start = time.perf_counter()
         frame = self._framed(frame)
         stamp = self._stamp_of(state, frame)
-        self._check_side(frame.side)
+        self.check_side(frame.side)
         assert frame.valid is not None  # filled in on construction
         before = state if state.stamp is None else state._replace(stamp=None)
         landmarks = self.program_landmarks(frame.landmarks)
@@ -161,7 +163,8 @@ class Retargeter:
             float(output.scale),
         )
 
-    def _check_side(self, side: str) -> None:
+    def check_side(self, side: str) -> None:
+        """Raises ConfigError unless a human hand of this side drives the hand."""
         if side != self.hand.spec.side:
             raise ConfigError(
                 f"a {side} human hand can't drive the {self.hand.spec.side} hand "
@@ -283,50 +286,19 @@ class Retargeter:
         recordings: Sequence[HandRecording],
         *,
         seed: int | None = None,
-        track: Progress | None = None,
+        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
         lanes: int | None = None,
     ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
         """Recordings of any length, side by side in one program, each from a fresh state.
 
-        A result is that of ``run`` but for rounding, whose size depends on the method
-        (docs/reference/benchmarks.md, "Batches"). To the last bit it depends on its recording, the
-        retargeter and the number of lanes alone: not on the other recordings or their order.
-        Methods whose solver is a library on the host take the recordings in turn.
+        A result is that of ``run`` but for rounding and latencies, which are NaN. It does not
+        depend on the other recordings. Methods with a solver on the host take them in turn.
 
         Args:
-            recordings: human hands of the retargeter's side.
+            recordings: human hands of the retargeter's side; another raises ``ConfigError``.
             seed: of the random numbers of each; None for the retargeter's own.
             track: wraps the iteration over all frames, for a progress bar.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
-
-        Returns:
-            for each recording its commands, and the (T,) tracking loss of each frame (NaN where a
-            command was held). There is no single frame to time: latencies are NaN.
-
-        Raises:
-            ConfigError: a recording is of the other hand.
         """
-        for recording in recordings:
-            self._check_side(recording.side)
-        if self.shared.method.host is not None:
-            advance = progressing(sum(map(len, recordings)), track)
-            found = []
-            for recording in recordings:
-                commands, loss = self.run(recording, seed=seed)
-                none = np.full(len(commands), np.nan)
-                found.append((replace(commands, latency_ms=none), loss))
-                advance(len(recording))
-            return found
-        tracks = [Track.of(r, self.program_landmarks(r.landmarks)) for r in recordings]
-        program = lane_program(self.shared.method, self.config.alignment, lanes)
-        answers = program.run(self.init(seed), tracks, track)
-        return list(map(self._trajectory, recordings, answers))
-
-    def _trajectory(
-        self, recording: HandRecording, answers: Answers
-    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-        hand, none = self.hand, np.full(len(recording), np.nan)
-        q = np.clip(answers.q.astype(float), hand.limits[:, 0], hand.limits[:, 1])
-        full = hand.full_configuration(q)
-        commands = CommandTrajectory(full, hand.joint_names, recording.stamps, none, answers.status)
-        return commands, np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
+        answers: Any = _BATCH.load()(self, recordings, seed, track, lanes)
+        return list(answers)

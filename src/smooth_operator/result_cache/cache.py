@@ -12,8 +12,8 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.errors import DocumentError, SmoothOperatorError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import check_plain_file, read_json
-from smooth_operator.io.jsonable import to_json
 
 Note: TypeAlias = Callable[[str], None]
 """Called with a sentence for a person: which results could not be used, and why."""

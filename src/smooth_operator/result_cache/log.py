@@ -9,8 +9,8 @@ from typing import Any
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import DocumentError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.result_cache.cache import Note, key_digest, no_note, outdated
 
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import smooth_operator
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.benchmark.settings import Choice, Settings, method_label
 from smooth_operator.lab.offline.finished import digest

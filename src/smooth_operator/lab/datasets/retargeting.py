@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import RecordingError, SmoothOperatorError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, Clip
 from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks

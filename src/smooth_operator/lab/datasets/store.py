@@ -19,8 +19,8 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
 from smooth_operator.lab.datasets.retargeting import SourceFile, shared_config
 from smooth_operator.lab.datasets.robot_clip import RobotClip

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import read_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES
 from smooth_operator.lab.datasets.filters import Dropped, Limits, select
 from smooth_operator.lab.datasets.report import FigureTable, write_report

@@ -22,9 +22,9 @@ import numpy as np
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.calibration.estimate import calibrate
 from smooth_operator.formats.environment import environment
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.operator import COMPONENTS, DEFAULT_COMPONENTS, OperatorProfile
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import evaluate

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from smooth_operator import SmoothOperatorError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.judging.kept_figures import code_of

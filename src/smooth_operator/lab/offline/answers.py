@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from smooth_operator.compilation.compile_cache import enable_cache, healing
 from smooth_operator.compilation.dispatch import dispatch_here
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.execution import Runner, runner
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory

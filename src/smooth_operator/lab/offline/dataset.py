@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.commands import config_path
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.discovery import Found, clashes, find_recordings
 from smooth_operator.lab.offline.finished import finished, foreign, remove_leftovers
 from smooth_operator.lab.offline.jobs import Entry, Job, retarget_group

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.compilation.batching import Progress, progressing
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
@@ -40,7 +41,6 @@ from smooth_operator.lab.offline.trajectory_solver import (
     smooth_trajectory,
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.methods.batching import Progress, progressing
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.program import align_frame, compiled

@@ -12,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import install_command
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.machine import Watch
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.lab.paper import fk_libraries

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.benchmark.built import built_for
 from smooth_operator.lab.benchmark.cells import Cell
 from smooth_operator.lab.benchmark.latency import measure_latency

@@ -17,8 +17,8 @@ from typing import Any
 
 from smooth_operator.atomic_files import atomic_write, claimed, output_error, write_json
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, WorkerError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import read_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.datasets.sources import Item
 from smooth_operator.lab.ray.manifest import write_manifest
 from smooth_operator.lab.ray.settings import CorpusRun, CorpusSettings, run_digest, state_folder

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.retargeting import shared_config
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.store import decoded, encoded

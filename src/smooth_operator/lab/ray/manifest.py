@@ -13,7 +13,7 @@ from typing import Any
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import MissingExtraError, OutputError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.registry import ClipRef
 from smooth_operator.lab.datasets.sources import Item
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.registry import ReadingOptions
 from smooth_operator.version import package_version
 

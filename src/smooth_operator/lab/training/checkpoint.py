@@ -13,8 +13,8 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.lab.training.loop import GeortTrainer, TrainingState
 
 FORMAT: Final = "smooth-operator geort checkpoint"

@@ -12,7 +12,7 @@ from smooth_operator.atomic_files import atomic_write
 from smooth_operator.baselines.geort_model import GeortModel, write_geort_model
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.training.checkpoint import read_checkpoint, write_checkpoint
 from smooth_operator.lab.training.curves import plot_curves, write_curves
 from smooth_operator.lab.training.loop import GeortTrainer, TrainingState

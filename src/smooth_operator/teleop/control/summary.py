@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.teleop.control.reporter import Reporter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove_types, schemas
 from smooth_operator.teleop.recording import log_messages as encoded
 from smooth_operator.teleop.recording.foxglove import FoxgloveMessages, Keypoints

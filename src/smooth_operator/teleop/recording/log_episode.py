@@ -12,10 +12,10 @@ from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arm_track import ArmTrack
 from smooth_operator.formats.checks import check_rate, check_side
 from smooth_operator.formats.episode import Episode
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.states import StateTrajectory
 from smooth_operator.formats.wrist_track import WristTrack
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording import foxglove_types
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, read_log

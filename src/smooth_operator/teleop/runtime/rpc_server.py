@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import json_object
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]

@@ -43,7 +43,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     tasks_table,
 )
 from smooth_operator.errors import RecordingError, require
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.robot_clip import RobotClip
 from smooth_operator.lab.datasets.writers.arrays import clip_document
 from smooth_operator.lab.datasets.writers.lerobot_columns import RobotLayout

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.io.jsonable import to_json
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest, live_configuration
 from smooth_operator.poses import is_valid

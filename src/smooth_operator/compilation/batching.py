@@ -1,9 +1,9 @@
 """Many recordings in one compiled program: side by side in lanes, and frame after frame in time.
 
 A frame alone is a small program: entering it and its many short operations takes longer than its
-arithmetic. Here one operation is that of all lanes (``smooth_operator.methods.lanes``), and a call
-of the program is a block of frames. A lane takes one recording after another, each from a fresh
-state, so recordings of any length fill it; times between frames are each recording's own.
+arithmetic. Here one operation is that of all lanes (``smooth_operator.compilation.lanes``), and a
+call of the program is a block of frames. A lane takes one recording after another, each from a
+fresh state, so recordings of any length fill it; times between frames are each recording's own.
 
 A recording's result depends on nothing but the recording, the retargeter and the number of lanes:
 not on the other recordings, their order, or the lane. It is that of ``Retargeter.run`` but for
@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import jax
@@ -24,9 +24,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
+from smooth_operator.compilation.lanes import chosen, over_lanes
+from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.methods.lanes import chosen, over_lanes
 from smooth_operator.methods.method import Method
 from smooth_operator.methods.program import (
     RetargetState,
@@ -34,7 +35,8 @@ from smooth_operator.methods.program import (
     compiled,
     ticks_of,
 )
-from smooth_operator.types import HandRecording, Status
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
 """Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
@@ -253,3 +255,39 @@ def lane_program(method: Method, alignment: AlignmentConfig, lanes: int | None) 
         while len(_programs) > _KEPT:
             _programs.popitem(last=False)
     return made
+
+
+def retarget_batch(
+    retargeter: Retargeter,
+    recordings: Sequence[HandRecording],
+    seed: int | None = None,
+    track: Progress | None = None,
+    lanes: int | None = None,
+) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
+    """What ``Retargeter.batch`` does, and says."""
+    for recording in recordings:
+        retargeter.check_side(recording.side)
+    method = retargeter.shared.method
+    if method.host is not None:
+        advance = progressing(sum(map(len, recordings)), track)
+        found = []
+        for recording in recordings:
+            commands, loss = retargeter.run(recording, seed=seed)
+            none = np.full(len(commands), np.nan)
+            found.append((replace(commands, latency_ms=none), loss))
+            advance(len(recording))
+        return found
+    tracks = [Track.of(r, retargeter.program_landmarks(r.landmarks)) for r in recordings]
+    program = lane_program(method, retargeter.config.alignment, lanes)
+    answers = program.run(retargeter.init(seed), tracks, track)
+    return [_trajectory(retargeter.hand, *each) for each in zip(recordings, answers, strict=True)]
+
+
+def _trajectory(
+    hand: Hand, recording: HandRecording, answers: Answers
+) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+    none = np.full(len(recording), np.nan)
+    q = np.clip(answers.q.astype(float), hand.limits[:, 0], hand.limits[:, 1])
+    full = hand.full_configuration(q)
+    commands = CommandTrajectory(full, hand.joint_names, recording.stamps, none, answers.status)
+    return commands, np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
