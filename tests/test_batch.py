@@ -54,8 +54,9 @@ def damaged(side: Side = "right") -> list[HandRecording]:
 
 
 def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -> None:
-    """As `run` but for rounding, until a gap makes `smooth` search for a basin again: which of two
-    equally good ones its sampler then finds depends on the last bits of the landmarks too."""
+    """As `run` but for rounding, until a gap makes `smooth` search for a basin again: which one its
+    sampler then finds depends on the last bits. Noise of 1e-7 m in the landmarks changes the summed
+    loss of `run` by a factor of up to 2 here."""
     until = 45 if isinstance(retargeter.config, SmoothConfig) else None
     for recording, (commands, loss) in zip(recordings, batch, strict=True):
         single, single_loss = retargeter.run(recording)
@@ -69,7 +70,10 @@ def close(retargeter: Retargeter, recordings: list[HandRecording], batch: Any) -
         np.testing.assert_allclose(tips(one), tips(other), atol=5e-4)
         np.testing.assert_array_equal(np.isnan(loss), np.isnan(single_loss))
         np.testing.assert_allclose(loss[:until], single_loss[:until], rtol=0.02, atol=1e-3)
-        np.testing.assert_allclose(np.nansum(loss), np.nansum(single_loss), rtol=0.2)
+        if until is None:
+            np.testing.assert_allclose(np.nansum(loss), np.nansum(single_loss), rtol=0.02)
+        else:
+            assert np.nansum(loss) < 3.0 * np.nansum(single_loss) + 1.0
 
 
 def bits(result: Any) -> tuple[bytes, bytes, bytes]:
