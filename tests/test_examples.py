@@ -17,7 +17,11 @@ from smooth_operator import lazy_names
 
 EXAMPLES = sorted((PROJECT / "examples").glob("*.py"))
 MAX_LINES = 60
-PUBLIC_MODULES = ("smooth_operator.errors", "smooth_operator.landmarks")
+PUBLIC_MODULES = (
+    "smooth_operator.errors",
+    "smooth_operator.landmarks",
+    "smooth_operator.lab.datasets",
+)
 PLUGIN = sorted((PROJECT / "examples" / "plugin" / "toy_retargeting").glob("*.py"))
 INTERNAL = {"joint_ranges.py": {"smooth_operator.cli.common_options.Common"}}
 """What the example plugin imports that is not public: the base of commands. Not to grow."""

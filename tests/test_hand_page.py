@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -68,7 +69,7 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         eventually(lambda: np.isclose(served.joint_positions[moved], high, atol=0.02))
         others = np.arange(len(hand.limits)) != moved
         np.testing.assert_array_equal(served.joint_positions[others], hand.neutral[others])
-        there = settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
+        settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
         # the sliders of joints that follow go along and can't be moved by hand
         every = hand.full_configuration(served.joint_positions)
         followers = [i for i in range(len(hand.joint_names)) if i not in hand.actuated]
@@ -79,16 +80,24 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         if followers:
             assert np.abs(every - hand.full_configuration(hand.neutral))[followers].max() > 0.1
 
-        # There and back again, from a picture that surely has the whole hand: parts of the scene
-        # come one after the other, and the first one may have been taken before the last part came.
+        # There and back again, until the pictures before and after are alike: at first the camera
+        # still comes to rest, and parts of the scene come one after the other.
         neutral = page.get_by_role("button", name="Neutral pose")
-        neutral.click()
-        eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
-        rest = settled(page, SHOWN, HEIGHT, lambda p: changed(p, there) > 0.002)
-        sliders.nth(moved).press("End")
-        settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.002)
-        neutral.click()
-        settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) < 0.001)
+        for _ in range(8):
+            neutral.click()
+            eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
+            page.wait_for_timeout(500)
+            rest = settled(page, SHOWN, HEIGHT)
+            sliders.nth(moved).press("End")
+            eventually(lambda: np.isclose(served.joint_positions[moved], high, atol=0.02))
+            settled(page, SHOWN, HEIGHT, lambda p, rest=rest: changed(p, rest) > 0.002)
+            neutral.click()
+            eventually(lambda: np.array_equal(served.joint_positions, hand.neutral))
+            with contextlib.suppress(AssertionError):
+                settled(page, SHOWN, HEIGHT, lambda p, rest=rest: changed(p, rest) < 0.001, 6.0)
+                break
+        else:
+            raise AssertionError("the hand on the page does not come back to where it was")
         page.get_by_label("shape", exact=True).uncheck()
         eventually(lambda: not any(node.visible for node in served._looks[0].nodes.values()))
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.01)

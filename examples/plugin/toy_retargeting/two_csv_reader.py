@@ -4,9 +4,7 @@ import numpy as np
 
 from smooth_operator import HandRecording
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.readers.both_hands import checked_hands
-from smooth_operator.lab.datasets.registry import ClipRef
+from smooth_operator.lab.datasets import Clip, ClipRef, checked_hands
 
 
 class TwoCsv:
