@@ -11,7 +11,7 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.session import requested
-from smooth_operator.errors import ConfigError, require
+from smooth_operator.errors import ConfigError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.filters import NO_LIMITS, Limits
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
@@ -60,9 +60,7 @@ def request_of(options: Dataset) -> DatasetRequest:
         raise ConfigError("name at least one SOURCE: a folder, a file, a pattern, a list")
     if options.shard is not None and options.merge:
         raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
-    WRITERS.find(options.format)
-    if options.format in ("lerobot", "parquet"):  # before anything compiles
-        require(f"the format {options.format} of data sets", "datasets", "pyarrow")
+    WRITERS.load(options.format)  # its module asks for its extra: before anything compiles
     limits = Limits(
         not options.whole,
         options.hands,

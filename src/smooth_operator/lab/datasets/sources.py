@@ -93,7 +93,7 @@ class Found:
 
 
 _Each: TypeAlias = Item | Refused | str
-"""Found in a source: work, what can't be used, or the suffix of a file that nobody knows."""
+"""Found in a source: work, what can't be used, or the suffix of a file of no known layout."""
 
 
 def find_items(
@@ -138,7 +138,7 @@ def each_item(
         leave_out: as there.
 
     Yields:
-        items; what can't be used; and of files that nobody knows the suffixes.
+        items; what can't be used; and the suffixes of files of no known layout.
 
     Raises:
         UnknownNameError, RecordingError, MissingExtraError: as ``find_items``.
@@ -158,7 +158,7 @@ def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
 
 
 def find_reader(path: Path, layout: str | None) -> tuple[str, DatasetReader] | None:
-    """Name and reader of a file or folder; None if nobody knows it.
+    """Name and reader of a file or folder; None if no reader matches.
 
     Raises:
         UnknownNameError: there is no reader of the name ``layout``.

@@ -180,6 +180,6 @@ def shares(values: np.ndarray) -> Float[np.ndarray, " T"]:
     return np.where(np.isfinite(found), np.clip(found, 0.0, 1.0), np.nan)
 
 
-def video_beside(*places: Path) -> Path | None:
+def first_video(*places: Path) -> Path | None:
     """The first of some paths that is a file; None if there is none."""
     return next((path for path in places if path.is_file()), None)

@@ -21,7 +21,7 @@ from smooth_operator.episode_files.hdf5_process import EGODEX_JOINTS
 from smooth_operator.episode_files.hdf5_tree import Hdf5Group, read_tree
 from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.lab.datasets.clip import SIDES, Clip
-from smooth_operator.lab.datasets.readers.both_hands import checked_hands, shares, video_beside
+from smooth_operator.lab.datasets.readers.both_hands import checked_hands, first_video, shares
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 
 _MAGIC: Final = b"\x89HDF\r\n\x1a\n"
@@ -79,7 +79,7 @@ class Egodex:
             if any(name in held for name in EGODEX_JOINTS[side])
         }
         found = checked_hands(hands, str(path), self.expects)
-        video = video_beside(path.with_suffix(".mp4"))
+        video = first_video(path.with_suffix(".mp4"))
         top = tree["/"].attributes
         return Clip(
             ref.name,

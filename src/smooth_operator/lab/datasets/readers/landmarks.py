@@ -27,7 +27,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.checks import check_rate, check_stamps, stamps_from_rate
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, ObjectTrack
-from smooth_operator.lab.datasets.readers.both_hands import checked_hands, shares, video_beside
+from smooth_operator.lab.datasets.readers.both_hands import checked_hands, first_video, shares
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, unit_poses
@@ -78,13 +78,13 @@ class LandmarksOfBothHands:
         world = _text(arrays, "world") or _WORLD
         hands = {side: _hand(arrays, side, stamps, world) for side in sides}
         found = checked_hands(hands, str(path), self.expects)
-        task, video = _text(arrays, "task"), _text(arrays, "video")
-        beside = None if video is None else video_beside(path.with_name(Path(video).name))
+        task, named = _text(arrays, "task"), _text(arrays, "video")
+        video = None if named is None else first_video(path.with_name(Path(named).name))
         return Clip(
             ref.name,
             found,
             "landmarks",
-            (path,) if beside is None else (path, beside),
+            (path,) if video is None else (path, video),
             task=task,
             confidence={
                 side: shares(_shaped(arrays, f"confidence_{side}", (count,)))
@@ -97,7 +97,7 @@ class LandmarksOfBothHands:
                 for name in arrays
                 if name.startswith(_OBJECT)
             ),
-            video=beside,
+            video=video,
         )
 
 

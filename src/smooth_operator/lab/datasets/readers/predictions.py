@@ -42,8 +42,8 @@ from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.mano.unpickle import load_restricted, numbers
 from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
+    first_video,
     shares,
-    video_beside,
     wrist_of_points,
 )
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
@@ -167,7 +167,7 @@ class Predictions:
             hands[side] = _recording(hand, side, stamps, path)
             sure[side] = shares(_rows(hand.sure, found.frames, ()))
         checked = checked_hands(hands, str(path), self.expects, each_frame=True)
-        video = video_beside(path.with_suffix(".mp4"), path.with_name("chest.mp4"))
+        video = first_video(path.with_suffix(".mp4"), path.with_name("chest.mp4"))
         return Clip(
             ref.name,
             checked,

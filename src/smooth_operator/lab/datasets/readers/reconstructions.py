@@ -37,7 +37,7 @@ from smooth_operator.lab.datasets.mano.model import ManoModel, PlacedHand, load_
 from smooth_operator.lab.datasets.mano.unpickle import array, load_restricted
 from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
-    video_beside,
+    first_video,
     wrist_of_points,
 )
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
@@ -97,7 +97,7 @@ class Hawor:
             shape[side] = np.median(betas[row][seen], axis=0)
         found = checked_hands(hands, str(path), self.expects)
         slam = next(iter(sorted(path.parent.glob("SLAM/hawor_slam_w_scale_*.npz"))), None)
-        video = video_beside(path.parent.parent / f"{path.parent.name}.mp4")
+        video = first_video(path.parent.parent / f"{path.parent.name}.mp4")
         source = [path, *(one for one in (slam, video) if one is not None)]
         return Clip(
             ref.name,

@@ -15,7 +15,7 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.human.anatomical_axes import palm_axes
 from smooth_operator.lab.datasets.clip import CAMERA, Clip, ObjectTrack
 from smooth_operator.lab.datasets.mano.model import PlacedHand
-from smooth_operator.lab.datasets.readers.both_hands import checked_hands, video_beside
+from smooth_operator.lab.datasets.readers.both_hands import checked_hands, first_video
 from smooth_operator.lab.datasets.registry import ClipRef
 from smooth_operator.types import HandRecording, Side
 
@@ -123,7 +123,7 @@ class Scene:
                 for thing in self.things
             ),
             shape={side: self.shape[side] for side in hands if side in self.shape},
-            video=None if self.video is None else video_beside(self.video),
+            video=None if self.video is None else first_video(self.video),
             meta=dict(self.meta),
         )
 

@@ -66,6 +66,8 @@ from smooth_operator.lab.datasets.writers.shards import (
 )
 from smooth_operator.lab.datasets.writers.videos import VIDEO_KEY, VideoHead, place, video_head
 
+require("a LeRobot data set", "datasets", "pyarrow")
+
 _FILE_MB: Final = 100  # at most in a file, as LeRobot
 _GROUP_BYTES: Final = 8 * MB  # of frames in a row group
 _OFF_GRID: Final = 0.25  # frames
@@ -380,7 +382,6 @@ class _LeRobot:
     )
 
     def open(self, output: Path, options: WritingOptions) -> _Writer:
-        require("a LeRobot data set", "datasets", "pyarrow")
         return _Writer(output, options)
 
 

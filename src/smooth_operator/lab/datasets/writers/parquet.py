@@ -32,6 +32,8 @@ from smooth_operator.lab.datasets.writers.shards import (
 )
 from smooth_operator.types import Side
 
+require("Parquet files of clips", "datasets", "pyarrow")
+
 _GROUP_BYTES: Final = 8 * MB  # of arrays in a row group: what a reader takes at a time
 _FIXED: Final = {"wrist": 7, "human_wrist": 7, "camera": 7, "landmarks": 63}
 _SCALARS: Final = {"stamps": "float64", "valid": "bool_", "status": "int8", "confidence": "float32"}
@@ -238,7 +240,6 @@ class _Parquet:
     loses = LOST
 
     def open(self, output: Path, options: WritingOptions) -> _Writer:
-        require("Parquet files of clips", "datasets", "pyarrow")
         return _Writer(output, options)
 
 
