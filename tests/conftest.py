@@ -133,3 +133,24 @@ def chromium() -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=path, headless=True, args=flags)
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A compilation cache for a test file's processes, of which this one forgets in the end."""
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    settings = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: getattr(jax.config, name) for name in settings}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
+        yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    compilation_cache.reset_cache()

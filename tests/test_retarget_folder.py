@@ -10,15 +10,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from smooth_operator import Retargeter
 from smooth_operator.cli import main
@@ -49,22 +47,7 @@ Run = Callable[..., tuple[int, str, str]]
 Bytes = dict[str, bytes]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A compilation cache for this file's processes, of which this one forgets in the end."""
-    settings = (
-        "jax_compilation_cache_dir",
-        "jax_persistent_cache_min_compile_time_secs",
-        "jax_persistent_cache_min_entry_size_bytes",
-    )
-    before = {name: getattr(jax.config, name) for name in settings}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path_factory.mktemp("cache")))
-        patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
-        yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
+pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 def hand(frames: int, seed: int = 0, side: Side = "right") -> HandRecording:
