@@ -32,7 +32,7 @@ from smooth_operator.lab.datasets.writers.shards import (
 )
 from smooth_operator.types import Side
 
-require("Parquet files of clips", "datasets", "pyarrow")
+require("a Parquet data set", "datasets", "pyarrow")
 
 _GROUP_BYTES: Final = 8 * MB  # of arrays in a row group: what a reader takes at a time
 _FIXED: Final = {"wrist": 7, "human_wrist": 7, "camera": 7, "landmarks": 63}
