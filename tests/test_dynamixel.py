@@ -211,7 +211,7 @@ def test_a_cable_pulled_in_motion_and_plugged_again(
 
 
 def test_wrong_checksums_and_silence(bank: ServoBank, hand: Hand) -> None:
-    with Run(bank, hand, lost_s=0.2) as run:
+    with Run(bank, hand, lost_s=1.0) as run:
         run.tick = tick_at(hand, 0.4)
         run.until(lambda: run.at(0.4))
         bank.corrupt = 3

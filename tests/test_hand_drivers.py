@@ -214,7 +214,7 @@ def test_a_hold_stops_the_hand_on_its_way(rig: Rig) -> None:
 
 def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
     rig.patience(0.05)
-    with Driven(rig, lost_s=0.1) as driven:
+    with Driven(rig, lost_s=0.3) as driven:
         driven.ask(0.2)
         until(lambda: driven.statistics()["cycles"] > 3, "following")
         rig.lose()

@@ -33,6 +33,9 @@ _RETRY_S: Final = 1.0
 _OPENING_S: Final = 15.0
 """How long a device may take to open [s]; some boot their motors one by one."""
 
+_TRIES: Final = 3
+"""How often a device is opened at least, and asked for its first answer, while answers are wrong."""
+
 _CLOSING_S: Final = 2.0
 """How long closing waits for a bus that may hang [s]."""
 
@@ -199,10 +202,11 @@ class HandWorker:
 
     def _lose(self, error: Exception) -> None:
         """The device is gone: say so, and wait before it is opened again."""
-        self.statistics.lost += 1
         known = isinstance(error, SinkError)
-        self.statistics.latest = self._trouble = str(error if known else _described(error))
+        # Who sees the loss sees no measurement from before it.
         self.state = self.reading = None
+        self.statistics.latest = self._trouble = str(error if known else _described(error))
+        self.statistics.lost += 1
         self._close()
         with self._change:
             self._change.wait_for(lambda: self._ending, _RETRY_S)
@@ -210,8 +214,8 @@ class HandWorker:
     def _serve(self) -> None:
         """From opening the device to the end, or until it is lost."""
         device, now = self._device, time.perf_counter
-        self._call(device.open)
-        reading = self._first_reading()
+        self._until_answered(self._open)
+        reading = self._until_answered(self._ask)
         moving, last, cycle = False, now(), now() - self._settings.period
         self._trouble = ""
         self._opened.set()
@@ -249,20 +253,29 @@ class HandWorker:
                     raise DeviceLostError(f"no right answer any more: {error}") from error
             self.statistics.add(now() - cycle, self._settings.period)
 
-    def _first_reading(self) -> Reading:
-        """Where the hand is, asked for until it answers.
+    def _until_answered(self, action: Callable[[], _T]) -> _T:
+        """What an action on the bus returns, tried again while the answers are wrong.
 
         Raises:
-            SinkError: it does not.
+            SinkError: no right answer came within ``lost_s``, nor in a few tries.
         """
-        end = time.perf_counter() + self._settings.lost_s
+        end, tries = time.perf_counter() + self._settings.lost_s, 0
         while True:
             try:
-                return self._ask()
+                return action()
             except WrongAnswerError as error:
                 self.statistics.wrong += 1
-                if time.perf_counter() > end or self._ending:
+                tries += 1
+                late = tries >= _TRIES and time.perf_counter() > end
+                if late or self._ending:
                     raise DeviceLostError(f"it does not answer: {error}") from error
+
+    def _open(self) -> None:
+        try:
+            self._call(self._device.open)
+        except WrongAnswerError:
+            self._close()
+            raise
 
     def _pace(self, cycle: float) -> None:
         """Sleep until the next cycle: for a new command, but not before the bus is due."""

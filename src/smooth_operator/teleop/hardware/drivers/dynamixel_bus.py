@@ -46,6 +46,10 @@ ERRORS: Final = {
 _ANSWER_MS: Final = 12.0
 """How long an answer may take beyond its time on the wire [ms]."""
 
+_TRIES: Final = 4
+"""How often a servo is asked while the hand is opened. The first packet after power-on may be
+lost, and on a busy machine an answer may be read too late."""
+
 _Register = tuple[int, int]  # address, bytes
 
 
@@ -128,9 +132,12 @@ class DynamixelBus:
         address, size = register
         data = int(value).to_bytes(size, "little", signed=value < 0)
         with self._lost():
-            result, error = self._packets.writeTxRx(
-                self._open(), self.ids[index], address, size, data
-            )
+            for _ in range(_TRIES):
+                result, error = self._packets.writeTxRx(
+                    self._open(), self.ids[index], address, size, data
+                )
+                if result == self._sdk.COMM_SUCCESS:
+                    break
         self._check(result)
         if error & 0x7F:
             said = str(self._packets.getRxPacketError(error)).removeprefix("[RxPacketError] ")
@@ -170,7 +177,7 @@ class DynamixelBus:
 
     def _answers(self, number: int) -> bool:
         with self._lost():
-            for _ in range(2):  # the first packet after power-on may be lost
+            for _ in range(_TRIES):
                 _, result, _ = self._packets.ping(self._open(), number)
                 if result == self._sdk.COMM_SUCCESS:
                     return True
@@ -192,6 +199,8 @@ class DynamixelBus:
             yield
         except SinkError:
             raise
+        except (IndexError, KeyError) as error:  # the SDK reads on behind a short packet's end
+            raise WrongAnswerError(f"{self.port}: an answer is cut short") from error
         except Exception as error:  # of pyserial or termios, in several classes
             raise DeviceLostError(
                 f"{self.port} is gone ({error}); check cable and power"
