@@ -792,7 +792,8 @@ def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> No
 
         def connect(path: str, token: str) -> Any:
             url = f"ws://127.0.0.1:{port}{path}?token={token * 24}"
-            return stack.enter_context(client.connect(url, proxy=None))
+            # All is taken in: a link with a full queue waits long for its end.
+            return stack.enter_context(client.connect(url, proxy=None, max_queue=None))
 
         full = pytest.importorskip("websockets.exceptions").InvalidStatus
         taken: list[Any] = []
