@@ -268,7 +268,7 @@ class HandWorker:
                 tries += 1
                 late = tries >= _TRIES and time.perf_counter() > end
                 if late or self._ending:
-                    raise DeviceLostError(f"it does not answer: {error}") from error
+                    raise DeviceLostError(str(error)) from error
 
     def _open(self) -> None:
         try:

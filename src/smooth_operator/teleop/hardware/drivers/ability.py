@@ -116,7 +116,7 @@ class AbilityDevice:
             self.read()
         except SinkError as error:
             self.close()
-            raise SinkError(
+            raise type(error)(
                 f"{error}; check the hand's power, that it is set to {self._baud} baud, and that "
                 "byte stuffing is on (We46 and We47 in the maker's app)"
             ) from error

@@ -153,7 +153,7 @@ class AllegroDevice:
             self._check_side(self._control)
         except SinkError as error:
             self.close()
-            raise SinkError(
+            raise type(error)(
                 f"{error}; check its power switch, the wiring of CAN high and low, and the version "
                 f"in {self._table.file} ({self._version})"
             ) from error

@@ -140,7 +140,7 @@ class InspireDevice:
                 if self.serial
                 else "power, cable, and that this computer is in the hand's network"
             )
-            raise SinkError(
+            raise type(error)(
                 f"{error}; check {way}, and that no other program has the hand"
             ) from error
 

@@ -135,7 +135,7 @@ class LinkerDevice:
         except SinkError as error:
             self.close()
             other = "left" if self._table.side == "right" else "right"
-            raise SinkError(
+            raise type(error)(
                 f"{error}; check power and cable, and that it is not a {other} hand, whose "
                 f"identifier is 0x{_IDENTIFIERS[other]:X}"
             ) from error

@@ -112,7 +112,7 @@ class Revo2Device:
             self.read()
         except SinkError as error:
             self.close()
-            raise SinkError(
+            raise type(error)(
                 f"{error}; check the hand's power, the wires A and B, the port {self._port} and "
                 f"that the hand is number {self._number:#x} at {self._baud} baud"
             ) from error
