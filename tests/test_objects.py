@@ -13,6 +13,12 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.datasets.clip import Clip, ObjectTrack
+from smooth_operator.lab.datasets.parts import robot_part
+from smooth_operator.lab.datasets.quality import quality_figures
+from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
+from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.datasets.sources import find_items
+from smooth_operator.lab.datasets.work import read_item
 from smooth_operator.lab.objects.comparison import AWARE, BLIND, Judged, judge, table, targets
 from smooth_operator.lab.objects.contacts import ContactSettings, clip_scene, find_contacts
 from smooth_operator.lab.objects.hand_surface import HandSurface
@@ -39,6 +45,7 @@ from smooth_operator.lab.objects.terms import ObjectCosts, ObjectSettings, objec
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
@@ -299,6 +306,49 @@ def test_contacts_are_kept_and_the_surface_is_respected():
     assert gained["worst_penetration_mm"][0] < 2.0
     assert gained["cosine_change"][0] > -0.01
     assert AWARE in table(rows)
+
+
+@needs_libigl
+def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path: Path):
+    trimesh = pytest.importorskip("trimesh")
+    made = make_clip(SceneSpec("pinch", "box", rate=20.0))
+    recording, (track,) = made.clip.hands["right"], made.clip.objects
+    arrays = {
+        "right": recording.landmarks,
+        "stamps": recording.stamps,
+        "T_world_wrist_right": recording.T_world_wrist,
+    }
+    np.savez(tmp_path / "blind.npz", **arrays)
+    np.savez(
+        tmp_path / "take.npz", **arrays, **{f"T_world_object_{track.name}": track.T_world_object}
+    )
+    box = made.solids[track.name].shape
+    assert isinstance(box, Box)
+    trimesh.creation.box(2.0 * np.asarray(box.half)).export(tmp_path / f"{track.name}.stl")
+    request = RetargetRequest("mimic_p050", "sbr", "light", LIGHT)
+    recipe = Recipe(request, with_objects=True)
+    assert recipe.digest != Recipe(request).digest
+    items = find_items([str(tmp_path)]).items
+    read = [clip for item in items for clip in read_item(item, recipe)]
+    blind, take = retarget_clips(
+        [each.clip for each in read], recipe, [each.files for each in read]
+    )
+    assert isinstance(blind, RobotClip)
+    assert isinstance(take, RobotClip)
+    figures = quality_figures(take)
+    assert figures["right.contact_recall"] > 0.8
+    assert figures["right.object_depth_mm"] < 2.0
+    assert not any("contact" in name for name in quality_figures(blind))
+    # the wrist belongs to the commands, and the mesh to the files that they rest on
+    assert np.abs(take.T_world_wrist["right"] - blind.T_world_wrist["right"]).max() > 1e-3
+    assert [file.path for file in read[1].files] == ["take.npz", f"{track.name}.stl"]
+    half = robot_part(take, slice(0, len(take.clip) // 2))
+    assert 0 <= quality_figures(half)["right.contact_recall"] <= 1
+    with pytest.raises(ConfigError, match="smooth:offline"):
+        Recipe(
+            RetargetRequest("mimic_p050", "smooth", "teleop", method_config("smooth")),
+            with_objects=True,
+        )
 
 
 def test_a_wrist_that_may_not_move_and_a_preset_that_answers_frame_by_frame():

@@ -79,6 +79,10 @@ Examples:
     objects: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Meshes of the objects, where they are not in the place that the layout has for them."""
 
+    with_objects: bool = False
+    """Robot fingertips touch what the human's touch, and stay out of the objects, in clips that
+    have an object's pose and mesh (extra objects). For whole recordings: --preset offline."""
+
     whole: bool = False
     """Keep or drop clips whole; do not cut them."""
 

@@ -14,6 +14,7 @@ from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.objects.interaction_metrics import interaction_figures
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
@@ -60,9 +61,16 @@ FIGURES: Final = (
     Figure("joint_step_rad", "rad", "down", "largest step of a joint from a frame to the next"),
     Figure("jerk_rad_s3", "rad/s³", "down", "jerk of the joints, mean"),
     Figure("tracking_loss", "", "down", "the method's own objective, mean"),
+    Figure("contact_precision", "", "up", "share of the robot's contacts that the human has, too"),
+    Figure("contact_recall", "", "up", "share of the human's contacts that the robot has"),
+    Figure("contact_error_mm", "mm", "down", "robot fingertip to object in the human's contacts"),
+    Figure("object_depth_mm", "mm", "down", "deepest point of the robot hand in an object"),
 )
-"""What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode."""
+"""What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode. The
+last four are known where a clip was retargeted with its objects."""
 
+
+_CONTACTS: Final = ("contact_precision", "contact_recall", "contact_error_mm")
 
 Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
 
@@ -194,7 +202,20 @@ def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float |
         "joint_step_rad": max_joint_step(commands.joint_positions),
         "jerk_rad_s3": _jerk(commands.joint_positions, stamps),
         "tracking_loss": summary.mean(track("loss")),
+    } | _at_objects(episode, side)
+
+
+def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
+    """Figures of contacts, of an episode that has their tracks."""
+    if f"{side}.object_depth" not in episode.tracks:
+        return {}
+    split = {tuple(name.split(".", 1)): values for name, values in episode.tracks.items()}
+    own = {name: values for (of, name), values in split.items() if of == side}
+    found = interaction_figures(own)
+    chosen = {name: found[name] for name in _CONTACTS} | {
+        "object_depth_mm": found["penetration_max_mm"]
     }
+    return {name: None if np.isnan(value) else value for name, value in chosen.items()}
 
 
 def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:

@@ -17,6 +17,7 @@ from smooth_operator.lab.datasets.parts import Frame, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import ReadingOptions
 from smooth_operator.lab.datasets.robot_clip import RobotClip
+from smooth_operator.lab.objects.retargeter import object_aware, whole_config
 from smooth_operator.lab.offline.answers import answers
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
@@ -58,12 +59,22 @@ class Recipe:
         reading: what the readers need to know.
         frame: where wrists and objects are given; None for each clip's own frame.
         side: retarget this hand only; None for all that a clip has.
+        with_objects: keep the contacts of the human's fingertips with objects, in clips that have
+            an object with a shape and the wrist's pose (``lab.objects``).
+
+    Raises:
+        ConfigError: objects are asked for, and the configuration answers frame by frame.
     """
 
     request: RetargetRequest
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     frame: Frame | None = None
     side: Side | None = None
+    with_objects: bool = False
+
+    def __post_init__(self) -> None:
+        if self.with_objects:
+            whole_config(self.request.config)
 
     @functools.cached_property
     def digest(self) -> str:
@@ -72,6 +83,7 @@ class Recipe:
         mano = self.reading.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         said = [package_version(), self.request, self.frame, self.side, specs]
+        said += ["with objects"] if self.with_objects else []
         return key_digest([*said, self.reading.rate, [(m.name, digest(m)) for m in models]])
 
     def of_item(self, side: Side | None, rate: float | None) -> Recipe:
@@ -116,7 +128,7 @@ def retarget_clips(
     """
     todo = [_prepared(clip, recipe) for clip in clips]
     works = [
-        _Work(number, side, each)
+        _Work(number, side, each, clip.clip if _touches(clip.clip, side, recipe) else None)
         for number, clip in enumerate(todo)
         if isinstance(clip, _Prepared)
         for side, each in clip.plans.items()
@@ -186,32 +198,44 @@ def _seen(hand: HandRecording) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """One hand of one clip."""
+    """One hand of one clip; ``scene`` is the clip where its objects count."""
 
     clip: int
     side: Side
     plan: Plan
+    scene: Clip | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
     commands: CommandTrajectory
     tracks: Tracks
+    T_world_wrist: np.ndarray | None = None  # where it is not the human's
+
+
+def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
+    """Whether a hand is to be retargeted with the clip's objects."""
+    return (
+        recipe.with_objects
+        and clip.hands[side].T_world_wrist is not None
+        and any(track.mesh is not None for track in clip.objects)
+    )
 
 
 def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
-    """What the same retargeter answers; with a scale for each recording, each has its own."""
-    if recipe.request.scale == "calibrate":
-        yield from ([work] for work in works)
-        return
+    """What is answered together: scenes, and recordings with a scale of their own, one by one."""
+    one_by_one = recipe.request.scale == "calibrate"
+    yield from ([work] for work in works if one_by_one or work.scene is not None)
     for side in SIDES:
-        group = [work for work in works if work.side == side]
-        if group:
+        group = [work for work in works if work.side == side and work.scene is None]
+        if group and not one_by_one:
             yield group
 
 
 def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOperatorError]:
     """The commands of a group; if they fail together, each is tried by itself."""
+    if group[0].scene is not None:
+        return [_with_objects(each, each.scene) for each in group if each.scene is not None]
     keep = recipe.request.scale != "calibrate"  # each scale is a program of its own
     recordings = [work.plan.recording for work in group]
     first = group[0].plan
@@ -225,6 +249,18 @@ def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOpe
             return [error]
         return [each for work in group for each in _answers([work], recipe)]
     return [_Answer(*each) for each in zip(commands, tracks, strict=True)]
+
+
+def _with_objects(work: _Work, scene: Clip) -> _Answer | SmoothOperatorError:
+    plan = work.plan
+    try:
+        found = object_aware(scene, work.side, plan)
+        (tracks,) = quality_tracks(
+            [plan.recording], [found.commands], [found.loss], plan.hand, plan.config.alignment
+        )
+    except SmoothOperatorError as error:
+        return error
+    return _Answer(found.commands, tracks | dict(found.tracks), found.T_world_wrist)
 
 
 def _result(
@@ -250,12 +286,16 @@ def _result(
         "preset": request.preset,
         "seed": request.seed,
         "config": {side: each.config for side, each in todo.plans.items()},
+        "with_objects": recipe.with_objects,
         "layout": clip.layout,
         "frame": clip.world,
         "version": package_version(),
     }
     unknown = np.full((len(clip), 7), np.nan)
-    wrists = {side: clip.hands[side].T_world_wrist for side in commands}
+    wrists = {
+        side: clip.hands[side].T_world_wrist if own.T_world_wrist is None else own.T_world_wrist
+        for side, own in done.items()
+    }
     meta = {**clip.meta, "source": [file.identity() for file in files]} if files else clip.meta
     return RobotClip(
         replace(clip, meta=meta),

@@ -165,7 +165,8 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
 
 def _taken(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:
     """A clip with its name, its files and its key."""
-    paths = [path for path in clip.source or (ref.path,) if path.is_file()]
+    meshes = [track.mesh for track in clip.objects if recipe.with_objects and track.mesh]
+    paths = [path for path in (*(clip.source or (ref.path,)), *meshes) if path.is_file()]
     if item.ref is None:
         size, changed = item.mark
         files = tuple(SourceFile(item.address, size, _file(p).sha256, changed) for p in paths[:1])

@@ -14,7 +14,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.objects.hand_surface import HandSurface
-from smooth_operator.lab.objects.interaction_metrics import interaction_figures
+from smooth_operator.lab.objects.interaction_metrics import interaction_figures, interaction_tracks
 from smooth_operator.lab.objects.placement import landmarks_in_world, palm_in_world
 from smooth_operator.lab.objects.retargeter import ObjectAwareRetargeter, whole_config
 from smooth_operator.lab.objects.scenes import Form, Kind, MadeClip
@@ -132,7 +132,7 @@ def judge(
         made.clip.hands[side], commands, surface.hand, alignment, reach_samples=0
     )
     figures = interaction_figures(
-        surface, commands.joint_positions, T_world_palm, made.scene, made.truth
+        interaction_tracks(surface, commands.joint_positions, T_world_palm, made.scene, made.truth)
     )
     cosine = cosine_similarity(trace.human_keyvectors, trace.robot_keyvectors)
     return figures | {"cosine": float("nan") if cosine is None else cosine}

@@ -11,6 +11,7 @@ the hand's surface, ``SPACING_M`` apart (its Eq. 12).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -164,14 +165,14 @@ def agreement(human: Bool[np.ndarray, "T F"], robot: Bool[np.ndarray, "T F"]) ->
     return Agreement(int((human & robot).sum()), int(robot.sum()), int(human.sum()))
 
 
-def interaction_figures(
+def interaction_tracks(
     surface: HandSurface,
     joint_positions: Float[np.ndarray, "T n"],
     T_world_palm: Float[np.ndarray, "T 7"],
     scene: Scene,
     contacts: Contacts,
-) -> dict[str, float]:
-    """Figures of one hand in one clip.
+) -> dict[str, Float[np.ndarray, " T"]]:
+    """What one hand does at the objects of a clip, frame by frame.
 
     Args:
         surface: of the robot hand.
@@ -181,33 +182,58 @@ def interaction_figures(
         contacts: the human's; their clearances decide.
 
     Returns:
+        ``human_contacts``, ``robot_contacts`` and ``shared_contacts``, the number of fingertips;
+        ``contact_error`` and ``contact_place`` [m], sums over the human's contacts: of the robot
+        fingertip's distance from the object, and from where the human touches; ``object_depth``
+        [m] of the hand's deepest point, NaN where it is not known.
+    """
+    measured = hand_depths(surface, joint_positions, T_world_palm, scene)
+    rows = [FINGERS.index(finger) for finger in surface.hand.fingers]
+    usable = np.isfinite(measured.clearance) & np.isfinite(contacts.clearance[:, rows])
+    human = touching(contacts.clearance[:, rows]) & usable
+    robot = touching(measured.clearance) & usable
+    which, local = contacts.which[:, rows], contacts.place[:, rows]
+    track = np.moveaxis(scene.T_world_object, 0, 1)[np.arange(len(which))[:, None], which]
+    there = poses.rotate(track[..., 3:], local) + track[..., :3]
+    off = np.linalg.norm(measured.place - there, axis=-1)
+    return {
+        "human_contacts": human.sum(axis=1).astype(np.float64),
+        "robot_contacts": robot.sum(axis=1).astype(np.float64),
+        "shared_contacts": (human & robot).sum(axis=1).astype(np.float64),
+        "contact_error": np.where(human, np.abs(measured.clearance), 0.0).sum(axis=1),
+        "contact_place": np.where(human, off, 0.0).sum(axis=1),
+        "object_depth": measured.deepest,
+    }
+
+
+def interaction_figures(tracks: Mapping[str, Float[np.ndarray, " T"]]) -> dict[str, float]:
+    """Figures of one hand over frames of a clip; NaN where one is not known.
+
+    Args:
+        tracks: of ``interaction_tracks``, whole or a part.
+
+    Returns:
         ``contact_precision``, ``contact_recall``, ``contact_f1``; ``contact_error_mm``, the mean
         distance of the robot's fingertip from the object in the human's contacts;
         ``contact_place_mm``, how far it is there from where the human touches;
         ``penetration_max_mm`` and ``penetration_mean_mm``, the deepest point of a frame, over the
         clip and in the mean; ``contacts``, how many the human has.
     """
-    measured = hand_depths(surface, joint_positions, T_world_palm, scene)
-    rows = [FINGERS.index(finger) for finger in surface.hand.fingers]
-    usable = np.isfinite(measured.clearance) & np.isfinite(contacts.clearance[:, rows])
-    human = touching(contacts.clearance[:, rows]) & usable
-    found = agreement(human, touching(measured.clearance) & usable)
-    which, local = contacts.which[:, rows], contacts.place[:, rows]
-    track = np.moveaxis(scene.T_world_object, 0, 1)[np.arange(len(which))[:, None], which]
-    there = poses.rotate(track[..., 3:], local) + track[..., :3]
-    off = np.linalg.norm(measured.place - there, axis=-1)
-    deep = measured.deepest[np.isfinite(measured.deepest)]
+    names = ("shared_contacts", "robot_contacts", "human_contacts")
+    found = Agreement(*(int(tracks[name].sum()) for name in names))
+    deep = tracks["object_depth"][np.isfinite(tracks["object_depth"])]
+
+    def each(name: str) -> float:
+        total = 1e3 * float(tracks[name].sum())
+        return total / found.human if found.human else float("nan")
+
     return {
         "contact_precision": found.precision,
         "contact_recall": found.recall,
         "contact_f1": found.f1,
-        "contact_error_mm": _mean(1e3 * np.abs(measured.clearance[human])),
-        "contact_place_mm": _mean(1e3 * off[human]),
+        "contact_error_mm": each("contact_error"),
+        "contact_place_mm": each("contact_place"),
         "penetration_max_mm": 1e3 * float(deep.max(initial=0.0)) if len(deep) else float("nan"),
-        "penetration_mean_mm": _mean(1e3 * deep),
+        "penetration_mean_mm": 1e3 * float(deep.mean()) if len(deep) else float("nan"),
         "contacts": float(found.human),
     }
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else float("nan")

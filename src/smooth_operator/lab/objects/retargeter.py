@@ -27,7 +27,7 @@ from smooth_operator.lab.objects.contacts import (
     clip_scene,
     find_contacts,
 )
-from smooth_operator.lab.objects.interaction_metrics import interaction_figures
+from smooth_operator.lab.objects.interaction_metrics import interaction_figures, interaction_tracks
 from smooth_operator.lab.objects.placement import palm_in_world, wrist_in_palm
 from smooth_operator.lab.objects.signed_distance import Shape, Solid
 from smooth_operator.lab.objects.terms import (
@@ -60,6 +60,7 @@ class ObjectAware(NamedTuple):
         loss: (T,) the method's tracking loss, NaN without a usable hand.
         figures: of contacts and penetration by name (``interaction_figures``), against the contacts
             that were found in the human's hand.
+        tracks: the same frame by frame (``interaction_tracks``).
         T_world_palm: (T, 7) the robot's palm, NaN where it is not known.
         T_world_wrist: (T, 7) its wrist, with the axes of every wrist.
         correction: (T, 6) of the wrist: translation [m] and rotation vector [rad] in the palm
@@ -70,6 +71,7 @@ class ObjectAware(NamedTuple):
     commands: CommandTrajectory
     loss: Float[np.ndarray, " T"]
     figures: Mapping[str, float]
+    tracks: Mapping[str, Float[np.ndarray, " T"]]
     T_world_palm: Float[np.ndarray, "T 7"]
     T_world_wrist: Float[np.ndarray, "T 7"]
     correction: Float[np.ndarray, "T 6"]
@@ -157,17 +159,17 @@ class ObjectAwareRetargeter:
         commands, loss = self.blind.run(recording, extra=terms)
         correction = terms.found * UNITS
         moved = self.corrected(palm, correction)
-        figures = interaction_figures(
+        tracks = interaction_tracks(
             self.costs.surface, commands.joint_positions, moved, scene, contacts
         )
-        figures |= {
+        figures = interaction_figures(tracks) | {
             "wrist_shift_max_mm": 1e3 * float(np.linalg.norm(correction[:, :3], axis=1).max()),
             "wrist_turn_max_deg": float(
                 np.degrees(np.linalg.norm(correction[:, 3:], axis=1).max())
             ),
         }
         wrist = poses.compose(moved, wrist_in_palm(self.hand))
-        return ObjectAware(commands, loss, figures, moved, wrist, correction, contacts)
+        return ObjectAware(commands, loss, figures, tracks, moved, wrist, correction, contacts)
 
     def corrected(
         self, palm: Float[np.ndarray, "T 7"], correction: Float[np.ndarray, "T 6"]
@@ -192,9 +194,7 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
     return config.trajectory
 
 
-def object_aware(
-    clip: Clip, side: Side, plan: Plan
-) -> tuple[CommandTrajectory, Float[np.ndarray, " T"], dict[str, float], Float[np.ndarray, "T 7"]]:
+def object_aware(clip: Clip, side: Side, plan: Plan) -> ObjectAware:
     """One hand of a clip with objects, as a plan asks for it.
 
     Args:
@@ -202,16 +202,11 @@ def object_aware(
         side: which hand.
         plan: robot hand, method and preset, which must be one for whole recordings.
 
-    Returns:
-        commands; (T,) tracking loss; figures of contacts and penetration; (T, 7)
-        ``T_world_wrist`` of the robot, which contacts may have moved off the human's.
-
     Raises:
         ConfigError: the preset answers frame by frame.
         RecordingError: the clip lacks wrist poses, or objects with a shape.
     """
-    found = _retargeter(plan.hand, whole_config(plan.config), plan.seed).run(clip, side)
-    return found.commands, found.loss, dict(found.figures), found.T_world_wrist
+    return _retargeter(plan.hand, whole_config(plan.config), plan.seed).run(clip, side)
 
 
 def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> ObjectAwareRetargeter:

@@ -34,7 +34,7 @@ _OPENING_S: Final = 15.0
 """How long a device may take to open [s]; some boot their motors one by one."""
 
 _TRIES: Final = 3
-"""How often a device is opened at least, and asked for its first answer, while answers are wrong."""
+"""How often at least a device is opened, and asked for its first answer, if answers are wrong."""
 
 _CLOSING_S: Final = 2.0
 """How long closing waits for a bus that may hang [s]."""

@@ -33,6 +33,7 @@ from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, unit_poses
 
 _OBJECT: Final = "T_world_object_"
+_MESHES: Final = ("obj", "ply", "stl", "off", "glb")
 _WORLD: Final = "world"
 _MOST_TEXT: Final = 2000
 
@@ -93,12 +94,22 @@ class LandmarksOfBothHands:
             },
             T_world_camera=_camera(arrays, count, world),
             objects=tuple(
-                ObjectTrack(name.removeprefix(_OBJECT), _shaped(arrays, name, (count, 7)))
+                ObjectTrack(
+                    name.removeprefix(_OBJECT),
+                    _shaped(arrays, name, (count, 7)),
+                    _mesh(options.objects or path.parent, name.removeprefix(_OBJECT)),
+                )
                 for name in arrays
                 if name.startswith(_OBJECT)
             ),
             video=video,
         )
+
+
+def _mesh(folder: Path, name: str) -> Path | None:
+    """The mesh of an object [m], if its file is in the folder."""
+    files = (folder / f"{Path(name).name}.{suffix}" for suffix in _MESHES)
+    return next((file for file in files if file.is_file()), None)
 
 
 def _hand(arrays: StoredArrays, side: Side, stamps: np.ndarray, world: str) -> HandRecording:
