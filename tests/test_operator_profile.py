@@ -31,6 +31,8 @@ from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.targets import DexPilotTargets
 from smooth_operator.types import HandRecording, Side
 
+pytestmark = pytest.mark.usefixtures("few_optimisations")
+
 PALM = (0, *BASES)
 GAP = 0.006
 
