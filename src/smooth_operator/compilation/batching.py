@@ -24,18 +24,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
+from smooth_operator.compilation.exported_program import ExportedProgram
 from smooth_operator.compilation.lanes import chosen, over_lanes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.methods.method import Method
-from smooth_operator.methods.program import (
-    RetargetState,
-    align_frame,
-    compiled,
-    ticks_of,
-)
+from smooth_operator.methods.method import Method, MethodConfig
+from smooth_operator.methods.program import RetargetState, align_frame, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.shared import SharedProgram
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
@@ -115,12 +112,13 @@ class LaneProgram:
 
     Args:
         method: a method that is one compiled program.
-        alignment: how landmarks reach the palm frame.
+        config: its configuration.
         lanes: how many.
     """
 
-    def __init__(self, method: Method, alignment: AlignmentConfig, lanes: int) -> None:
+    def __init__(self, method: Method, config: MethodConfig, lanes: int) -> None:
         self.method, self.lanes = method, lanes
+        alignment = config.alignment
         points = jnp.zeros((NUM_LANDMARKS, 3), jnp.float32)
         known = jnp.zeros((NUM_LANDMARKS,), jnp.bool_)
         tick = jnp.zeros((), jnp.uint32)
@@ -150,7 +148,7 @@ class LaneProgram:
 
             return lax.scan(frame, state, (aligned, status, ticks, new))
 
-        self._block = compiled(block)
+        self._block = ExportedProgram(block, 1, method.hand, config, "lanes", lanes, BLOCK)
 
     def run(
         self, initial: RetargetState, tracks: Sequence[Track], track: Progress | None = None
@@ -184,7 +182,11 @@ class LaneProgram:
 
     def _everywhere(self, leaf: Any) -> jax.Array:
         one = jnp.asarray(leaf)
-        return jnp.broadcast_to(one, (self.lanes, *one.shape))
+        # On a device by name, as the program's results are: otherwise it is compiled for both.
+        placed: jax.Array = jax.device_put(
+            jnp.broadcast_to(one, (self.lanes, *one.shape)), one.device
+        )
+        return placed
 
     def _empty(self, count: int, initial: RetargetState) -> Answers:
         size = len(initial.q)
@@ -245,11 +247,12 @@ _programs: Final[OrderedDict[tuple[int, AlignmentConfig, int], LaneProgram]] = O
 _lock: Final = threading.Lock()
 
 
-def lane_program(method: Method, alignment: AlignmentConfig, lanes: int | None) -> LaneProgram:
+def lane_program(shared: SharedProgram, config: MethodConfig, lanes: int | None) -> LaneProgram:
     """The program of a method, kept a while; None for the number of lanes that suits the device."""
-    key = (id(method), alignment, lanes or default_lanes())  # a kept program keeps its method
+    method, lanes = shared.method, lanes or default_lanes()
+    key = (id(method), config.alignment, lanes)  # a kept program keeps its method
     with _lock:
-        made = _programs.get(key) or LaneProgram(method, alignment, key[-1])
+        made = _programs.get(key) or LaneProgram(method, config, lanes)
         _programs[key] = made
         _programs.move_to_end(key)
         while len(_programs) > _KEPT:
@@ -278,7 +281,7 @@ def retarget_batch(
             advance(len(recording))
         return found
     tracks = [Track.of(r, retargeter.program_landmarks(r.landmarks)) for r in recordings]
-    program = lane_program(method, retargeter.config.alignment, lanes)
+    program = lane_program(retargeter.shared, retargeter.config, lanes)
     answers = program.run(retargeter.init(seed), tracks, track)
     return [_trajectory(retargeter.hand, *each) for each in zip(recordings, answers, strict=True)]
 

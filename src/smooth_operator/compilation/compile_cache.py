@@ -20,6 +20,7 @@ from typing import Any, Final
 
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
+_programs: Path | None = None
 _DAMAGED: Final = "Error reading persistent compilation cache"
 
 
@@ -30,10 +31,14 @@ def enable_cache() -> Path | None:
         The folder; None if it is switched off (``SWITCH``), can't be written, or the user has
         already given JAX a folder.
     """
+    global _programs
     wanted = os.environ.get(SWITCH, "").strip()
     if wanted.lower() in OFF:
         return None
     import jax
+
+    programs = user_cache() / "programs"
+    _programs = programs if _writable(programs) else None
 
     config: Any = jax.config  # its attributes are made at run time
     if config.jax_compilation_cache_dir:
@@ -46,6 +51,11 @@ def enable_cache() -> Path | None:
     config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return folder
+
+
+def kept_programs() -> Path | None:
+    """The folder of exported programs; None until ``enable_cache`` was called, and without one."""
+    return _programs
 
 
 @contextlib.contextmanager

@@ -85,24 +85,33 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     return step
 
 
-def frame_program(method: Method, alignment: AlignmentConfig) -> Program:
-    """The program of one frame; it compiles when it is first called."""
+def frame_program(
+    method: Method, alignment: AlignmentConfig, compiling: Callable[..., Any] | None = None
+) -> Program:
+    """The program of one frame; it compiles when it is first called.
+
+    Args:
+        method: what is solved.
+        alignment: how landmarks reach the palm frame.
+        compiling: what compiles a function of state, landmarks, validity and ticks that returns the
+            state and a tuple of arrays; None for ``compiled``.
+    """
     if method.host is not None:
         return _host_program(method.host, alignment)
     step = frame_step(method, alignment)
 
     def packed(
         state: RetargetState, landmarks: Array, valid: Array, ticks: Array
-    ) -> tuple[RetargetState, Array]:
+    ) -> tuple[RetargetState, tuple[Array]]:
         state, result = step(state, landmarks, valid, ticks)
-        return state, _pack(result.q, result.status, result.tracking_loss, result.scale)
+        return state, (_pack(result.q, result.status, result.tracking_loss, result.scale),)
 
-    run = compiled(packed)
+    run = (compiling or compiled)(packed)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
     ) -> tuple[RetargetState, FrameResult]:
-        state, flat = run(state, landmarks, valid, ticks)
+        state, (flat,) = run(state, landmarks, valid, ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
         return state, FrameResult(numbers[:-3], int(status), loss, scale)

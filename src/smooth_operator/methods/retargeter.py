@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -122,7 +123,12 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        return RetargetState(method, jnp.asarray(self.hand.neutral, jnp.float32))
+        state = RetargetState(method, jnp.asarray(self.hand.neutral, jnp.float32))
+        if self.method.host is not None:
+            return state
+        # On a device by name, as the program's own states are: it is compiled once for both.
+        placed: RetargetState = jax.device_put(state, jax.tree.leaves(state)[-1].device)
+        return placed
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike

@@ -16,14 +16,17 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections import OrderedDict
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.program import Program, frame_program
+from smooth_operator.plugins import Entry
 
+_EXPORTED = Entry("smooth_operator.compilation.exported_program:ExportedProgram")
 _KEPT: Final = 16
 _SHAPES: Final = (
     "body_parentid", "body_pos", "body_quat", "geom_bodyid", "geom_type", "geom_size", "geom_pos",
@@ -111,4 +114,9 @@ def fingerprint(hand: Hand) -> str:
 
 def _made(hand: Hand, config: MethodConfig, reflects: bool) -> SharedProgram:
     method = config.build(hand)
-    return SharedProgram(method, frame_program(method, config.alignment), reflects)
+
+    def compiling(function: Callable[..., Any]) -> Callable[..., Any]:
+        exported: Callable[..., Any] = _EXPORTED.load()(function, 0, hand, config, "frame")
+        return exported
+
+    return SharedProgram(method, frame_program(method, config.alignment, compiling), reflects)
