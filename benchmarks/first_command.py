@@ -46,6 +46,11 @@ jax.monitoring.register_event_listener(on_event)
 start = clock()
 import smooth_operator
 
+if job["kept"]:  # as the command line does
+    from smooth_operator.compilation.compile_cache import enable_cache
+
+    if enable_cache() is None:
+        sys.exit("the folder of the programs can't be used")
 seconds["import_package_s"] = clock() - start
 
 start = clock()
@@ -75,6 +80,7 @@ answer = {
     "interpreter_s": BORN - job["start"],
     "first_call_rest_s": rest,
     "total_s": end - job["start"],
+    "cpu_s": time.process_time(),
     "cache_hits": hits,
 }
 memory = peak_memory_mib()

@@ -3,7 +3,9 @@
     python benchmarks/startup.py --repeats 5
 
 ``no cache`` compiles everything; ``cache`` finds JAX's persistent compilation cache filled by an
-earlier process. Files of the packages are in the system's page cache in both, and byte-compiled.
+earlier process, as a library user may have it; ``kept`` is the command line's: an earlier process
+has also kept the program as it was traced. Files of the packages are in the system's page cache in
+all of them, and byte-compiled.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from smooth_operator.reporting.run_report import BenchmarkError, Report
 from smooth_operator.synthetic import SyntheticOperator
 
 CHILD = Path(__file__).with_name("first_command.py")
+STATES = ("no cache", "cache", "kept")
 STAGES = {
     "interpreter_s": "interpreter",
     "import_jax_s": "import jax",
@@ -37,6 +40,7 @@ STAGES = {
     "cache_read_s": "read cache",
     "first_call_rest_s": "rest of first call",
     "total_s": "total",
+    "cpu_s": "of the processor",
 }
 
 
@@ -67,14 +71,16 @@ def main(settings: Settings) -> None:
     stages, memory = [], []
     with tempfile.TemporaryDirectory() as folder:
         job = {"hand": settings.hand, "method": settings.method, "landmarks": landmarks.tolist()}
-        first_command(job | {"preset": settings.presets[0]}, None)  # byte-compile, fill page cache
+        # byte-compile, fill the page cache
+        first_command(job | {"preset": settings.presets[0]}, "no cache", Path(folder))
         for preset in settings.presets:
             cache = Path(folder) / preset
-            runs: dict[str, list[Mapping[str, float]]] = {"no cache": [], "cache": []}
-            first_command(job | {"preset": preset}, cache)  # fill the cache
-            for _ in range(settings.repeats):  # in turn, so that noise hits both alike
-                runs["no cache"].append(first_command(job | {"preset": preset}, None))
-                runs["cache"].append(first_command(job | {"preset": preset}, cache))
+            runs: dict[str, list[Mapping[str, float]]] = {state: [] for state in STATES}
+            for state in STATES:  # fill the caches
+                first_command(job | {"preset": preset}, state, cache)
+            for _ in range(settings.repeats):  # in turn, so that noise hits all alike
+                for state, results in runs.items():
+                    results.append(first_command(job | {"preset": preset}, state, cache))
             for name, results in runs.items():
                 middle = {k: float(np.median([r[k] for r in results])) for k in results[0]}
                 worst = max(r["total_s"] for r in results)
@@ -94,21 +100,23 @@ def main(settings: Settings) -> None:
     report.finish(settings.output, settings.compare)
 
 
-def first_command(job: Mapping[str, object], cache: Path | None) -> dict[str, float]:
+def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[str, float]:
     """Run the child once, and say how long its stages took [s]."""
     environment = {k: v for k, v in os.environ.items() if "CACHE" not in k}
-    if cache is None:
+    if state == "no cache":
         environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
-    else:
+    elif state == "cache":
         environment |= {
             "JAX_COMPILATION_CACHE_DIR": str(cache),
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
+    else:
+        environment["SMOOTH_OPERATOR_CACHE"] = str(cache / "kept")
     start = time.time()  # wall clock: the child's own counters start with the child
     child = subprocess.run(
         [sys.executable, str(CHILD)],
-        input=json.dumps({**job, "start": start}),
+        input=json.dumps({**job, "start": start, "kept": state == "kept"}),
         capture_output=True,
         text=True,
         env=environment,
