@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 
 from smooth_operator.cli.options import Command, parse
@@ -100,11 +101,18 @@ def _no_interrupt_lost() -> Iterator[None]:
     JAX has the garbage collector call it back, and Python drops whatever is raised in there: a
     Ctrl-C at such a moment would go unheard.
     """
-    before = sys.unraisablehook
+    before, busy = sys.unraisablehook, threading.Lock()
+
+    def later() -> None:
+        with busy:  # not in the hook, where it would be dropped as well
+            pass
+        time.sleep(0.02)
+        _interrupt()
 
     def again(what: sys.UnraisableHookArgs) -> None:
         if what.exc_type is KeyboardInterrupt:
-            threading.Timer(0.02, _interrupt).start()
+            with busy:
+                _thread.start_new_thread(later, ())
         else:
             before(what)
 
