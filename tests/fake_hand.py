@@ -20,7 +20,8 @@ class FakeHand:
     """Motors that reach a command within a cycle, unless something blocks them.
 
     ``calls`` is the history: (what, commands). ``blocked`` maps an actuator to the position that it
-    can't pass; its current is then ``stall``.
+    can't pass; its current is then ``stall``. ``pushed`` maps one to the position that something
+    else holds it at, or beyond.
     """
 
     def __init__(self, actuators: ActuatorMap) -> None:
@@ -30,6 +31,7 @@ class FakeHand:
         self.currents, self.temperatures = np.zeros(count), np.full(count, 30.0)
         self.errors: tuple[str, ...] = ()
         self.blocked: dict[int, float] = {}
+        self.pushed: dict[int, float] = {}
         self.stall = 1000.0
         self.calls: list[tuple[str, np.ndarray]] = []
         self.gone = threading.Event()
@@ -64,7 +66,9 @@ class FakeHand:
     def write(self, commands: np.ndarray) -> None:
         self._bus("write", commands)
         self.positions = np.array(commands, float)
-        for index, stop in self.blocked.items():
+        for index, at in list(self.pushed.items()):
+            self.positions[index] = max(self.positions[index], at)
+        for index, stop in list(self.blocked.items()):  # the test's thread changes it
             over = self.positions[index] > stop
             self.positions[index] = min(self.positions[index], stop)
             self.currents[index] = self.stall if over else 0.0

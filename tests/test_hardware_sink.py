@@ -282,13 +282,9 @@ def test_a_joint_that_squeezes_goes_no_further_and_opens_again(
         driven.tick = tick_at(hand, 55.0)
         until(lambda: "squeezes no further: m0" in sink.note)
         driven.fake.blocked.clear()
+        driven.fake.pushed[0] = 206.0
         driven.fake.currents[:] = 0.0
-
-        def pushed_on() -> bool:  # again and again: a command in between takes the motor back
-            driven.fake.positions[0] = 206.0
-            return bool(driven.fake.commands()[-1, 0] > 206.0)
-
-        until(pushed_on)
+        until(lambda: driven.fake.commands()[-1, 0] > 206.0)
     off = make(contact=0.0, approach=20.0)
     with Driven(off, hand) as driven:
         driven.fake.blocked[0] = 195.0
