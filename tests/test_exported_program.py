@@ -86,6 +86,18 @@ def test_a_disk_that_takes_nothing_costs_time_only(
     assert len(traced) == 2
 
 
+def test_without_the_library_that_writes_it_each_process_traces(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traced: list[int] = []
+    call(program(traced))
+    (file,) = folder.iterdir()
+    monkeypatch.setattr("smooth_operator.compilation.exported_program._WRITER", "no_such_library")
+    assert call(program(traced))[0] == 4.5
+    assert len(traced) == 2
+    assert list(folder.iterdir()) == [file]  # for those who have it
+
+
 def test_only_the_newest_are_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("smooth_operator.compilation.exported_program._MOST", 2)
     for size in (1, 2, 3, 4):

@@ -17,6 +17,7 @@ import functools
 import hashlib
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,6 +40,10 @@ _CODE: Final = (
     "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """What programs are traced from."""
+
+_WRITER: Final = "flatbuffers"
+"""What ``jax.export`` writes and reads with, and JAX does not bring. Extras do; without it each
+process traces its programs."""
 
 _DIGEST: Final = 32
 _MOST: Final = 64
@@ -98,7 +103,7 @@ class ExportedProgram:
 
     def _prepared(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         leaves, tree = jax.tree.flatten(arguments)
-        folder = kept_programs()
+        folder = kept_programs() if find_spec(_WRITER) is not None else None
         key = None if folder is None else self._key()
         found = None
         if folder is not None and key is not None:
