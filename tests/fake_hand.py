@@ -38,6 +38,7 @@ class FakeHand:
         self.hang = threading.Event()
         self.hung = threading.Event()
         self.wrong = 0  # exchanges that fail from now on
+        self.wrong_openings = 0
         self.slow_s = 0.0
 
     def _bus(self, what: str, commands: Sequence[float] | np.ndarray = ()) -> None:
@@ -56,6 +57,9 @@ class FakeHand:
 
     def open(self) -> None:
         self._bus("open")
+        if self.wrong_openings:
+            self.wrong_openings -= 1
+            raise WrongAnswerError("a wrong checksum")
 
     def read(self) -> Reading:
         self._bus("read")

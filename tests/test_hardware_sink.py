@@ -236,6 +236,21 @@ def test_wrong_answers_are_counted_and_many_are_a_lost_device(
         until(lambda: "tried again" not in sink.note)
 
 
+def test_a_wrong_answer_while_it_opens_is_asked_for_again(
+    make: Callable[..., FakeHandSink], hand: Hand
+) -> None:
+    def damage(openings: int) -> Callable[[FakeHand], None]:
+        return lambda fake: setattr(fake, "wrong_openings", openings)
+
+    sink = make(prepare=damage(2), lost_s=0.05)
+    sink.open({"right": hand}, {})
+    assert sink.figures["wrong_answers"] == 2
+    assert [what for what, _ in sink.made[-1].calls][:5] == ["open", "close"] * 2 + ["open"]
+    sink.close()
+    with pytest.raises(SinkError, match="a wrong checksum"):
+        make(prepare=damage(10**9), lost_s=0.05).open({"right": hand}, {})
+
+
 def test_a_slow_bus_is_counted_and_a_hanging_one_delays_nobody(
     make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
 ) -> None:

@@ -32,7 +32,6 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.program import RetargetState, align_frame, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.shared import SharedProgram
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
@@ -247,12 +246,15 @@ _programs: Final[OrderedDict[tuple[int, AlignmentConfig, int], LaneProgram]] = O
 _lock: Final = threading.Lock()
 
 
-def lane_program(shared: SharedProgram, config: MethodConfig, lanes: int | None) -> LaneProgram:
+def lane_program(method: Method, config: MethodConfig, lanes: int | None) -> LaneProgram:
     """The program of a method, kept a while; None for the number of lanes that suits the device."""
-    method, lanes = shared.method, lanes or default_lanes()
-    key = (id(method), config.alignment, lanes)  # a kept program keeps its method
+    key = (
+        id(method),
+        config.alignment,
+        lanes or default_lanes(),
+    )  # a kept program keeps its method
     with _lock:
-        made = _programs.get(key) or LaneProgram(method, config, lanes)
+        made = _programs.get(key) or LaneProgram(method, config, key[-1])
         _programs[key] = made
         _programs.move_to_end(key)
         while len(_programs) > _KEPT:
@@ -281,7 +283,7 @@ def retarget_batch(
             advance(len(recording))
         return found
     tracks = [Track.of(r, retargeter.program_landmarks(r.landmarks)) for r in recordings]
-    program = lane_program(retargeter.shared, retargeter.config, lanes)
+    program = lane_program(method, retargeter.config, lanes)
     answers = program.run(retargeter.init(seed), tracks, track)
     return [_trajectory(retargeter.hand, *each) for each in zip(recordings, answers, strict=True)]
 

@@ -86,7 +86,7 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
 
 
 def frame_program(
-    method: Method, alignment: AlignmentConfig, compiling: Callable[..., Any] | None = None
+    method: Method, alignment: AlignmentConfig, compiling: Callable[..., Any]
 ) -> Program:
     """The program of one frame; it compiles when it is first called.
 
@@ -94,7 +94,7 @@ def frame_program(
         method: what is solved.
         alignment: how landmarks reach the palm frame.
         compiling: what compiles a function of state, landmarks, validity and ticks that returns the
-            state and a tuple of arrays; None for ``compiled``.
+            state and a tuple of arrays.
     """
     if method.host is not None:
         return _host_program(method.host, alignment)
@@ -106,7 +106,7 @@ def frame_program(
         state, result = step(state, landmarks, valid, ticks)
         return state, (_pack(result.q, result.status, result.tracking_loss, result.scale),)
 
-    run = (compiling or compiled)(packed)
+    run = compiling(packed)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
