@@ -45,12 +45,8 @@ jax.monitoring.register_event_listener(on_event)
 
 start = clock()
 import smooth_operator
+from smooth_operator import Retargeter  # names are imported when they are first used
 
-if job["kept"]:  # as the command line does
-    from smooth_operator.compilation.compile_cache import enable_cache
-
-    if enable_cache() is None:
-        sys.exit("the folder of the programs can't be used")
 seconds["import_package_s"] = clock() - start
 
 start = clock()
@@ -58,7 +54,7 @@ hand = smooth_operator.load_hand(job["hand"])
 seconds["load_hand_s"] = clock() - start
 
 start = clock()
-retargeter = smooth_operator.Retargeter(hand, method=job["method"], preset=job["preset"])
+retargeter = Retargeter(hand, method=job["method"], preset=job["preset"])
 seconds["build_s"] = clock() - start
 
 before = sum(seconds[name] for name in set(EVENTS.values()))

@@ -3,9 +3,8 @@
     python benchmarks/startup.py --repeats 5
 
 ``no cache`` compiles everything; ``cache`` finds JAX's persistent compilation cache filled by an
-earlier process, as a library user may have it; ``kept`` is the command line's: an earlier process
-has also kept the program as it was traced. Files of the packages are in the system's page cache in
-all of them, and byte-compiled.
+earlier process; ``kept`` is what the library does by itself: an earlier process has kept the
+program. Files of the packages are in the system's page cache in all of them, and byte-compiled.
 """
 
 from __future__ import annotations
@@ -103,6 +102,7 @@ def main(settings: Settings) -> None:
 def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[str, float]:
     """Run the child once, and say how long its stages took [s]."""
     environment = {k: v for k, v in os.environ.items() if "CACHE" not in k}
+    environment["SMOOTH_OPERATOR_CACHE"] = "off"
     if state == "no cache":
         environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
     elif state == "cache":
@@ -112,11 +112,12 @@ def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[st
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
     else:
+        environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
         environment["SMOOTH_OPERATOR_CACHE"] = str(cache / "kept")
     start = time.time()  # wall clock: the child's own counters start with the child
     child = subprocess.run(
         [sys.executable, str(CHILD)],
-        input=json.dumps({**job, "start": start, "kept": state == "kept"}),
+        input=json.dumps({**job, "start": start}),
         capture_output=True,
         text=True,
         env=environment,

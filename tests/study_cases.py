@@ -47,6 +47,7 @@ def simulate(
     retargeters: Sequence[str] = FOUR,
     spread: float = 0.6,
     alternate: bool = False,
+    own: float = 0.0,
     keep: Callable[[int, str, str, int], bool] = lambda operator, task, retargeter, trial: True,
 ) -> Case:
     """A study with two or three tasks for each operator.
@@ -61,15 +62,16 @@ def simulate(
             than chance has them.
         keep: which trials are there, by operator, task, retargeter and trial.
     """
-    draw = random.Random(seed)
+    draw, tastes = random.Random(seed), random.Random(seed + 1000)
 
-    def normal() -> float:
-        return NormalDist().inv_cdf(min(max(draw.random(), 1e-12), 1 - 1e-12))
+    def normal(source: random.Random = draw) -> float:
+        return NormalDist().inv_cdf(min(max(source.random(), 1e-12), 1 - 1e-12))
 
     trials: list[Row] = []
     tlx: list[Row] = []
     for i in operators:
         skill = [spread * normal() for _ in range(3)]
+        suits = {name: [own * normal(tastes) for _ in range(2)] for name in retargeters}
         for task in ("AB", "AC", "ABC")[i % 3]:
             order = sorted(retargeters, key=lambda name: draw.random())
             count = 8 if task == "C" else 6
@@ -84,7 +86,8 @@ def simulate(
                     chance = NormalDist().cdf(0.6 * (logit + 0.01 * done))
                     lucky, full, noise = draw.random() < chance, draw.random() < 0.6, normal()
                     won = flips[trial - 1] % 2 == 0 if alternate else lucky
-                    time = max(2.0, 25 + 5 * step + 6 * skill[1] - 0.1 * done + 6 * noise)
+                    liking = 6 * suits[name][0]
+                    time = max(2.0, 25 + 5 * step + 6 * skill[1] + liking - 0.1 * done + 6 * noise)
                     if keep(i, task, name, trial):
                         trials.append(
                             common
@@ -96,7 +99,7 @@ def simulate(
                             }
                         )
                 for point in POINTS:
-                    base = 40 + 8 * step + 12 * skill[2] + 6 * normal()
+                    base = 40 + 8 * step + 12 * skill[2] + 12 * suits[name][1] + 6 * normal()
                     values = [5 * round((base + 8 * normal()) / 5) for _ in ITEMS]
                     bounded = [min(max(value, 0), 100) for value in values]
                     if keep(i, task, name, 1):

@@ -61,11 +61,12 @@ def command(
     """What a page that has seen all would send; its place is filled in."""
     step = progress.step
     place: dict[str, Any] = {}
-    if step.block is not None and do not in ("note", "undo", "start_break", "end_break"):
+    placeless = ("note", "undo", "start_break", "end_break", "amend", "withdraw", "form", "choose")
+    if step.block is not None and do not in placeless:
         place = {"task": step.block.task.name}
-        if do != "calibrated":
+        if do not in ("calibrated", "recalibrate"):
             place["block"] = step.block.number
-        if do in ("start_trial", "reset", "score", "void"):
+        if do in ("start_trial", "reset", "score", "void", "pause", "resume"):
             place["trial"] = step.trial
         if do == "answer":
             place["point"] = step.point

@@ -96,6 +96,17 @@ def test_the_hands_turn_to_the_scene_and_back(
     assert np.abs(view._roots["robot"].wxyz - before).max() > 0.1
     np.testing.assert_allclose(view._roots["human"].wxyz, view._roots["robot"].wxyz)
     assert not scene._floor.visible  # the scene has its own
+    assert not view._roots["human"].visible  # the one that touches things is large
+    wide = scene.aiming.half[0]
+    scene.set_own(True)
+    assert view._roots["human"].visible
+    assert scene.aiming.half[0] > wide
+    scene.set_own(False)
+    simulation.put_away("right")
+    while not (away := looked(simulation, ("right",), seen["number"]))["away"]:
+        pass
+    scene.draw_scenery(away)
+    assert not view.scenery._object.visible  # type: ignore[union-attr]
     blade = np.array(seen["views"]["right"]) @ view.scenery.bounds(seen["poses"]["right"]).T
     assert (blade.min(axis=1) >= view.low - 1e-9).all()
     assert (blade.max(axis=1) <= view.high + 1e-9).all()
@@ -113,6 +124,7 @@ def test_the_hands_turn_to_the_scene_and_back(
     scene.draw_scenery(looked(simulation, ("right",), seen["number"]))
     assert not view.scenery.there
     assert scene._floor.visible
+    assert view._roots["human"].visible
     np.testing.assert_allclose(view._roots["robot"].wxyz, before)
     np.testing.assert_allclose(scene.aiming.half, size)
     scene.draw({"right": state})

@@ -7,7 +7,7 @@ import http
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import timedelta
 from importlib import resources
@@ -16,6 +16,7 @@ from typing import Any
 
 import postgres_server
 import pytest
+from fake_teleop import FakeSimulation, FakeTeleop
 from study_console import (
     ConsoleProcess,
     Tab,
@@ -29,7 +30,7 @@ from study_console import (
 )
 
 from smooth_operator.cli import main
-from smooth_operator.errors import RemoteError, RemoteRefusedError, StudyError, UnknownNameError
+from smooth_operator.errors import RemoteRefusedError, StudyError, UnknownNameError
 from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
 from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
@@ -353,29 +354,6 @@ def test_enrolling_on_the_page_is_stored_and_kept(store: StudyStore) -> None:
 # -- the teleoperation ------------------------------------------------------------------------
 
 
-class FakeTeleop:
-    """Answers as ``teleop --control`` does."""
-
-    def __init__(self) -> None:
-        self.method, self.preset = "sbr", "paper"
-        self.asked: list[tuple[str, Mapping[str, Any]]] = []
-        self.gone = self.refusing = False
-
-    def request(self, do: str, **fields: Any) -> dict[str, Any]:
-        self.asked.append((do, fields))
-        if self.gone:
-            raise RemoteError("nobody answers")
-        if do == "method":
-            if self.refusing:
-                raise RemoteRefusedError("dexpilot needs four fingers")
-            self.method, self.preset = fields["method"], fields.get("preset", "default")
-        return {"ok": True, "method": self.method, "preset": self.preset, "modes": {}}
-
-    @property
-    def switched(self) -> list[Mapping[str, Any]]:
-        return [fields for do, fields in self.asked if do == "method"]
-
-
 def test_each_block_switches_the_hand(store: StudyStore) -> None:
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
@@ -487,35 +465,6 @@ def test_a_calibration_is_loaded_and_loaded_again(store: StudyStore, tmp_path: P
     teleop.method, teleop.source = "geort", None  # it was started again
     service.watch()
     assert teleop.source == str(file)
-
-
-class FakeSimulation(FakeTeleop):
-    """With a task: what ``live.orders`` answers, as far as the console reads it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.task = "cube"
-        self.trial: dict[str, Any] = {"phase": "ready", "line": "not-done", "score": 0.0,
-                                      "reason": "", "resets": 0, "time_s": None}  # fmt: skip
-
-    def request(self, do: str, **fields: Any) -> dict[str, Any]:
-        answer = super().request(do, **fields)
-        if do == "task":
-            self.task = fields["task"]
-        if do == "reset":
-            self.trial["resets"] += 1
-        if fields.get("begin"):
-            assert self.trial["phase"] != "running", "a trial is running"
-            self.trial |= {"phase": "running", "resets": 0, "time_s": None}
-        if fields.get("cancel"):
-            self.trial["phase"] = "ready"
-        if fields.get("finish"):
-            self.done("not-done", 0.0, 30.0)
-        return {**answer, **(self.trial if do in ("trial", "reset") else {}),
-                "task": self.task, "trial": dict(self.trial)}  # fmt: skip
-
-    def done(self, line: str, score: float, seconds: float) -> None:
-        self.trial |= {"phase": "done", "line": line, "score": score, "time_s": seconds}
 
 
 def test_trials_of_a_simulation_go_with_those_of_the_protocol(store: StudyStore) -> None:

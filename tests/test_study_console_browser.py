@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from fake_teleop import FakeSimulation
 from study_console import (
     PATIENCE_S,
     ConsoleProcess,
@@ -18,7 +19,6 @@ from study_console import (
     ratings,
     served,
 )
-from test_study_console import FakeSimulation
 
 from smooth_operator.study.console.access import ConsoleAuth
 from smooth_operator.study.console.session_service import SessionService
@@ -243,6 +243,7 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
         pages = Pages(chromium, port)
         page = pages.experimenter
         pages.start_first_trial()
+        page.locator('[data-key="stop"]').wait_for()
         teleop.trial |= {"phase": "running", "reason": "turned by 0°"}
         page.get_by_text("turned by 0°").wait_for()
         page.get_by_text("Time limit 2 min, of the simulation.").wait_for()
@@ -312,5 +313,31 @@ def test_the_list_of_operators_shows_who_is_on(chromium: Any, tmp_path: Path) ->
         page.get_by_role("button", name="P10").click()
         page.locator('[data-key="person-P10"][aria-pressed="true"]').wait_for()
         assert not page.evaluate(hidden, "P10")
+        assert not pages.problems
+        pages.context.close()
+
+
+@pytest.mark.browser
+def test_the_page_waits_with_the_start_for_a_hand_in_the_way(chromium: Any, tmp_path: Path) -> None:
+    teleop = FakeSimulation()
+    with (
+        open_study(tmp_path, cube_plan()) as store,
+        served(SessionService(store, operator="P01", teleop=teleop), ConsoleAuth(None)) as port,
+    ):
+        pages = Pages(chromium, port)
+        page = pages.experimenter
+        teleop.in_the_way = True
+        pages.start_first_trial()
+        page.get_by_text("Waiting for the hand to be clear of the object").wait_for()
+        page.locator("#teleop", has_text="· cube").wait_for()
+        pages.press("e", "e")
+        page.get_by_text("its start was cancelled").wait_for()
+        assert store.progress("P01").running is None
+        teleop.in_the_way = False
+        pages.press(" ", "space")
+        page.locator('[data-key="stop"]').wait_for()
+        teleop.done("flipped", 0.5, 3.0)  # of which this plan's rubric has no line
+        page.get_by_text("The rubric of the plan has no such line").wait_for()
+        assert not page.locator("[data-key=take]").count()
         assert not pages.problems
         pages.context.close()

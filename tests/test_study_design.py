@@ -19,6 +19,7 @@ from smooth_operator.cli.study_questions import ask_protocol
 from smooth_operator.errors import SmoothOperatorError, StudyError, UnknownNameError
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
+from smooth_operator.study.design.default_forms import DEFAULT_FORMS
 from smooth_operator.study.design.enrolment import spread_of_rows
 from smooth_operator.study.design.latin import balance, balanced_rows
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
@@ -312,12 +313,27 @@ def test_study_new_writes_plan_and_schedule(
 ) -> None:
     folder = tmp_path / "mine"
     arguments = ("--conditions", "sbr=sbr:paper", "dexpilot", "ako", "--tasks", "pinch:12", "A:8:5")
-    assert run("new", str(folder), *arguments, "--operators", "7", "--weights") == 0
+    assert (
+        run(
+            "new",
+            str(folder),
+            *arguments,
+            "--operators",
+            "7",
+            "--weights",
+            "--primary",
+            "tlx/A",
+            "--margin",
+            "tlx=8",
+        )
+        == 0
+    )
     shown = capsys.readouterr().out
     assert "labels for operators" in shown
     plan = read_plan(folder)
     assert plan.protocol.condition("sbr").preset == "paper"
     assert plan.protocol.weights
+    assert (plan.protocol.primary, plan.protocol.margins) == ("tlx/A", {"tlx": 8.0})
     assert [plan.protocol.planned(task) for task in plan.protocol.tasks] == [7, 5]
     rows = list(csv.DictReader(io.StringIO((folder / "schedule.csv").read_text())))
     assert len(rows) == (7 + 5) * 3
@@ -335,7 +351,13 @@ def test_study_new_alone_is_the_papers(tmp_path: Path) -> None:
     assert run("new", str(tmp_path / "p")) == 0
     plan = read_plan(tmp_path / "p")
     conditions = tuple(map(Condition.of, PAPERS))
-    assert plan == make_plan(protocol(name="p", conditions=conditions, rate_hz=30.0))
+    margins = {"success": 0.1, "time": 5.0, "tlx": 10.0}
+    assert plan == make_plan(
+        protocol(
+            name="p", conditions=conditions, rate_hz=30.0, margins=margins, forms=DEFAULT_FORMS
+        )
+    )
+    assert plan.protocol.primary == "success/pooled"
     for condition in plan.protocol.conditions:  # they exist, and are not our own defaults
         named = live_presets()[condition.method]
         assert condition.method == "geort" or condition.preset in named[1:]
@@ -348,7 +370,8 @@ def test_a_condition_is_typed_and_shown_alike() -> None:
 
 
 def test_enter_takes_the_papers_design(monkeypatch: pytest.MonkeyPatch) -> None:
-    draft = protocol(conditions=tuple(map(Condition.of, PAPERS)), rate_hz=30.0)
+    conditions = tuple(map(Condition.of, PAPERS))
+    draft = protocol(conditions=conditions, rate_hz=30.0, margins={"success": 0.1, "time": 5.0})
     monkeypatch.setattr("rich.console.Console.input", lambda *_, **__: "")
     assert ask_protocol(draft, Console(quiet=True)) == draft
 
@@ -360,6 +383,11 @@ def test_enter_takes_the_papers_design(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--conditions", "sbr"], "two conditions"),
         (["--questionnaires", "none", "final"], "goes with no other"),
         (["--baseline", "ako"], "unknown baseline"),
+        (["--primary", "speed/pooled"], "unknown outcome of the primary endpoint"),
+        (["--primary", "tlx/A", "--questionnaires", "none"], "needs questionnaires"),
+        (["--margin", "success"], "OUTCOME=DIFFERENCE"),
+        (["--margin", "success=10"], "10 percentage points"),
+        (["--margin", "time=3", "--margin", "time=4"], "comes twice"),
     ],
 )
 def test_study_new_refuses(
@@ -374,7 +402,7 @@ def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPat
     answers = iter([
         "hands", "sbr", "sbr ako=ako:slsqp", "", "many", "6", "A X", "8", "4", "5", "0", "3",
         "grip", "", "60", "initial lunch", "initial final", "y",
-        "fast", "50", "4",
+        "time", "time/B", "time/X", "time=x", "time=3 tlx=8", "fast", "50", "4",
         # 4 and 3 operators are 7, enough for 6; all fits, so nothing is asked again
     ])  # fmt: skip
     monkeypatch.setattr("rich.console.Console.input", lambda *_, **__: next(answers))
@@ -389,6 +417,7 @@ def test_the_wizard_asks_until_answers_go_together(monkeypatch: pytest.MonkeyPat
     assert [(t.name, t.trials, t.operators) for t in made.tasks] == [("A", 8, 4), ("X", 5, 3)]
     assert (made.operators, made.familiarisation_s, made.seed) == (6, 60.0, 4)
     assert made.rate_hz == 50.0
+    assert (made.primary, made.margins) == ("time/X", {"time": 3.0, "tlx": 8.0})
     assert made.questionnaires == ("initial", "final")
     assert made.weights
     with pytest.raises(UnknownNameError):

@@ -7,6 +7,7 @@ import html
 import json
 import random
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,11 +15,16 @@ import pytest
 from study_cases import Row, simulate, write_rows
 
 from smooth_operator.cli import main
+from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.citations import CITATIONS
+from smooth_operator.study.analysis.report.conclusion import conclusion
+from smooth_operator.study.analysis.report.number_text import number, p_said, signed, with_minus
+from smooth_operator.study.data import read_study
+from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
 FIGURES = (
-    "success", "time", "tlx-radar", "learning", "operators-success", "operators-time",
-    "operators-tlx", "correlations",
+    "success", "time", "tlx-items", "tlx-radar", "learning", "operators-success",
+    "operators-time", "operators-tlx", "time-to-success", "residuals", "correlations",
 )  # fmt: skip
 
 
@@ -84,7 +90,8 @@ def test_the_page_is_whole_and_needs_nothing_else(output: Path) -> None:
     assert "&lt;b&gt;odd &amp; $ö" in text  # the name of a metric is text, never markup
     assert "<b>odd" not in text
     for citation in CITATIONS:
-        assert f"[{citation.key}]" in text
+        of_a_plan = citation.key in ("Schulz2010", "Williams1949")
+        assert (f"[{citation.key}]" in text) != of_a_plan
     for word in ("small-sample", "paper", "Dunnett", "operators took part", "only 6 operators"):
         assert word in text
     for stem in FIGURES:
@@ -122,27 +129,87 @@ def test_tables_hold_the_numbers_of_the_results(output: Path) -> None:
     assert methods.startswith("6 operators took part")
 
 
-def test_the_head_says_what_the_tables_hold(output: Path) -> None:
-    results = json.loads((output / "results.json").read_text(encoding="utf-8"))
-    page = (output / "report.html").read_text(encoding="utf-8")
+def verdict(folder: Path) -> list[str]:
+    page = (folder / "report.html").read_text(encoding="utf-8")
     (head,) = re.findall(r'<div class="verdict">(.*?)</div>', page, re.DOTALL)
     assert page.index(head) < page.index("<h2>")
-    lines = [html.unescape(line) for line in re.findall(r"<p>(.*?)</p>", head, re.DOTALL)]
-    assert lines[0].startswith("Against dexpilot, all tasks together (mode small-sample, Dunnett")
-    assert len(lines) == 4  # a line for each outcome
-    assert not re.search(r"\d (s|points|percentage)\b|[p=<] [=<\d]", "".join(lines))
+    return [html.unescape(line) for line in re.findall(r"<p>(.*?)</p>", head, re.DOTALL)]
+
+
+def test_the_head_says_what_the_tables_hold(output: Path) -> None:
+    results = json.loads((output / "results.json").read_text(encoding="utf-8"))
+    lines = verdict(output)
+    assert len(lines) == 5
+    assert all(line.endswith(".") for line in lines)
+    assert "each is compared with dexpilot" in lines[0]
+    assert "no primary outcome was planned" in lines[0]
+    assert not re.search(r"\d (s|points|percentage)\b|[p=<] [=<\d]|[ [(]-\d", "".join(lines))
     for line, outcome, name in zip(
-        lines[1:], ("success", "time", "tlx"), ("Success", "Completion time", "Workload"),
+        lines[1:4], ("success", "time", "tlx"), ("Success", "Completion time", "Workload"),
         strict=True,
     ):  # fmt: skip
         before, _, part = line.partition(": ")
-        assert before == name
-        tests = results["small-sample"][outcome]["pooled"]["dunnett"]
-        for retargeter, one in tests.items():
-            word = "higher" if one["difference"] > 0 else "lower"
-            assert (f"{word} with {retargeter} (" in part) == (one["p_dunnett"] < 0.05)
-        if all(one["p_dunnett"] >= 0.05 for one in tests.values()):
-            assert part.startswith("no difference shown")
+        assert before == f"{name} (exploratory)"
+        shown, _, open_ = part.partition("not shown for " if "not shown for" in part else "(")
+        scale, digits = (100, 1) if outcome == "success" else (1, 2)
+        for retargeter, one in results["small-sample"][outcome]["pooled"]["dunnett"].items():
+            ends = ", ".join(
+                f"{scale * one[end]:+.{digits}f}".replace("-", "−") for end in ("lower", "upper")
+            )
+            where = shown if one["p_dunnett"] < 0.05 else open_
+            assert re.search(rf"{retargeter} [+−].*?\[{re.escape(ends)}\]", where)
+    assert lines[4].lower().endswith("a difference that is not shown is no evidence of equality.")
+
+
+def test_the_primary_outcome_of_the_plan_comes_first(data: Path) -> None:
+    study = replace(
+        read_study([data]),
+        plan=Protocol(
+            name="x",
+            conditions=tuple(Condition(name) for name in ("sbr", "dexpilot", "geort", "hybrid")),
+            baseline="dexpilot",
+            tasks=tuple(Task(name, trials=6) for name in "ABC"),
+            operators=6,
+            primary="time/A",
+            margins={"time": 60.0},
+        ),
+    )
+    lines = conclusion(analyze_study(study))
+    assert "the primary outcome is completion time, task A" in lines[0]
+    assert [line.partition(":")[0] for line in lines[1:4]] == [
+        "Completion time (primary)", "Success (exploratory)", "Workload (exploratory)",
+    ]  # fmt: skip
+    assert lines[4].startswith("Equivalent within the planned 60.00\N{NO-BREAK SPACE}s")
+
+
+def test_the_page_has_plain_names_and_minus_signs(output: Path) -> None:
+    page = (output / "report.html").read_text(encoding="utf-8")
+    text = re.sub(r"<(style|svg|script)\b.*?</\1>", "", page, flags=re.DOTALL)
+    for raw in ("trial_global", "trial_in_block", "tlx_index", "retargetersbr", "taskB"):
+        assert raw not in text
+    assert "sbr instead of dexpilot" in text
+    assert "completion time per trial of the block" in text
+    assert not re.search(r"[>( \[]-\d", text)
+    assert "p Holm, 24 slopes" in text
+    entry = json.loads((output / "results.json").read_text(encoding="utf-8"))["learning"]["A"]
+    success = entry["trial_global"]["success"]
+    wider = success["ame_se"] * success["se_mancl_derouen"] / success["se"]
+    (row,) = re.findall(r"task A: success per trial of the task.*?</tr>", text, re.DOTALL)
+    assert f"<td>{100 * wider:.3f}</td>" in row  # the error that goes with the p-value
+    main, _, appendix = text.partition('id="published"')
+    assert "as published" in appendix
+    assert "it errs" in appendix
+    assert "mode paper" not in main.lower().replace("(mode paper)", "")
+
+
+def test_numbers_have_a_minus_sign_and_no_negative_zero() -> None:
+    assert number(-1.25, 1) == "−1.2"
+    assert number(-0.0001) == "0.00"
+    assert signed(0.001, 1) == "0.0"
+    assert signed(2.0, 0) == "+2"
+    assert (number(None), number(float("nan")), number(float("-inf"))) == ("–", "–", "−∞")
+    assert with_minus("P-1 (-0.5), 1-2, a -3 b-4") == "P-1 (−0.5), 1-2, a −3 b-4"
+    assert (p_said(0.0001), p_said(0.05)) == ("p < 0.001", "p = 0.050")
 
 
 def test_both_modes_are_printed(
@@ -171,10 +238,38 @@ def test_refused_parts_give_a_reason_and_status_1(
     out = tmp_path / "out"
     assert main(["study", "analyze", str(file), "--output", str(out)]) == 1
     printed = capsys.readouterr().out
-    assert "refused: separation: retargeter geort has 0 successes" in printed
+    assert "no questionnaires were given" in printed
+    assert "0.0 (≤ 39.3)" in printed  # 1 - 0.05^(1 / 6)
+    assert "geort succeeded in none of" in " ".join(printed.split())
     text = (out / "report.html").read_text(encoding="utf-8")
-    assert "separation: retargeter geort" in text
+    assert "≤ 39.3" in text
+    assert (out / "separated.csv").read_text(encoding="utf-8").count("geort") == 4 * 2 * 3
     assert "no questionnaires were given" in text
+
+
+def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = simulate(3, operators=range(2), retargeters=("dexpilot", "sbr"))
+    case.write(tmp_path)
+    out = tmp_path / "out"
+    main(["study", "analyze", str(tmp_path), "--output", str(out), "--no-report"])
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    refused = [
+        scope
+        for scope, result in results["small-sample"]["success"].items()
+        if result["refused"] and not results["paper"]["success"][scope]["refused"]
+    ]
+    assert refused
+    printed = capsys.readouterr().out
+    for scope in refused:
+        (part,) = re.findall(
+            rf"^success rate \[%\], {scope}: .*?(?=^success rate|^completion)", printed,
+            re.DOTALL | re.MULTILINE,
+        )  # fmt: skip
+        assert "refused" in part
+        assert "as observed, without a model" in part
+        assert "±" not in part
 
 
 def test_bad_data_write_nothing_and_give_status_2(

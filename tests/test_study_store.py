@@ -21,6 +21,7 @@ from study_writers import STUDY, due, small_plan
 
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.study.data import read_study
+from smooth_operator.study.store.event_fields import event_of
 from smooth_operator.study.store.events import (
     Answered,
     BreakEnded,
@@ -32,7 +33,7 @@ from smooth_operator.study.store.events import (
     TrialStarted,
     TrialVoided,
     Undone,
-    event_of,
+    Withdrawn,
 )
 from smooth_operator.study.store.export import export_study, study_json
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES, weighted_workload, weights
@@ -426,6 +427,12 @@ def test_postgresql_holds_the_same_rules(tmp_path: Path, postgres: str) -> None:
                 engine.begin() as connection,
             ):
                 connection.exec_driver_sql(statement)
+        store.append("P01", Withdrawn(keep=False))
+        store.replace("P01", "P09", token="once")
+        assert store.replace("P01", "P09", token="once").number == 1
+        assert store.plan.enrolment("P09").rows == store.plan.enrolment("P01").rows
+        with pytest.raises(StudyError, match="P09 has replaced P01"):
+            store.append("P01", Undone(store.progress("P01").number))
         assert store.erase("P01") > 0
         assert store.records("P01") == []
     with pytest.raises(UnknownNameError, match=r"Available: .*rules"):

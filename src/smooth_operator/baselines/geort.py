@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -111,6 +111,11 @@ class Geort(Method):
     def needs(self) -> tuple[int, ...]:
         """Fingertips, and the wrist for the tracking loss."""
         return (WRIST, *human_tips(self.hand))
+
+    @property
+    def constants(self) -> Any:
+        """The networks, as read."""
+        return self.model.weights, self.model.centre, self.model.scale, self.mirrored
 
     def init(self, seed: int) -> GeortState:
         """Nothing to remember; the seed is not used."""

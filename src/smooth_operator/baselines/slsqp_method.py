@@ -25,11 +25,16 @@ from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.baselines.published_angles import PublishedAngles
 from smooth_operator.baselines.scipy_slsqp import ScipySlsqpConfig, scipy_slsqp_minimise
 from smooth_operator.baselines.slsqp import SlsqpConfig, ValueAndGradient, slsqp_minimise
+from smooth_operator.compilation.frame_jit import compiled
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.method import HostMethod, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.methods.program import compiled
+from smooth_operator.methods.method import (
+    Compiling,
+    HostMethod,
+    MethodOutput,
+    ObjectiveMethodConfig,
+)
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import Targets
@@ -113,6 +118,11 @@ class SlsqpMethod(HostMethod):
 
     hand: Hand
     config: SlsqpMethodConfig
+    compiling: Compiling | None = field(default=None, init=False, repr=False)
+
+    def compile_with(self, compiling: Compiling) -> None:
+        """Has ``evaluate`` compiled by a function."""
+        object.__setattr__(self, "compiling", compiling)
 
     @cached_property
     def objective(self) -> Objective:
@@ -146,17 +156,19 @@ class SlsqpMethod(HostMethod):
             value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
             return jnp.concatenate([value[None], gradient])
 
-        evaluate = compiled(both)
+        make = self.compiling
+        evaluate: Compiling = compiled(both) if make is None else make(both, "evaluate")
         # Compiled with the first frame, though SLSQP may not be needed before the hundredth.
         count, neutral = len(self.objective.layout.vectors), np.float32(self.hand.neutral)
-        zeros = jnp.zeros((count, 3), jnp.float32), jnp.zeros(count, jnp.float32)
-        evaluate(neutral, FrameGoal(*zeros, jnp.asarray(neutral), jnp.float32(0)))
+        zeros = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+        goal: Any = FrameGoal(*zeros, neutral, np.float32(0))  # type: ignore[arg-type]
+        evaluate(neutral, jax.device_put(goal))
         return evaluate
 
     @cached_property
     def _velocity_weight(self) -> Float[Array, ""]:
         """lambda_vel on the device; to put it there takes 70 us."""
-        weight: Array = jnp.float32(self.config.objective.velocity_weight)
+        weight: Array = jax.device_put(np.float32(self.config.objective.velocity_weight))
         return weight
 
     def init(self, seed: int) -> SlsqpMethodState:
@@ -205,7 +217,7 @@ class SlsqpMethod(HostMethod):
             x = start.astype(np.float64)
         else:
             # on the device, since the goal goes into every evaluation
-            previous, weight = jnp.asarray(state.q), self._velocity_weight
+            previous, weight = jax.device_put(state.q), self._velocity_weight
             goal = FrameGoal(*problem.targets, previous, weight)
 
             def objective(q: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from smooth_operator.cli.common_options import Common
 from smooth_operator.cli.convert_options import Convert
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo_options import Demo
+from smooth_operator.cli.doctor_options import Doctor
 from smooth_operator.cli.glove_simulator_options import GloveSimulate
 from smooth_operator.cli.grammar import check_words
 from smooth_operator.cli.hands_options import Hands
@@ -65,6 +66,8 @@ _EXAMPLES = """Examples:
       real hands: drivers, tables, ports; hardware check writes a hand's table
   smooth-operator study analyze trials.csv tlx.csv --output out
       a user study: models, corrected p-values, a report
+  smooth-operator doctor
+      where time goes on this machine, and what to change
 
 Each command has its own help: smooth-operator retarget --help
 """
@@ -77,6 +80,7 @@ Command: TypeAlias = (
     | Convert
     | Dataset
     | Demo
+    | Doctor
     | GloveSimulate
     | Hands
     | Hardware
@@ -110,6 +114,7 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "calibrate": Calibrate,
     "glove-simulator": GloveSimulate,
     "study": Study,
+    "doctor": Doctor,
 }
 
 

@@ -16,10 +16,12 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_analyze_options import Analyze
 from smooth_operator.errors import ConfigError, StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
+from smooth_operator.study.analysis.flow import flow_text, leave_out
 from smooth_operator.study.analysis.output import write_analysis
-from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome
+from smooth_operator.study.analysis.results import OUTCOMES, Mode, Outcome, ScopeResult
 from smooth_operator.study.data import read_study
 from smooth_operator.study.data.reading import NAMES
+from smooth_operator.study.data.second_ratings import with_second_ratings
 from smooth_operator.study.data.workload_scores import with_workload
 
 SOME_REFUSED: Final = 1
@@ -47,9 +49,13 @@ def analyze_command(options: Analyze) -> None:
         raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")
     stored, files = _split(options.study)
     data = read_study(
-        _with_metrics(files), texts=[(word, _exported(word, options.name)) for word in stored]
+        _with_metrics(files, stored),
+        texts=[(word, _exported(word, options.name)) for word in stored],
     )
-    data = with_workload(data, options.workload)
+    if options.second_rater is not None:
+        data = with_second_ratings(data, options.second_rater)
+    # Before the workload: an operator without weights may be one who is left out.
+    data = with_workload(leave_out(data, _exclusions(options.exclude)), options.workload)
     for note in data.notes:
         progress.note(f"note: {note}")
     with folder_for(options.output), progress.status() as tell:
@@ -60,6 +66,8 @@ def analyze_command(options: Analyze) -> None:
         print(json.dumps(analysis.to_json(), indent=1, allow_nan=False))
     elif not options.quiet:
         _print(analysis)
+    for note in analysis.data.notes[len(data.notes) :]:
+        progress.note(f"note: {note}")
     progress.note(f"wrote {options.output}: {', '.join(written)}")
     if any(
         result.refused
@@ -68,6 +76,21 @@ def analyze_command(options: Analyze) -> None:
         for result in scopes.values()
     ):
         raise SystemExit(SOME_REFUSED)
+
+
+def _exclusions(words: Sequence[str]) -> dict[str, str]:
+    """Operator -> reason."""
+    found: dict[str, str] = {}
+    for word in words:
+        operator, sign, reason = word.partition("=")
+        if not sign or not operator.strip() or not reason.strip():
+            raise ConfigError(
+                f'--exclude {word}: expected OPERATOR=REASON, as in P03="an author"; the reason '
+                "is reported"
+            )
+        if found.setdefault(operator.strip(), reason.strip()) != reason.strip():
+            raise ConfigError(f"--exclude names {operator.strip()} twice, with two reasons")
+    return found
 
 
 def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
@@ -105,12 +128,14 @@ def _exported(target: str, name: str | None) -> str:
         return json.dumps(study_json(store))
 
 
-def _with_metrics(paths: Sequence[Path]) -> list[Path]:
+def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Path]:
     """The files, and the metrics in the folder of the trials under their usual name."""
+    folders = [Path(word) for word in stored if "://" not in word]
+    trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
     found = list(paths)
     if any(path.name == NAMES[2] for path in paths):
         return found
-    for path in paths:
+    for path in (*paths, *trials):
         beside = path.with_name(NAMES[2])
         if path.name == NAMES[0] and beside.is_file():
             found.append(beside)
@@ -119,6 +144,7 @@ def _with_metrics(paths: Sequence[Path]) -> list[Path]:
 
 def _print(analysis: Analysis) -> None:
     console = output_console()
+    _print_plan(console, analysis)
     for outcome in OUTCOMES:
         for scope in analysis.scopes:
             _print_scope(console, analysis, outcome, scope)
@@ -137,45 +163,81 @@ def _print(analysis: Analysis) -> None:
         console.print(table)
 
 
+def _print_plan(console: Console, analysis: Analysis) -> None:
+    """Who is analysed, against what, and what decides."""
+    data = analysis.data
+    asked = data.plan is None or analysis.baseline != data.plan.baseline
+    said = [f"baseline: {analysis.baseline}{'' if asked else ', as planned'}"]
+    if analysis.primary is not None:
+        said.append(f"primary endpoint: {'/'.join(analysis.primary)}; the rest is exploratory")
+    elif data.plan is not None:
+        said.append("the plan names no primary endpoint: all of this is exploratory")
+    for text in (". ".join(said), flow_text(data.flow)):
+        if text:
+            console.print(Text(text), soft_wrap=True)
+    console.print()
+
+
 def _print_scope(console: Console, analysis: Analysis, outcome: Outcome, scope: str) -> None:
     scale, unit = _UNITS[outcome]
     small, paper = (analysis.results[mode][outcome][scope] for mode in _both())
+    role = analysis.role(outcome, scope)
     title = (
         f"{unit.format(analysis.workload)}, {scope}: {small.n} rows, {small.operators} operators"
+        + (f" ({role})" if role else "")
     )
-    if small.refused and paper.refused:
-        console.print(Text(f"{title}: refused: {small.refused}\n", "yellow"), soft_wrap=True)
+    if small.refused:
+        _print_observed(console, title, small, scale)
         return
     headers = ("retargeter", "mean", f"- {analysis.baseline}", "p Dunnett", "paper", "effect")
     table = _table(title, headers)
-    names = (small.emm or paper.emm).keys()
-    for name in names:
-        mean = (small.emm or paper.emm)[name]
+    for name, mean in small.emm.items():
         test, other = small.dunnett.get(name), paper.dunnett.get(name)
-        shown = test or other
         table.add_row(
             name,
             f"{scale * mean.estimate:.1f} ± {scale * mean.se:.1f}",
-            f"{scale * shown.difference:+.2f}" if shown else "",
-            _p(test.p_dunnett) if test else ("" if small.refused is None else "refused"),
+            f"{scale * test.difference:+.2f}" if test else "",
+            _p(test.p_dunnett) if test else "",
             _p(other.p_dunnett) if other else "",
-            shown.effect_words if shown else "",
+            test.effect_words if test else "",
+        )
+    for name, exact in small.separated.items():
+        against = exact.against.get(analysis.baseline)
+        p = "" if against is None or against.p_dunnett is None else _p(against.p_dunnett)
+        side = "≥" if exact.rate else "≤"
+        table.add_row(
+            name,
+            f"{scale * exact.rate:.1f} ({side} {scale * exact.bound:.1f})",
+            f"{scale * against.difference:+.2f}" if against else "",
+            p,
+            p,
+            "exact",
         )
     console.print(table)
     pairs = _table("all pairs, p Holm", ("pair", "difference", "small-sample", "paper"))
-    for key in small.pairs or paper.pairs:
-        pair, other_pair = small.pairs.get(key), paper.pairs.get(key)
-        known = pair or other_pair
-        assert known is not None
+    for key, pair in small.pairs.items():
+        other_pair = paper.pairs.get(key)
         pairs.add_row(
-            f"{known.a} - {known.b}",
-            f"{scale * known.difference:+.2f}",
-            _p(pair.p_holm) if pair else "refused",
+            f"{pair.a} - {pair.b}",
+            f"{scale * pair.difference:+.2f}",
+            _p(pair.p_holm),
             _p(other_pair.p_holm) if other_pair else "",
         )
     console.print(pairs)
     for text in dict.fromkeys((*small.warnings, *paper.warnings)):
         console.print(Text(f"  ! {text}", "yellow"), soft_wrap=True)
+    console.print()
+
+
+def _print_observed(console: Console, title: str, result: ScopeResult, scale: float) -> None:
+    """What was seen, where the model to report is refused; figures of mode paper would mislead."""
+    console.print(Text(f"{title}: refused: {result.refused}", "yellow"), soft_wrap=True)
+    if result.observed:
+        table = _table("as observed, without a model", ("retargeter", "rows", "mean", "median"))
+        for name, facts in result.observed.items():
+            mean, median = (f"{scale * facts[key]:.1f}" for key in ("mean", "median"))
+            table.add_row(name, str(facts["n"]), mean, median)
+        console.print(table)
     console.print()
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from smooth_operator.cli.common_options import Common
 
@@ -27,15 +27,19 @@ errors are listed by row and column. Columns:
               weighted also weight_mental, weight_physical, ... (times chosen, 15 together)
   simulation  operator, retargeter, and a column for each metric
 
-sim_metrics.csv in the folder of a given trials.csv is read, too.
+In the folder of a given trials.csv, sim_metrics.csv is read too, and the plan from study.json.
 
 Both modes are computed: small-sample (what to report) and paper (as published; right for many
-operators only). FOLDER gets results.json, CSV tables, methods.txt, figures/ and report.html.
+operators only). The plan's baseline and primary endpoint are used. Operators who withdrew and want
+their data left out are left out. FOLDER gets results.json, CSV tables, methods.txt, figures/ and
+report.html.
 
 Exit status: 0 done, 1 some parts were refused with a reason, 2 the data can't be used.
 
 Examples:
   smooth-operator study analyze trials.csv tlx.csv --baseline dexpilot --output out
+  smooth-operator study analyze my-study/ --output out --exclude P03="an author" \\
+      --exclude P09="colour-blind"
   smooth-operator study analyze my-study/ --output out --no-report"""
 
     study: Annotated[Positional[tuple[str, ...]], arg(metavar="STUDY|CSV...")]
@@ -44,8 +48,15 @@ Examples:
     name: Annotated[str | None, arg(metavar="TEXT")] = None
     """Name of the study, where a database holds several."""
 
-    baseline: Annotated[str, arg(metavar="NAME")] = "dexpilot"
-    """The retargeter that the others are compared with."""
+    baseline: Annotated[str | None, arg(metavar="NAME")] = None
+    """The retargeter that the others are compared with. If left out, the plan's, or dexpilot
+    where the data come without a plan."""
+
+    exclude: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OPERATOR=REASON")] = ()
+    """An operator to leave out, with the reason, which is reported; repeatable."""
+
+    second_rater: Annotated[Path | None, arg(metavar="CSV")] = None
+    """Scores by another rater: operator, task, block, trial_in_block, score."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write, created if missing."""

@@ -12,7 +12,7 @@ from smooth_operator.cli.common_options import Common
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Stored(Common):
+class Stored(Common):
     """Options of commands about stored data."""
 
     study: Annotated[Positional[str], arg(metavar="STUDY")]
@@ -23,7 +23,7 @@ class _Stored(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(_Stored):
+class Export(Stored):
     """What was stored, as trials.csv, tlx.csv and one study.json with the whole log."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_data:export_data"
@@ -40,7 +40,7 @@ class Export(_Stored):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Erase(_Stored):
+class Erase(Stored):
     """Deletes all that is stored of one operator, for good."""
 
     work: ClassVar[str] = "smooth_operator.cli.study_data:erase_data"

@@ -14,9 +14,12 @@ from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_questions import ask_protocol
 from smooth_operator.errors import ConfigError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
+from smooth_operator.simulation.tasks.task_registry import TASKS
+from smooth_operator.study.design.default_forms import DEFAULT_FORMS
+from smooth_operator.study.design.endpoints import PAPER_MARGINS, PRIMARY, margins_of
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
 from smooth_operator.study.design.plan_file import NAME, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
 from smooth_operator.study.design.protocol import POINTS, Condition, Protocol, Task
 from smooth_operator.study.design.schedule import (
     imbalances,
@@ -67,6 +70,7 @@ def new_study(options: New) -> None:
         plan = make_plan(protocol)
     with folder_for(folder):
         files = write_plan_files(plan, folder)
+        files += filter(None, [write_preregistration(plan, folder)])
     _print(plan)
     print(printable(f"written: {', '.join(str(path) for path in files)}"))
 
@@ -80,12 +84,14 @@ def enrol_operator(options: Enrol) -> None:
     """
     folder = options.study if options.study.is_dir() else options.study.parent
     plan = read_plan(options.study)
-    plan = plan.enrol(options.operator, options.tasks or None)
     if (folder / _STORE).exists():  # what is stored decides: the code may be that of one erased
         from smooth_operator.study.store.opening import open_study
 
-        with open_study(folder, plan):
-            pass
+        with open_study(folder, plan) as store:
+            plan = plan.enrol(options.operator, options.tasks or None, absent=store.absent())
+            store.revise(plan)
+    else:
+        plan = plan.enrol(options.operator, options.tasks or None)
     write_plan_files(plan, folder)
     for task in plan.enrolment(options.operator).rows:
         order = " → ".join(b.condition.label for b in plan.blocks(options.operator, task))
@@ -98,11 +104,14 @@ def _given(options: New) -> bool:
             options.name is not None,
             options.conditions,
             options.baseline is not None,
+            options.primary is not None,
+            options.margin,
             options.tasks,
             options.operators is not None,
             options.familiarisation is not None,
             options.questionnaires,
             options.weights,
+            options.no_forms,
             options.seed is not None,
             options.rate is not None,
         )
@@ -114,6 +123,7 @@ def _protocol(options: New) -> Protocol:
     rate = options.rate if options.conditions or options.rate is not None else PAPER_RATE_HZ
     names = [condition.name for condition in conditions]
     known = {task.name: task for task in PAPER_TASKS}
+    known |= {name: replace(one.task, name=name) for name, one in TASKS.items()}
     operators = options.operators
     if options.tasks:
         tasks = tuple(_task(text, known) for text in options.tasks)
@@ -138,8 +148,20 @@ def _protocol(options: New) -> Protocol:
         questionnaires=tuple(point for point in POINTS if point in asked),
         weights=options.weights,
         seed=options.seed or 0,
+        forms=() if options.no_forms else DEFAULT_FORMS,
         rate_hz=rate,
+        primary=PRIMARY if options.primary is None else options.primary,
+        margins=_margins(options),
     )
+
+
+def _margins(options: New) -> dict[str, float]:
+    if not options.margin:
+        return {} if options.conditions else dict(PAPER_MARGINS)
+    try:
+        return margins_of(options.margin)
+    except ValueError as error:
+        raise ConfigError(f"--margin: {error}") from None
 
 
 def _task(text: str, known: dict[str, Task]) -> Task:

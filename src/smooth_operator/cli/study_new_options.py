@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from smooth_operator.cli.common_options import Common
 
@@ -17,14 +17,15 @@ class New(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.study_new:new_study"
     details: ClassVar[str] = """It writes study.toml (the plan, which you may edit), schedule.csv
-(with the conditions, for the experimenter) and schedule.txt (with labels only, for the wall).
+(with the conditions, for the experimenter), schedule.txt (with labels only, for the wall) and
+PREREGISTRATION.md (hypotheses, design, models, corrections: complete it and register it).
 Without options a terminal asks; elsewhere, and with --no-wizard, what is left out is as in the
 paper: four retargeters as their authors run them, 30 commands a second, three tasks, 18 operators.
 
 Examples:
   smooth-operator study new my-study
   smooth-operator study new my-study --conditions sbr dexpilot ako --baseline dexpilot \\
-      --tasks pinch:12 turn:12:8 --operators 15
+      --tasks pinch:12 turn:12:8 --operators 15 --primary time/pooled --margin time=3
   smooth-operator study new my-study --from draft.toml"""
 
     folder: Annotated[Positional[Path], arg(metavar="FOLDER")]
@@ -39,6 +40,15 @@ Examples:
 
     baseline: Annotated[str | None, arg(metavar="NAME")] = None
     """Condition that the others are compared with; dexpilot, or the first."""
+
+    primary: Annotated[str | None, arg(metavar="OUTCOME/SCOPE")] = None
+    """Endpoint that decides: success, time or tlx, and pooled or a task; all else is exploratory.
+    success/pooled if left out."""
+
+    margin: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OUTCOME=DIFFERENCE")] = ()
+    """Difference below which two conditions count as equivalent: success as a share, time in
+    seconds, tlx in points; repeatable. If left out, those of the paper's design with its
+    conditions (0.1, 5, 10), else none."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="NAME[:TRIALS[:OPERATORS]] ...")] = ()
     """What is done; 10 trials a block and all operators if left out."""
@@ -57,6 +67,9 @@ Examples:
 
     weights: bool = False
     """Ask for the 15 pairwise comparisons of NASA-TLX at the end of a block."""
+
+    no_forms: bool = False
+    """Leave out the forms (consent, about the operator, a look back) on the operator's page."""
 
     seed: Annotated[int | None, arg(metavar="INT")] = None
     """Seed of orders, rows and labels; 0 if left out."""

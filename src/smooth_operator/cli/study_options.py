@@ -14,6 +14,7 @@ from tyro.conf import OmitSubcommandPrefixes, arg, subcommand
 
 from smooth_operator.cli.study_analyze_options import Analyze
 from smooth_operator.cli.study_data_options import Erase, Export
+from smooth_operator.cli.study_metrics_options import Metrics
 from smooth_operator.cli.study_new_options import Enrol, New
 from smooth_operator.cli.study_power_options import Power
 from smooth_operator.cli.study_run_options import Run
@@ -27,6 +28,7 @@ What: TypeAlias = (
     | Annotated[Run, subcommand("run", description=described(Run))]
     | Annotated[Simulate, subcommand("simulate", description=described(Simulate))]
     | Annotated[Export, subcommand("export", description=described(Export))]
+    | Annotated[Metrics, subcommand("metrics", description=described(Metrics))]
     | Annotated[Erase, subcommand("erase", description=described(Erase))]
     | Annotated[Analyze, subcommand("analyze", description=described(Analyze))]
 )

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from rich.console import Console
+
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_new import PAPER_CONDITIONS, PAPER_OPERATORS
@@ -17,8 +19,15 @@ from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.study.power.assumptions import Spread, assumptions_for
-from smooth_operator.study.power.power_report import TITLES, Tallies, found, power_json, write_power
-from smooth_operator.study.power.power_run import PowerSettings, run_power
+from smooth_operator.study.power.power_report import (
+    TITLES,
+    Tallies,
+    errs,
+    found,
+    power_json,
+    write_power,
+)
+from smooth_operator.study.power.power_run import TRUTHS, PowerSettings, run_power
 from smooth_operator.study.power.tally import Rate
 from smooth_operator.terminal import printable
 
@@ -107,6 +116,7 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
     )
     for header in ("operators", "outcome", "mode", *others, "all", "error if none differs"):
         table.add_column(header, justify="left" if header in ("outcome", "mode") else "right")
+    flagged = False
     for operators in settings.operators:
         for outcome in TITLES:
             if outcome == "tlx" and not settings.protocol.questionnaires:
@@ -118,10 +128,21 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
                     for each in what
                 ]
                 error = found(tallies[operators, "null"], outcome, scope, mode, "family:dunnett")
+                flag = " !" if errs(error) else ""
+                flagged |= bool(flag)
                 table.add_row(
-                    str(operators), TITLES[outcome], mode, *map(_percent, [*cells, error])
-                )
+                    str(operators), TITLES[outcome], mode,
+                    *map(_percent, cells), _percent(error) + flag,
+                )  # fmt: skip
     console.print(table)
+    if flagged:
+        console.print(
+            "! finds a difference where there is none in more than 7 % of the studies: power that "
+            "is bought so is worth nothing",
+            soft_wrap=True,
+        )
+    if settings.protocol.margins:
+        _print_equivalence(console, settings, tallies, scope, others)
     refused = sum(
         counts["refused"]
         for tally in tallies.values()
@@ -134,6 +155,29 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
             "nothing found",
             soft_wrap=True,
         )
+
+
+def _print_equivalence(
+    console: Console, settings: PowerSettings, tallies: Tallies, scope: str, others: Sequence[str]
+) -> None:
+    margins = settings.protocol.margins
+    with_margin = [outcome for outcome in TITLES if outcome in margins]
+    said = ", ".join(f"{TITLES[outcome]} {margins[outcome]:g}" for outcome in with_margin)
+    table = plain_table(
+        f"shown to be equivalent to {settings.protocol.baseline} within the margin ({said}), as "
+        "assumed / if none differs, mode small-sample [%]"
+    )
+    for header in ("operators", "outcome", *others):
+        table.add_column(header, justify="left" if header == "outcome" else "right")
+    for operators in settings.operators:
+        for outcome in with_margin:
+            cells = []
+            for name in others:
+                where = (outcome, scope, MODES[0], f"equivalent:{name}")
+                rates = [found(tallies[operators, truth], *where) for truth in TRUTHS]
+                cells.append(" / ".join(f"{100 * one.rate:.0f}" for one in rates))
+            table.add_row(str(operators), TITLES[outcome], *cells)
+    console.print(table)
 
 
 def _percent(rate: Rate) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final, TypeVar
 
 from rich.console import Console
 
 from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.study.design.endpoints import PRIMARY, check_primary, margins_of
 from smooth_operator.study.design.protocol import POINTS, Condition, Point, Protocol, Task
 
 T = TypeVar("T")
@@ -69,6 +70,17 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
         _points,
     )
     weights = bool(asked) and ask("The 15 pairs of NASA-TLX as well? (y/n)", "n", _yes)
+    scopes = [task.name for task in tasks]
+    primary = ask(
+        "Primary endpoint: success, time or tlx, a slash, and pooled or a task",
+        PRIMARY,
+        lambda text: _primary(text, scopes, bool(asked)),
+    )
+    margins = ask(
+        "Margins of equivalence (success=SHARE time=SECONDS tlx=POINTS, or none)",
+        " ".join(f"{name}={margin:g}" for name, margin in draft.margins.items()) or "none",
+        lambda text: {} if text == "none" else margins_of(text.split()),
+    )
     rate = ask(
         "Commands a second in every condition (or any: as teleop was started)",
         "any" if draft.rate_hz is None else f"{draft.rate_hz:g}",
@@ -88,11 +100,20 @@ def ask_protocol(draft: Protocol, console: Console) -> Protocol:
             weights=weights,
             seed=seed,
             rate_hz=rate,
+            primary=primary,
+            margins=margins,
         )
     except StudyError as error:  # answers that don't go together
         console.print(f"  {error}; once more", markup=False, soft_wrap=True)
         kept = replace(draft, name=name, conditions=conditions, baseline=baseline, seed=seed)
         return ask_protocol(kept, console)
+
+
+def _primary(text: str, tasks: Sequence[str], workload: bool) -> str:
+    if not text:
+        raise StudyError("a study needs an endpoint that decides")
+    check_primary(text, tasks, workload=workload)
+    return text
 
 
 def _conditions(text: str) -> tuple[Condition, ...]:

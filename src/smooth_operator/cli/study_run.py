@@ -18,10 +18,11 @@ from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.console.switching import Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import NAME, read_plan
-from smooth_operator.study.design.plan_folder import write_plan_files
+from smooth_operator.study.design.plan_folder import write_plan_files, write_preregistration
 from smooth_operator.study.store.database_tables import FILE
 from smooth_operator.study.store.opening import open_study
 from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords, read_words
 from smooth_operator.terminal import print_note
 from smooth_operator.web.addresses import is_local
 from smooth_operator.web.browser import open_page
@@ -43,11 +44,13 @@ def run_study(options: Run) -> None:
         auth = auth_for(options.host, store.name)
         links = auth.links(options.host, port)
         folder = None if "://" in options.study else _folder(options.study)
+        _register(store, folder)
         service = SessionService(
             store,
             operator=options.operator,
             blind=options.blind,
             teleop=teleop,
+            words=_words(store.plan, folder),
             enrolled=lambda plan: _kept(plan, folder),
             changed=lambda: console.changed(),
             report=_say,
@@ -120,6 +123,19 @@ def _found(target: str | Path, plan: Plan) -> StudyStore:
     return store
 
 
+def _words(plan: Plan, folder: Path | None) -> TlxWords:
+    """What operators read of NASA-TLX."""
+    file = plan.protocol.tlx_language
+    if not file:
+        return ENGLISH
+    if folder is None:
+        raise ConfigError(
+            f"NASA-TLX is in the words of {file}, a file in the folder of the study: name the "
+            "folder as STUDY, and the database as --store"
+        )
+    return read_words(folder / file)
+
+
 def _folder(study: str) -> Path:
     path = Path(study)
     return path if path.is_dir() else path.parent
@@ -129,6 +145,16 @@ def _kept(plan: Plan, folder: Path | None) -> None:
     """The files of a plan that was changed on a page."""
     if folder is not None and (folder / NAME).is_file():
         write_plan_files(plan, folder)
+
+
+def _register(store: StudyStore, folder: Path | None) -> None:
+    """The pre-registration of a plan that was changed by hand, as long as nobody has begun."""
+    if folder is None or not (folder / NAME).is_file():
+        return
+    if not any(store.records(code) for code in store.plan.codes):
+        path = write_preregistration(store.plan, folder)
+        if path is not None:
+            _say(f"written for the plan as it is now: {path}")
 
 
 def _teleop(address: str | None) -> Teleop | None:

@@ -24,7 +24,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from smooth_operator.compilation.exported_program import ExportedProgram
+from smooth_operator.compilation.kept_program import KeptProgram
 from smooth_operator.compilation.lanes import chosen, over_lanes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
@@ -113,9 +113,10 @@ class LaneProgram:
         method: a method that is one compiled program.
         config: its configuration.
         lanes: how many.
+        kept: whether the program is read from the user's cache, and kept there.
     """
 
-    def __init__(self, method: Method, config: MethodConfig, lanes: int) -> None:
+    def __init__(self, method: Method, config: MethodConfig, lanes: int, kept: bool = True) -> None:
         self.method, self.lanes = method, lanes
         alignment = config.alignment
         points = jnp.zeros((NUM_LANDMARKS, 3), jnp.float32)
@@ -147,7 +148,8 @@ class LaneProgram:
 
             return lax.scan(frame, state, (aligned, status, ticks, new))
 
-        self._block = ExportedProgram(block, 1, method.hand, config, "lanes", lanes, BLOCK)
+        more = {"constants": method.constants, "kept": kept}
+        self._block = KeptProgram(block, method.hand, config, "lanes", lanes, BLOCK, **more)
 
     def run(
         self, initial: RetargetState, tracks: Sequence[Track], track: Progress | None = None
@@ -242,19 +244,18 @@ def _pieces(
 
 
 _KEPT: Final = 8
-_programs: Final[OrderedDict[tuple[int, AlignmentConfig, int], LaneProgram]] = OrderedDict()
+_programs: Final[OrderedDict[tuple[int, AlignmentConfig, int, bool], LaneProgram]] = OrderedDict()
 _lock: Final = threading.Lock()
 
 
-def lane_program(method: Method, config: MethodConfig, lanes: int | None) -> LaneProgram:
+def lane_program(
+    method: Method, config: MethodConfig, lanes: int | None, kept: bool = True
+) -> LaneProgram:
     """The program of a method, kept a while; None for the number of lanes that suits the device."""
-    key = (
-        id(method),
-        config.alignment,
-        lanes or default_lanes(),
-    )  # a kept program keeps its method
+    count = lanes or default_lanes()
+    key = (id(method), config.alignment, count, kept)  # a kept program keeps its method
     with _lock:
-        made = _programs.get(key) or LaneProgram(method, config, key[-1])
+        made = _programs.get(key) or LaneProgram(method, config, count, kept)
         _programs[key] = made
         _programs.move_to_end(key)
         while len(_programs) > _KEPT:
@@ -283,7 +284,7 @@ def retarget_batch(
             advance(len(recording))
         return found
     tracks = [Track.of(r, retargeter.program_landmarks(r.landmarks)) for r in recordings]
-    program = lane_program(method, retargeter.config, lanes)
+    program = lane_program(method, retargeter.config, lanes, retargeter.cache)
     answers = program.run(retargeter.init(seed), tracks, track)
     return [_trajectory(retargeter.hand, *each) for each in zip(recordings, answers, strict=True)]
 

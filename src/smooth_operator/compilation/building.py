@@ -18,7 +18,7 @@ def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retar
         ConfigError: the preset needs the whole recording.
     """
     started = time.perf_counter()
-    dispatch_here()
+    dispatch_here(one_thread=config.one_thread)
     with healing(enable_cache()):
         retargeter = Retargeter(hand, config=config, seed=seed)
         retargeter.warm_up()

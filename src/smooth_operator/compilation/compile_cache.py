@@ -1,26 +1,21 @@
-"""JAX's persistent compilation cache, in a folder of this user: the second start is faster.
+"""JAX's persistent compilation cache, for what a command compiles besides the programs of frames.
 
-Traced programs are kept in another folder there (``exported_program``). Results are the same, bit
-for bit. Only the command line and its workers do this; importing the library never does. Figures:
-docs/reference/benchmarks.md, *Start*.
+Programs of frames are kept by the library itself (``program_cache``). Only the command line and its
+workers switch JAX's own cache on; importing the library never does.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
-import platform
-import secrets
 import warnings
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from smooth_operator.compilation.program_cache import is_own_folder, machine
 from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
 
-_programs: Path | None = None
 _DAMAGED: Final = "Error reading persistent compilation cache"
 
 
@@ -31,31 +26,20 @@ def enable_cache() -> Path | None:
         The folder; None if it is switched off (``SWITCH``), can't be written, or the user has
         already given JAX a folder.
     """
-    global _programs
-    wanted = os.environ.get(SWITCH, "").strip()
-    if wanted.lower() in OFF:
+    if os.environ.get(SWITCH, "").strip().lower() in OFF:
         return None
     import jax
-
-    programs = user_cache() / "programs"
-    _programs = programs if _writable(programs) else None
 
     config: Any = jax.config  # its attributes are made at run time
     if config.jax_compilation_cache_dir:
         return None
-    # Compiled code fits one kind of processor: a home on a network disk serves several.
-    folder = user_cache() / _machine()
-    if not _writable(folder):
+    folder = user_cache() / machine()
+    if not is_own_folder(folder):
         return None
     config.update("jax_compilation_cache_dir", str(folder))
     config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return folder
-
-
-def kept_programs() -> Path | None:
-    """The folder of exported programs; None until ``enable_cache`` was called, and without one."""
-    return _programs
 
 
 @contextlib.contextmanager
@@ -77,24 +61,3 @@ def healing(folder: Path | None) -> Iterator[None]:
             warnings.warn_explicit(
                 warning.message, warning.category, warning.filename, warning.lineno
             )
-
-
-def _machine() -> str:
-    features = [platform.machine(), platform.processor(), version("jaxlib")]
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        features += sorted({line for line in lines if line.startswith(("flags", "Features"))})
-    return hashlib.sha256("\n".join(features).encode()).hexdigest()[:16]
-
-
-def _writable(folder: Path) -> bool:
-    probe = folder / f".{secrets.token_hex(4)}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
-            return False  # what someone else put there is not run
-        probe.touch()
-        probe.unlink()
-    except OSError:
-        return False
-    return True

@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.settings import check_numbers, is_off
@@ -69,8 +71,10 @@ class FilterState(NamedTuple):
     @classmethod
     def unseen(cls, count: int) -> FilterState:
         """Of points that haven't been seen yet."""
-        zero = jnp.zeros((count, 3), jnp.float32)
-        return cls(zero, zero, zero, jnp.sqrt(jnp.float32(NOISE_AT_FIRST)))
+        zero, root = jax.device_put(
+            (np.zeros((count, 3), np.float32), np.sqrt(np.float32(NOISE_AT_FIRST)))
+        )
+        return cls(zero, zero, zero, root)
 
     @property
     def noise(self) -> Float[Array, ""]:

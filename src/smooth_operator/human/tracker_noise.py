@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -84,9 +85,12 @@ class NoiseState(NamedTuple):
     @classmethod
     def unseen(cls, count: int) -> NoiseState:
         """Of ``count`` points that haven't been seen yet."""
-        palm, points = (jnp.zeros((size, 3), jnp.float32) for size in (len(PALM), count))
-        none = jnp.float32(0)
-        return cls(palm, palm, palm, none, none, none, points, points)
+        palm, points = (np.zeros((size, 3), np.float32) for size in (len(PALM), count))
+        none = np.float32(0)
+        placed: NoiseState = jax.device_put(
+            cls(palm, palm, palm, none, none, none, points, points)  # type: ignore[arg-type]
+        )
+        return placed
 
     @property
     def share(self) -> Float[Array, ""]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, NoReturn, TypeVar, cast
+from typing import Any, ClassVar, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
@@ -25,6 +26,9 @@ from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 
 C = TypeVar("C", bound="MethodConfig")
+
+Compiling: TypeAlias = Callable[..., Any]
+"""What compiles a traceable function; after it, what the function is called among the method's."""
 
 _FAINT = 1e-4
 """A pull to the neutral pose this weak decides between equally good poses, and no more."""
@@ -91,6 +95,12 @@ class Method(ABC):
         """The method as one whose solver runs on the host; None if it is one compiled program."""
         return None
 
+    @property
+    def constants(self) -> Any:
+        """A pytree of arrays that the program holds besides figures of the hand and settings, such
+        as weights from a file; None where there are none, or they are not known."""
+        return None
+
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None for a method without latches.
 
@@ -134,6 +144,10 @@ class HostMethod(Method):
         """One frame, on the host; not traceable."""
         return self.solve(state, self.prepare(state, aligned, ticks))
 
+    def compile_with(self, compiling: Compiling) -> None:
+        """Before the first frame: what compiles the functions that ``solve`` calls, if any."""
+        del compiling
+
     @property
     def host(self) -> HostMethod:
         """The method itself."""
@@ -153,6 +167,11 @@ class MethodConfig(ABC):
     color: ClassVar[str | None] = None
     """Colour of a plugin's method in reports, ``#rrggbb``; None for one that follows from its name.
     Those of the built-in methods are in ``smooth_operator.methods.registry``."""
+
+    @property
+    def one_thread(self) -> bool:
+        """Whether a frame is answered sooner on one thread than on one per core."""
+        return True
 
     @abstractmethod
     def build(self, hand: Hand) -> Method:

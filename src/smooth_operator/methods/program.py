@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -20,7 +19,7 @@ from smooth_operator.human.alignment import (
     reference_landmarks,
 )
 from smooth_operator.human.palm_axes import human_palm_axes
-from smooth_operator.methods.method import HostMethod, Method
+from smooth_operator.methods.method import Compiling, HostMethod, Method
 from smooth_operator.types import Status
 
 
@@ -85,19 +84,16 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
     return step
 
 
-def frame_program(
-    method: Method, alignment: AlignmentConfig, compiling: Callable[..., Any]
-) -> Program:
+def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compiling) -> Program:
     """The program of one frame; it compiles when it is first called.
 
     Args:
         method: what is solved.
         alignment: how landmarks reach the palm frame.
-        compiling: what compiles a function of state, landmarks, validity and ticks that returns the
-            state and a tuple of arrays.
+        compiling: what compiles a function of state, landmarks, validity and ticks.
     """
     if method.host is not None:
-        return _host_program(method.host, alignment)
+        return _host_program(method.host, alignment, compiling)
     step = frame_step(method, alignment)
 
     def packed(
@@ -122,11 +118,6 @@ def frame_program(
 def _pack(*parts: Array | np.ndarray | float) -> Array:
     """One array: what the host reads costs by the piece, not by the byte."""
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``jax.jit`` with the options that suit programs of one frame."""
-    return jax.jit(function, compiler_options=_compiler_options())
 
 
 class AlignedFrame(NamedTuple):
@@ -167,12 +158,13 @@ def align_frame(
     return AlignedFrame(aligned, status, palm.scale)
 
 
-def _host_program(method: HostMethod, alignment: AlignmentConfig) -> Program:
+def _host_program(method: HostMethod, alignment: AlignmentConfig, compiling: Compiling) -> Program:
     def prepare(state: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
         frame = align_frame(method, alignment, landmarks, valid)
         return method.prepare(state, frame.aligned, ticks), _pack(frame.status, frame.scale)
 
-    before = compiled(prepare)
+    before = compiling(prepare)
+    method.compile_with(compiling)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
@@ -204,20 +196,3 @@ def ticks_of(stamp: Float[ArrayLike, "*n"]) -> UInt32[np.ndarray, "*n"]:
 def tick_of(stamp: float) -> np.uint32:
     """``ticks_of`` of one stamp [s], in a tenth of its time."""
     return np.uint32(round(stamp * 1e6) % 2**32 if math.isfinite(stamp) else 0)
-
-
-@cache
-def _compiler_options() -> dict[str, Any] | None:
-    """Options that make a CPU program start sooner.
-
-    XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
-    faster for it. The option is XLA's own and may go: where it is unknown, there is none.
-    """
-    if jax.default_backend() != "cpu":
-        return None
-    options = {"xla_cpu_use_fusion_emitters": False}
-    try:
-        jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
-    except Exception:  # what XLA raises for an unknown option has changed between versions
-        return None
-    return options

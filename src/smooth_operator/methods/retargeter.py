@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -66,6 +65,7 @@ class Retargeter:
         rate: frames a second [Hz] of frames without stamps, such as those of a video; None for the
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
+        cache: whether compiled programs are read from this user's cache folder, and kept there.
 
     Attributes:
         method: the method for this hand.
@@ -90,6 +90,7 @@ class Retargeter:
         seed: int = 0,
         rate: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
+        cache: bool = True,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         if config is None:
@@ -101,13 +102,12 @@ class Retargeter:
         if self.config.alignment.operator is not None:
             self.config.alignment.operator.check(self.hand)
         check_frame_rate(rate)
-        self.seed = seed
-        self.rate = rate
+        self.seed, self.rate, self.cache = seed, rate, cache
         self._clock = clock
         self._stamped: bool | None = None
         self._input = HandCheck(self.hand.spec.side)
         self.method: Method = self.config.build(self.hand)
-        self.shared = shared_program(self.hand, self.config)
+        self.shared = shared_program(self.hand, self.config, cache)
         self._state = self.init()
 
     @property
@@ -123,7 +123,7 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        state = RetargetState(method, jnp.asarray(self.hand.neutral, jnp.float32))
+        state = RetargetState(method, jax.device_put(self.hand.neutral.astype(np.float32)))
         if self.method.host is not None:
             return state
         # On a device by name, as the program's own states are: it is compiled once for both.

@@ -26,7 +26,7 @@ from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.program import Program, frame_program
 from smooth_operator.plugins import Entry
 
-_EXPORTED = Entry("smooth_operator.compilation.exported_program:ExportedProgram")
+_KEPT_PROGRAM = Entry("smooth_operator.compilation.kept_program:KeptProgram")
 _KEPT: Final = 16
 _SHAPES: Final = (
     "body_parentid", "body_pos", "body_quat", "geom_bodyid", "geom_type", "geom_size", "geom_pos",
@@ -34,7 +34,7 @@ _SHAPES: Final = (
     "exclude_signature",
 )  # fmt: skip
 """Arrays of a model that say which of its parts can meet, and where."""
-_known: OrderedDict[tuple[str, MethodConfig], SharedProgram] = OrderedDict()
+_known: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
 _lock = threading.Lock()
 
 
@@ -52,23 +52,28 @@ class SharedProgram(NamedTuple):
     reflects: bool
 
 
-def shared_program(hand: Hand, config: MethodConfig) -> SharedProgram:
+def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
     """The program of a frame for a hand, or for its mirror image if it is described as one.
+
+    Args:
+        hand: the robot hand.
+        config: the method's settings.
+        cache: whether it is read from the user's cache, and kept there.
 
     Raises:
         SmoothOperatorError: the method can't serve the hand.
     """
     if not config.shareable:
-        return _made(hand, config, False)
+        return _made(hand, config, False, cache)
     reflects = hand.spec.mirror
     served = load_hand_spec(hand.spec.mirrored) if reflects else hand
-    key = (fingerprint(served), config)
+    key = (fingerprint(served), config, cache)
     try:
         with _lock:
             known = _known.get(key)
     except TypeError:  # a configuration of the user's own that has no hash
-        return _made(served, config, reflects)
-    made = (known or _made(served, config, reflects))._replace(reflects=reflects)
+        return _made(served, config, reflects, cache)
+    made = (known or _made(served, config, reflects, cache))._replace(reflects=reflects)
     with _lock:
         _known[key] = made
         _known.move_to_end(key)
@@ -112,11 +117,12 @@ def fingerprint(hand: Hand) -> str:
     return digest.hexdigest()
 
 
-def _made(hand: Hand, config: MethodConfig, reflects: bool) -> SharedProgram:
+def _made(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> SharedProgram:
     method = config.build(hand)
 
-    def compiling(function: Callable[..., Any]) -> Callable[..., Any]:
-        exported: Callable[..., Any] = _EXPORTED.load()(function, 0, hand, config, "frame")
-        return exported
+    def compiling(function: Callable[..., Any], name: str = "frame") -> Callable[..., Any]:
+        of: Any = {"constants": method.constants, "kept": cache}
+        program: Callable[..., Any] = _KEPT_PROGRAM.load()(function, hand, config, name, **of)
+        return program
 
     return SharedProgram(method, frame_program(method, config.alignment, compiling), reflects)

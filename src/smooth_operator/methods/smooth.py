@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -239,17 +240,18 @@ class Smooth(Method):
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose."""
-        neutral = jnp.asarray(self.hand.neutral, jnp.float32)
+        put = jax.device_put  # compiles nothing
+        neutral = put(self.hand.neutral.astype(np.float32))
         return SmoothState(
             neutral,
             neutral,
             NoiseState.unseen(len(self.needs)),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
-            jnp.uint32(0),
-            jnp.float32(1 / self.config.rate_hz),
-            jnp.asarray(seed_words(seed)),
-            jnp.uint32(0),
+            put(np.uint32(0)),
+            put(np.float32(1 / self.config.rate_hz)),
+            put(seed_words(seed)),
+            put(np.uint32(0)),
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:

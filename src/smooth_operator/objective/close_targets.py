@@ -6,7 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
@@ -79,7 +81,7 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
 
     def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"] | tuple[()]:
         """Open latches, if there are any."""
-        return jnp.zeros(len(layout.fingers) - 1, bool) if self.latches else ()
+        return jax.device_put(np.zeros(len(layout.fingers) - 1, bool)) if self.latches else ()
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None without latches."""

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -198,7 +199,7 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     def init(self, layout: KeyvectorLayout) -> LatchState:
         """Open latches."""
         count = len(layout.fingers) - 1
-        return LatchState(jnp.zeros(count, bool), jnp.zeros(count, jnp.float32))
+        return LatchState(*jax.device_put((np.zeros(count, bool), np.zeros(count, np.float32))))
 
     def latched(self, state: LatchState) -> Bool[Array, " P"]:
         """(F - 1,) which fingers are latched to the thumb."""

@@ -177,6 +177,7 @@ def write_figure(figure: Figure, stem: Path) -> str:
     with styled():
         with atomic_write(stem.with_name(stem.name + ".png")) as file:
             figure.savefig(file, format="png", dpi=_DPI)
+        figure.set_layout_engine("none")  # it is found: a second search would take as long again
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()

@@ -80,3 +80,7 @@ class LiveSimulation(Protocol):
     def reset_object(self, side: Side) -> int:
         """Put the object back; the number of the world from then on."""
         ...
+
+    def put_away(self, side: Side) -> None:
+        """Go on without the object, until it is put back."""
+        ...

@@ -176,8 +176,6 @@ def teleoperate(
         }
         loop = TeleopLoop(pipelines, source, runner, config)
         switcher = MethodSwitcher(loop, asked)
-        if begun is not None and page is not None:
-            show_page(begun, page, loop, asked, acting, switcher, blind, said)
         recorded = live_configuration(
             "teleop",
             asked,
@@ -207,6 +205,8 @@ def teleoperate(
             about=about,
             record=record,
         )
+        if begun is not None and page is not None:
+            show_page(begun, page, loop, asked, acting, switcher, blind, said, tried.shown)
         handlers = RpcHandlers(loop, switcher, lambda: tried.runner, blind=blind)
         granted = "normal"
         begin = time.perf_counter()

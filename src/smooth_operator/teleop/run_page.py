@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.planning import RetargetRequest
@@ -83,6 +83,7 @@ def show_page(
     switcher: MethodSwitcher,
     blind: bool,
     said: Reporter,
+    trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
 ) -> None:
     """Have the page show a loop that is about to run, and open it.
 
@@ -91,7 +92,7 @@ def show_page(
     """
     from smooth_operator.teleop.pages.live.live_session import LiveSession
 
-    session = LiveSession(loop, asked, acting, switcher=switcher, blind=blind)
+    session = LiveSession(loop, asked, acting, switcher=switcher, blind=blind, trial=trial)
     loop.watch = session.watch
     url = begun.serve(session)
     said.note(f"page: {url}", matters=True)

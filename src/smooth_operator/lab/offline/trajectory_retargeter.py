@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.batching import Progress, progressing
+from smooth_operator.compilation.kept_program import KeptProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
@@ -43,7 +44,7 @@ from smooth_operator.lab.offline.trajectory_solver import (
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
-from smooth_operator.methods.program import align_frame, compiled
+from smooth_operator.methods.program import align_frame
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
@@ -110,8 +111,9 @@ class TrajectoryRetargeter:
             count = at.shape[1] * 3
             return at.reshape(len(q), count), jacobian.reshape(len(q), count, -1)
 
-        self._aligned, self._follow = compiled(aligned), compiled(follow)
-        self._costs, self._points = compiled(costs), compiled(points)
+        of = (method.hand, config.causal, "recording")
+        kept = [KeptProgram(f, *of, f.__name__) for f in (aligned, follow, costs, points)]
+        self._aligned, self._follow, self._costs, self._points = kept
 
     def warm_up(self) -> float:
         """Compiles the method's own program.

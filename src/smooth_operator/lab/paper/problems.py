@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.compilation.frame_jit import compiled
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -23,7 +24,6 @@ from smooth_operator.human.alignment import AlignmentConfig, align_recording
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.paper.compared_solvers import NEWTON_CONFIG
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.methods.program import compiled
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import Targets

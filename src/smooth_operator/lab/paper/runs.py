@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from smooth_operator.compilation.frame_jit import compiled
 from smooth_operator.lab.benchmark.machine import Watch
 from smooth_operator.lab.paper.compared_solvers import (
     CompiledSolver,
@@ -22,7 +23,6 @@ from smooth_operator.lab.paper.compared_solvers import (
 )
 from smooth_operator.lab.paper.problems import Problem
 from smooth_operator.lab.paper.starts import soft_mean
-from smooth_operator.methods.program import compiled
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective

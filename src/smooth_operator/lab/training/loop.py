@@ -20,13 +20,13 @@ from smooth_operator.baselines.geort_model import (
     finger_joints,
     recognition,
 )
+from smooth_operator.compilation.frame_jit import compiled
 from smooth_operator.errors import MissingExtraError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.training.batches import draw_batches
 from smooth_operator.lab.training.data import TrainingData
 from smooth_operator.lab.training.losses import LOSSES, Batch, GeortLoss
 from smooth_operator.lab.training.settings import GeortTraining
-from smooth_operator.methods.program import compiled
 
 _START = 0.8  # share of a joint's half range, within which it starts
 _BATCHES, _VALIDATION = 0xBA, 0x5E  # keep the random numbers of the two apart

@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from smooth_operator.compilation.frame_jit import compiled
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.program import RetargetState, compiled, frame_step, ticks_of
+from smooth_operator.methods.program import RetargetState, frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.setting_paths import with_unchecked
 from smooth_operator.types import CommandTrajectory, HandRecording

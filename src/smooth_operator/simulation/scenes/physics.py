@@ -67,7 +67,7 @@ class ScenePhysics(HandPhysics):
         carried: CarriedHand | None = None,
     ) -> None:
         self.scene = scene
-        self._ghost = self._fixed = False  # until there is a model
+        self._ghost = self._fixed = self._away = False  # until there is a model
         self.starts = 0
         placed = None if carried is None else in_front(carried, scene)
         super().__init__(
@@ -106,8 +106,17 @@ class ScenePhysics(HandPhysics):
 
     def reset_object(self) -> None:
         """Put the object back to its start, as soon as the hand is out of its place."""
-        self._ghost, self._fixed, self._gripped = True, self.scene.fixture, 0
+        self._away = False
         self.starts += 1
+        self._begin()
+
+    def put_away(self) -> None:
+        """Go on without the object, until it is put back: nothing touches it."""
+        self._away = True
+        self._begin()
+
+    def _begin(self) -> None:
+        self._ghost, self._fixed, self._gripped = True, self.scene.fixture, 0
         self._solid(False)
         if self.scene.fixture:
             self._data.eq_active[self.model.equality(OBJECT).id] = 1
@@ -123,7 +132,7 @@ class ScenePhysics(HandPhysics):
         pose = self._data.qpos[self._at : self._at + 7]
         return SceneState(
             self.time, pose[:3].copy(), pose[3:].copy(), speed[:3].copy(), turn @ speed[3:],
-            force, touch, palm, rest, not self._ghost, self._fixed, self.starts,
+            force, touch, palm, rest, not self._ghost, self._fixed, self.starts, self._away,
         )  # fmt: skip
 
     def parts(self) -> list[ScenePart]:
@@ -163,6 +172,8 @@ class ScenePhysics(HandPhysics):
         self._data.qvel[self._moves : self._moves + 6] = 0.0
 
     def _try_to_place(self) -> None:
+        if self._away:
+            return
         mujoco.mj_kinematics(self.model, self._data)
         nearest = min(
             mujoco.mj_geomDistance(self.model, self._data, own, thing, 2 * _CLEAR, None)
@@ -192,4 +203,7 @@ class ScenePhysics(HandPhysics):
     def _place(self, target: np.ndarray) -> None:
         super()._place(target)
         if hasattr(self, "_touching"):  # the physics diverged: the object is reset, too
-            self.reset_object()
+            if self._away:
+                self.put_away()
+            else:
+                self.reset_object()

@@ -25,6 +25,7 @@ class SceneState:
         placed: False while the object waits, untouchable, for the hand to leave its place.
         fixed: the fixture still holds the object.
         starts: how often the object was put to its start.
+        away: there is no object now, as in free movement; where it would start is ``position``.
     """
 
     time: float
@@ -39,6 +40,7 @@ class SceneState:
     placed: bool = True
     fixed: bool = False
     starts: int = 0
+    away: bool = False
 
 
 @dataclass(frozen=True, eq=False)

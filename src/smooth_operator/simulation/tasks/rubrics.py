@@ -25,6 +25,7 @@ CARD_PICKUP: Final = Task(
         RubricLine(
             "out-of-reach", 0.5, "out of reach or flicked across the top; pinched after a reset"
         ),
+        RubricLine("no-edge", 0.5, "pinched and lifted without having gone over the edge"),
         _DROPPED,
         _GAVE_UP,
     ),

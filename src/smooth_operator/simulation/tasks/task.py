@@ -33,6 +33,16 @@ class RubricLine:
                 f"line {self.name!r} of a rubric: its score must be 0, 0.5 or 1, not {self.score}"
             )
 
+    def possible(self, resets: int, cap: float) -> bool:
+        """Whether a trial can end by it.
+
+        Args:
+            resets: how often the object was put back; a line whose name ends in ``after-reset``
+                needs one.
+            cap: the best score after that.
+        """
+        return self.score <= cap if resets else not self.name.endswith("after-reset")
+
 
 GENERAL_RUBRIC: Final = (
     RubricLine("done", 1.0, "done as instructed, without a reset"),

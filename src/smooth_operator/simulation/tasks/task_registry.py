@@ -12,9 +12,7 @@ from smooth_operator.simulation.tasks.cube_scorer import CubeScorer
 from smooth_operator.simulation.tasks.rubrics import CARD_PICKUP, CUBE_ROTATION, SCREWDRIVER_PIVOT
 from smooth_operator.simulation.tasks.scorer import Scorer
 from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
-from smooth_operator.simulation.tasks.task import RubricLine, Task
-
-_NO_EDGE: Final = RubricLine("no-edge", 0.5, "pinched and lifted without having gone over the edge")
+from smooth_operator.simulation.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -44,17 +42,15 @@ def _simulated(
     seconds: float,
     scorer: Callable[[Any], Scorer],
     after: tuple[str, str],
-    *more: RubricLine,
 ) -> SimulatedTask:
-    limited = replace(task, time_limit_s=seconds, rubric=(*task.rubric, *more))
-    return SimulatedTask(name, limited, seconds, scorer, *after)
+    return SimulatedTask(name, replace(task, time_limit_s=seconds), seconds, scorer, *after)
 
 
 _RESET: Final = "done-after-reset"
 TASKS: Final[dict[str, SimulatedTask]] = {
     task.name: task
     for task in (
-        _simulated("card", CARD_PICKUP, 60.0, CardScorer, (_RESET, "out-of-reach"), _NO_EDGE),
+        _simulated("card", CARD_PICKUP, 60.0, CardScorer, (_RESET, "out-of-reach")),
         _simulated("cube", CUBE_ROTATION, 120.0, CubeScorer, ("misaligned", "misaligned")),
         _simulated("screwdriver", SCREWDRIVER_PIVOT, 60.0, ScrewdriverScorer, (_RESET, _RESET)),
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +22,13 @@ from smooth_operator.types import Side
 
 _EVERY_S: Final = 0.01
 """Between two looks at the scene [s], by its own clock."""
+
+CLEAR_S: Final = 0.5
+"""So long the object has to stand at its start untouched before a trial begins that waits for the
+hand to be clear [s]."""
+
+WAITING: Final = "waiting"
+"""Phase of a trial that begins when the hand is clear of the object."""
 
 
 class TaskSession:
@@ -39,6 +47,7 @@ class TaskSession:
         side: which of its hands.
         folder: where the trials' records go; None keeps none.
         done: called with each outcome, from the thread of the physics; it must not take long.
+        begun: called likewise when a trial begins that waited for the hand to be clear.
     """
 
     def __init__(
@@ -47,10 +56,11 @@ class TaskSession:
         side: Side,
         folder: str | Path | None = None,
         done: Callable[[Outcome], None] | None = None,
+        begun: Callable[[], None] = lambda: None,
     ) -> None:
         self.task = task_named(simulation.task_now)
         self.outcomes: list[Outcome] = []
-        self._simulation, self._side, self._done = simulation, side, done
+        self._simulation, self._side, self._done, self._begun = simulation, side, done, begun
         self._folder = None if folder is None else Path(folder)
         self._lock = threading.RLock()  # who is called with an outcome may look at the trial
         self._run = TaskRun(self.task, simulation.scene_of(side))
@@ -61,6 +71,10 @@ class TaskSession:
         self._number = 0
         self._trials = 0
         self._state: SceneState | None = None
+        self._waiting = False
+        self._clear_since: float | None = None
+        self._written: Path | None = None  # of the last trial that ended
+        self._disk = threading.Lock()
         self.failed = ""
         simulation.watch(side, self.observe)
 
@@ -83,24 +97,42 @@ class TaskSession:
                 return self._run.outcome.seconds
             return self._now - self._run.started if self._run.phase is Phase.RUNNING else 0.0
 
-    def go(self, **about: Any) -> None:
+    @property
+    def active(self) -> bool:
+        """Whether a trial runs, or waits for the hand to be clear."""
+        with self._lock:
+            return self._waiting or self._run.phase is Phase.RUNNING
+
+    def go(self, *, when_clear: bool = False, limit_s: float | None = None, **about: Any) -> None:
         """Start a trial, with the object at its start.
 
         Args:
+            when_clear: the clock begins once the object has stood at its start, untouched, for
+                ``CLEAR_S``; what is touched before is put back.
+            limit_s: after which it ends [s]; None for the task's own limit.
             about: what is to stand in the record: operator, condition, number.
 
         Raises:
             StudyError: one is running.
         """
         with self._lock:
-            if self._run.phase is Phase.RUNNING:
+            if self.active:
                 raise StudyError("a trial is running; finish it first")
             self._since = self._simulation.reset_object(self._side)
-            self._run = TaskRun(self.task, self._run.scene).go(self._now)
+            task = self.task if limit_s is None else replace(self.task, seconds=limit_s)
+            self._run = TaskRun(task, self._run.scene)
             self._record = self._fresh()
             self._record.about = about
-            self._record.events.append((self._now, "go"))
+            self._written = None
             self._trials += 1
+            self._waiting, self._clear_since = when_clear, None
+            if not when_clear:
+                self._start()
+
+    def _start(self) -> None:
+        self._waiting = False
+        self._run = self._run.go(self._now)
+        self._record.events.append((self._now, "go"))
 
     def reset(self) -> None:
         """Put the object back to its start, once a trial; the score is then 0.5 at most.
@@ -127,8 +159,31 @@ class TaskSession:
     def cancel(self) -> None:
         """Forget the trial at hand: nothing is counted or written; nothing happens if none runs."""
         with self._lock:
-            if self._run.phase is Phase.RUNNING:
+            if self.active:
+                self._waiting = False
                 self._run = TaskRun(self.task, self._run.scene)
+
+    def mark(self, word: str, about: Mapping[str, Any]) -> bool:
+        """Mark the record of the last trial, which has ended but does not count.
+
+        Its file gets the word before its name, and ``"marked": word`` among its entries.
+
+        Args:
+            word: ``undone`` or ``void``.
+            about: entries that it has to have; another trial's record stays as it is.
+
+        Returns:
+            Whether it was this trial.
+        """
+        with self._lock:
+            record, path = self._record, self._written
+            if path is None or any(record.about.get(k) != v for k, v in about.items()):
+                return False
+            self._written = None
+            record.about = {**record.about, "marked": word}
+        target = path.with_name(f"{word}-{path.name}")
+        threading.Thread(target=self._write, args=(target, record, path), name="trial").start()
+        return True
 
     def report(self) -> dict[str, Any]:
         """How the trial stands, as JSON has it.
@@ -138,7 +193,9 @@ class TaskSession:
             ``elapsed_s`` since 'go', by the scene's clock; ``score``, ``line`` of the rubric, its
             ``text``, and the ``reason`` for it, which only for a finished trial are
             final; ``time_s`` and ``ended`` of such a one, None before; ``resets``; ``placed``:
-            whether the object is at its start, and no longer waits for the hand to leave its place.
+            whether the object is at its start, and no longer waits for the hand to leave its
+            place; ``limit_s`` of the trial; ``about``, as it was begun with. Phase ``waiting`` is
+            that of a trial that begins when the hand is clear.
         """
         with self._lock:
             run, outcome = self._run, self._run.outcome
@@ -149,7 +206,7 @@ class TaskSession:
                 "task": self.task.name,
                 "side": self._side,
                 "number": self._trials,
-                "phase": run.phase.value,
+                "phase": WAITING if self._waiting else run.phase.value,
                 "elapsed_s": self.seconds,
                 "score": standing.score if outcome is None else outcome.score,
                 "line": line,
@@ -159,6 +216,8 @@ class TaskSession:
                 "ended": None if outcome is None else outcome.ended,
                 "resets": run.resets,
                 "placed": placed,
+                "limit_s": run.task.seconds,
+                "about": dict(self._record.about),
             }
 
     def close(self) -> None:
@@ -178,6 +237,9 @@ class TaskSession:
                 return
             self._last = self._now = state.time
             self._state = state
+            if self._waiting:
+                self._wait(state)
+                return
             if self._run.phase is not Phase.RUNNING or state.starts < self._since:
                 return  # or the object is not back at its start yet
             if state.starts > self._since:
@@ -187,6 +249,21 @@ class TaskSession:
             if self._run.phase is Phase.DONE:
                 self._end()
 
+    def _wait(self, state: SceneState) -> None:
+        """Begin the trial if the hand is clear; put back what it has touched meanwhile."""
+        if state.starts < self._since:
+            return
+        if not state.placed:
+            self._clear_since = None
+        elif state.force.any() or state.palm > 0.0:
+            self._since, self._clear_since = self._simulation.reset_object(self._side), None
+        elif self._clear_since is None:
+            self._clear_since = state.time
+        elif state.time - self._clear_since >= CLEAR_S:
+            self._since = state.starts
+            self._start()
+            self._begun()
+
     def _end(self) -> None:
         outcome = self._run.outcome
         assert outcome is not None  # it is done
@@ -194,15 +271,19 @@ class TaskSession:
         self.outcomes.append(outcome)
         if self._folder is not None:
             record, path = self._record, self._folder / self._name()
+            self._written = path
             # Not here: the physics would stand still while the disk is waited for.
             threading.Thread(target=self._write, args=(path, record), name="trial").start()
         if self._done is not None:
             self._done(outcome)
 
-    def _write(self, path: Path, record: TrialRecord) -> None:
+    def _write(self, path: Path, record: TrialRecord, old: Path | None = None) -> None:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_trial(path, record)
+            with self._disk:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_trial(path, record)
+                if old is not None:
+                    old.unlink(missing_ok=True)
         except OSError as error:
             self.failed = str(error)
 

@@ -64,13 +64,21 @@ class TrialRunner:
         """Why records could not be written."""
         return [session.failed for session in self._sessions.values() if session.failed]
 
-    def change(self, task: str | None) -> SimulatedTask | None:
+    @property
+    def object_there(self) -> bool:
+        """Whether there is an object to touch: not in free movement."""
+        states = [self._simulation.scene_state(side) for side in self._sides]
+        return any(state is not None and not state.away for state in states)
+
+    def change(self, task: str | None, with_object: bool = True) -> SimulatedTask | None:
         """Load another scene, or none; a trial that runs is forgotten.
 
         The scene that is there already is kept, and its object put back to its start.
 
         Args:
             task: its name here or in the paper (A, B, C); None for the hand alone.
+            with_object: False leaves the object out until a trial begins or it is put back, as
+                for free movement.
 
         Raises:
             UnknownNameError: there is no such task.
@@ -82,7 +90,7 @@ class TrialRunner:
             now = self.task
             if now is not None and wanted is not None and now.name == wanted.name:
                 self.cancel()
-                self.put_back()
+                self._put(with_object)
                 return wanted
             self._simulation.change_task("none" if wanted is None else wanted.name)
             with self._lock:
@@ -91,12 +99,16 @@ class TrialRunner:
                     self._past[side] += session.outcomes
                 self._sessions = {}
                 self._attend()
+            if wanted is not None and not with_object:
+                self._put(with_object)
         return wanted
 
-    def go(self, **about: Any) -> None:
+    def go(self, *, when_clear: bool = False, limit_s: float | None = None, **about: Any) -> None:
         """Start a trial on every hand.
 
         Args:
+            when_clear: each clock begins when the hand is clear of its object; see TaskSession.
+            limit_s: after which they end [s]; None for the task's own limit.
             about: further entries of the records.
 
         Raises:
@@ -104,11 +116,12 @@ class TrialRunner:
         """
         with self._lock:
             sessions = self._all()
-            if any(session.run.phase is Phase.RUNNING for session in sessions):
+            if any(session.active for session in sessions):
                 raise StudyError("a trial is running; finish or cancel it first")
             for side, session in self._sessions.items():
-                session.go(**{**self._about(), **about})
-                self._say(side, "begins")
+                entries = {**self._about(), **about}
+                session.go(when_clear=when_clear, limit_s=limit_s, **entries)
+                self._say(side, "waits for the hand to be clear" if when_clear else "begins")
 
     def reset(self) -> None:
         """The one reset of trials that run; where none does, the objects are just put back.
@@ -130,8 +143,14 @@ class TrialRunner:
         Raises:
             SinkError: the simulation is closed.
         """
+        self._put(True)
+
+    def _put(self, there: bool) -> None:
         for side in self._sessions:
-            self._simulation.reset_object(side)
+            if there:
+                self._simulation.reset_object(side)
+            else:
+                self._simulation.put_away(side)
 
     def finish(self) -> None:
         """The operator can do no more.
@@ -146,13 +165,21 @@ class TrialRunner:
             for session in running.values():
                 session.finish()
 
-    def cancel(self) -> None:
-        """Forget the trials that run."""
+    def cancel(self, mark: str | None = None, **about: Any) -> None:
+        """Forget the trials that run.
+
+        Args:
+            mark: ``undone`` or ``void``: the records of trials that have just ended get this word,
+                since they don't count.
+            about: entries that these records have to have.
+        """
         with self._lock:
             for side, session in self._sessions.items():
-                if session.run.phase is Phase.RUNNING:
+                if session.active:
                     session.cancel()
                     self._say(side, "is forgotten")
+                elif mark is not None and session.mark(mark, about):
+                    self._say(side, f"is {mark}")
 
     def report(self, side: Side | None = None) -> dict[str, Any]:
         """How the trial of a hand stands, the first one's if none is named; see TaskSession.
@@ -188,6 +215,7 @@ class TrialRunner:
                     side,
                     self._folder,
                     lambda outcome, side=side: self._ended(side, outcome),  # type: ignore[misc]
+                    lambda side=side: self._say(side, "begins"),  # type: ignore[misc]
                 )
 
     def _running(self) -> dict[Side, TaskSession]:

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.analysis.frame import Frame, make_frame
+from smooth_operator.study.analysis.flow import leave_out
+from smooth_operator.study.analysis.frame import Frame
 from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
 from smooth_operator.study.analysis.linear_outcome import analyze_linear
 from smooth_operator.study.analysis.operators import variance
+from smooth_operator.study.analysis.outcome_frames import (
+    success_frame,
+    time_frame,
+    tlx_frame,
+    within,
+)
+from smooth_operator.study.analysis.readings import (
+    Interaction,
+    Readings,
+    Refused,
+    interactions,
+    read_further,
+)
 from smooth_operator.study.analysis.results import (
     MODES,
     POOLED,
@@ -24,9 +38,12 @@ from smooth_operator.study.analysis.results import (
 )
 from smooth_operator.study.analysis.spearman import correlations
 from smooth_operator.study.analysis.success_outcome import analyze_success
-from smooth_operator.study.data.rows import ITEMS, Questionnaires, StudyData, Trials, Workload
+from smooth_operator.study.data.rows import ITEMS, StudyData, Workload
 
 Report = Callable[[str], None]
+
+_DEFAULT_BASELINE: Final = "dexpilot"
+"""Where no plan is known: the paper's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +59,8 @@ class Analysis:
         learning: by scope, index and outcome.
         spearman: by ``METRIC~OUTCOME``.
         tlx_items: by scope and item, ``emm`` and ``dunnett`` as in the results, mode small-sample.
+        interaction: by outcome, retargeter x task.
+        seed: of bootstraps and permutations.
     """
 
     data: StudyData
@@ -52,21 +71,54 @@ class Analysis:
     learning: dict[str, Any] = field(default_factory=dict)
     spearman: dict[str, Any] = field(default_factory=dict)
     tlx_items: dict[str, dict[str, ScopeResult]] = field(default_factory=dict)
+    interaction: dict[Outcome, Interaction | Refused] = field(default_factory=dict)
+    seed: int = 11
+
+    @property
+    def primary(self) -> tuple[str, str] | None:
+        """Outcome and scope of the endpoint that decides; None where no plan names one."""
+        named = "" if self.data.plan is None else self.data.plan.primary
+        outcome, _, scope = named.partition("/")
+        return (outcome, scope) if named else None
+
+    def role(self, outcome: str, scope: str) -> str:
+        """``primary``, ``exploratory``, or nothing where no plan names a primary endpoint."""
+        if self.primary is None:
+            return ""
+        return "primary" if (outcome, scope) == self.primary else "exploratory"
 
     @property
     def workload(self) -> Workload:
         """What is meant by workload."""
         return "raw" if self.data.questionnaires is None else self.data.questionnaires.kind
 
+    @cached_property
+    def readings(self) -> Readings:
+        """What else the data say: sensitivity, equivalence, order, preference."""
+        small = self.results[MODES[0]]
+        return read_further(
+            self.data, self.retargeters, self.scopes, small, self.interaction, seed=self.seed
+        )
+
     def to_json(self) -> dict[str, Any]:
         """The content of ``results.json``."""
         found: dict[str, Any] = {mode: plain(outcomes) for mode, outcomes in self.results.items()}
+        for mode in self.results:
+            for outcome, scopes in found[mode].items():
+                for scope, result in scopes.items():
+                    result["role"] = self.role(outcome, scope) or None
         found["learning"] = plain(self.learning)
         found["spearman"] = plain(self.spearman)
         found["tlx_items"] = plain(self.tlx_items)
+        found["readings"] = plain(self.readings)
         found["operator_variance"] = plain(variance(self.data))
+        found["flow"] = plain(self.data.flow)
+        planned = self.data.plan
         found["study"] = {
             "baseline": self.baseline,
+            "planned_baseline": None if planned is None else planned.baseline,
+            "primary": None if self.primary is None else "/".join(self.primary),
+            "margins": {} if planned is None else dict(planned.margins),
             "retargeters": list(self.retargeters),
             "tasks": [scope for scope in self.scopes if scope != POOLED],
             "operators": sorted({str(name) for name in self.data.trials.operator}),
@@ -81,24 +133,37 @@ class Analysis:
 
 
 def analyze_study(
-    data: StudyData, baseline: str = "dexpilot", *, seed: int = 11, report: Report | None = None
+    data: StudyData,
+    baseline: str | None = None,
+    *,
+    exclude: Mapping[str, str] | None = None,
+    seed: int = 11,
+    report: Report | None = None,
 ) -> Analysis:
     """Analyses success, time and workload, pooled and per task, in both modes.
 
     Args:
-        data: the study.
-        baseline: the retargeter that others are compared with.
-        seed: of the bootstrap.
+        data: the study; operators who withdrew and want their data left out are left out.
+        baseline: the retargeter that others are compared with; None for the plan's, or dexpilot
+            where no plan is known.
+        exclude: operator -> reason, of those to leave out besides.
+        seed: of bootstraps and permutations.
         report: is called with a text on what is being done.
 
     Returns:
         The analysis. What can't be analysed is refused there, with its reason, part by part.
 
     Raises:
-        StudyError: one operator or one retargeter in all the study.
-        UnknownNameError: no trial has the baseline.
+        StudyError: one operator or one retargeter in all the study, or an exclusion without reason.
+        UnknownNameError: no trial has the baseline, or there is no such operator to exclude.
     """
     tell = report or (lambda text: None)
+    data = leave_out(data, exclude)
+    planned = _DEFAULT_BASELINE if data.plan is None else data.plan.baseline
+    if data.plan is not None and baseline not in (None, planned):
+        note = f"the baseline {baseline} was asked for; the plan's is {planned}"
+        data = replace(data, notes=(*data.notes, note))
+    baseline = baseline or planned
     trials = data.trials
     names = sorted({str(name) for name in trials.retargeter})
     if len(names) < 2:
@@ -122,65 +187,16 @@ def analyze_study(
         scopes=(POOLED, *tasks),
         retargeters=(baseline, *(name for name in names if name != baseline)),
         results={mode: {} for mode in MODES},
+        seed=seed,
     )
     for scope in analysis.scopes:
         tell(f"{scope}: success, time, workload")
         _analyze_scope(analysis, scope)
         analysis.learning[scope] = _learning(data, scope, baseline)
         analysis.tlx_items[scope] = _items(analysis, scope)
+    _warn_of_interactions(analysis)
     tell("simulation against study")
     return replace(analysis, spearman=correlations(data, seed=seed))
-
-
-def success_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
-    """All trials of a scope; the outcome is 1 for a score of 0.5 or 1."""
-    return _trial_frame(
-        trials, trials.success.astype(float), _within(trials, scope), baseline, index
-    )
-
-
-def time_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
-    """Successful trials of a scope that have a time; the outcome is the time [s]."""
-    rows = _within(trials, scope) & trials.success & np.isfinite(trials.time)
-    return _trial_frame(trials, trials.time, rows, baseline, index)
-
-
-def tlx_frame(
-    table: Questionnaires,
-    scope: str,
-    baseline: str,
-    index: str = "global",
-    item: int | None = None,
-) -> Frame:
-    """Questionnaires of a scope; the outcome is the workload, or the answer to one item."""
-    outcome = table.workload if item is None else table.answers[:, item]
-    rows = _within(table, scope) & np.isfinite(outcome)
-    return make_frame(
-        outcome[rows],
-        table.retargeter[rows],
-        table.task[rows],
-        table.operator[rows],
-        (table.index if index == "global" else table.point)[rows],
-        baseline,
-    )
-
-
-def _trial_frame(
-    trials: Trials, outcome: Float[np.ndarray, " n"], rows: np.ndarray, baseline: str, index: str
-) -> Frame:
-    return make_frame(
-        outcome[rows],
-        trials.retargeter[rows],
-        trials.task[rows],
-        trials.operator[rows],
-        (trials.trial_global if index == "global" else trials.trial_in_block)[rows],
-        baseline,
-    )
-
-
-def _within(table: Trials | Questionnaires, scope: str) -> np.ndarray:
-    everything = np.ones(len(table), bool)
-    return everything if scope == POOLED else np.asarray(table.task == scope)
 
 
 def _analyze_scope(analysis: Analysis, scope: str) -> None:
@@ -192,11 +208,11 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
     frame = time_frame(data.trials, scope, baseline)
     said = _missing(analysis, frame, scope)
     untimed = int(
-        np.sum(_within(data.trials, scope) & data.trials.success & np.isnan(data.trials.time))
+        np.sum(within(data.trials, scope) & data.trials.success & np.isnan(data.trials.time))
     )
     if untimed:
         said = (*said, f"{untimed} successful trial(s) without a time are left out")
-    found["time"] = analyze_linear(frame, said)
+    found["time"] = analyze_linear(frame, said, unit=" s")
     if data.questionnaires is None:
         reason = "no questionnaires were given"
         none = ScopeResult(refused=reason, warnings=(f"refused: {reason}",))
@@ -205,14 +221,31 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
         frame = tlx_frame(data.questionnaires, scope, baseline)
         said = _missing(analysis, frame, scope)
         left_out = int(
-            np.sum(_within(data.questionnaires, scope) & np.isnan(data.questionnaires.workload))
+            np.sum(within(data.questionnaires, scope) & np.isnan(data.questionnaires.workload))
         )
         if left_out:
             said = (*said, f"{left_out} questionnaire(s) with an answer missing are left out")
-        found["tlx"] = analyze_linear(frame, said)
+        found["tlx"] = analyze_linear(frame, said, unit=" points")
     for outcome, by_mode in found.items():
         for mode, result in by_mode.items():
             analysis.results[mode].setdefault(outcome, {})[scope] = result
+
+
+def _warn_of_interactions(analysis: Analysis) -> None:
+    """The means over tasks say little where differences depend on the task."""
+    analysis.interaction.update(interactions(analysis.data, analysis.baseline))
+    for outcome, found in analysis.interaction.items():
+        if isinstance(found, Refused) or not found.found:
+            continue
+        said = (
+            f"differences between retargeters depend on the task (p = {found.test.p:.2g}): look at "
+            "the tasks one by one; their mean weighs tasks equally"
+        )
+        for mode in MODES:
+            scopes = analysis.results[mode][outcome]
+            if scopes[POOLED].refused is None:
+                pooled = scopes[POOLED]
+                scopes[POOLED] = replace(pooled, warnings=(*pooled.warnings, said))
 
 
 def _missing(analysis: Analysis, frame: Frame, scope: str) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,6 +17,13 @@ class Citation:
 
 
 CITATIONS: Final = (
+    Citation("Schulz2010", "Flow of participants",
+             "Schulz, Altman, Moher (2010). CONSORT 2010 statement: updated guidelines for "
+             "reporting parallel group randomised trials. BMJ 340, c332. doi:10.1136/bmj.c332"),
+    Citation("Williams1949", "Orders balanced for place and for what comes before",
+             "Williams (1949). Experimental designs balanced for the estimation of residual "
+             "effects of treatments. Australian Journal of Scientific Research A 2(2), 149-168. "
+             "doi:10.1071/CH9490149"),
     Citation("Bates2015", "Linear mixed models by restricted maximum likelihood",
              "Bates, Mächler, Bolker, Walker (2015). Fitting linear mixed-effects models using "
              "lme4. Journal of Statistical Software 67(1). doi:10.18637/jss.v067.i01"),
@@ -59,6 +67,10 @@ CITATIONS: Final = (
     Citation("Hart1988", "NASA-TLX",
              "Hart, Staveland (1988). Development of NASA-TLX (Task Load Index). Advances in "
              "Psychology 52, 139-183. doi:10.1016/S0166-4115(08)62386-9"),
+    Citation("Hart2006", "Unweighted (raw) NASA-TLX",
+             "Hart (2006). NASA-Task Load Index (NASA-TLX); 20 years later. Proceedings of the "
+             "Human Factors and Ergonomics Society Annual Meeting 50(9), 904-908. "
+             "doi:10.1177/154193120605000909"),
     Citation("Shapiro1965", "Test of normal residuals",
              "Shapiro, Wilk (1965). An analysis of variance test for normality (complete samples). "
              "Biometrika 52(3-4), 591-611. doi:10.1093/biomet/52.3-4.591"),
@@ -66,4 +78,10 @@ CITATIONS: Final = (
              "Brown, Forsythe (1974). Robust tests for the equality of variances. Journal of the "
              "American Statistical Association 69, 364-367. doi:10.1080/01621459.1974.10482955"),
 )  # fmt: skip
-"""In the order of the methods paragraph."""
+"""Of everything that may be done."""
+
+
+def cited(text: str) -> list[Citation]:
+    """The works that a text cites by their keys in square brackets, in the order of the list."""
+    keys = {key for group in re.findall(r"\[([\w, ]+)\]", text) for key in group.split(", ")}
+    return [citation for citation in CITATIONS if citation.key in keys]

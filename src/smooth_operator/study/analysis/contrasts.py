@@ -48,7 +48,7 @@ def coefficients(
     for name, value, variance, axis in zip(
         names, beta, np.diag(covariance), np.eye(len(beta)), strict=True
     ):
-        se, df = float(np.sqrt(variance)), freedom(axis)
+        se, df = float(np.sqrt(max(variance, 0))), freedom(axis)
         p = two_sided(value / se, df) if se > 0 else float("nan")
         found[name] = Coefficient(float(value), se, df, p)
     return found

@@ -9,7 +9,9 @@ from typing import Any, Final
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
+from smooth_operator.study.analysis.flow import flow_rows
 from smooth_operator.study.analysis.operators import operator_means
+from smooth_operator.study.analysis.readings import reading_rows
 from smooth_operator.study.analysis.results import ScopeResult, plain
 
 _FAMILIES: Final = {
@@ -55,6 +57,12 @@ def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
             for where, result in _scopes(analysis)
             for name, entry in getattr(result, family).items()
         ]
+    found["separated"] = [
+        {**where, "retargeter": name, "against": other, **_flat(plain(one)), **plain(test)}
+        for where, result in _scopes(analysis)
+        for name, one in result.separated.items()
+        for other, test in one.against.items()
+    ]
     found["warnings"] = [
         {**where, "warning": text}
         for where, result in _scopes(analysis)
@@ -70,6 +78,8 @@ def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
         {"metric": pair.split("~")[0], "outcome": pair.split("~")[1], **_flat(entry)}
         for pair, entry in analysis.spearman.items()
     ]
+    found["readings"] = reading_rows(analysis.readings)
+    found["flow"] = flow_rows(analysis.data.flow)
     found["operators"] = [plain(one) for one in operator_means(analysis.data)]
     return found
 
@@ -84,7 +94,7 @@ def _scopes(analysis: Analysis) -> Iterator[tuple[dict[str, str], ScopeResult]]:
 def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
     found = {}
     for key, value in plain(entry).items():
-        if key == "per_retargeter":
+        if key in ("per_retargeter", "against"):
             continue
         if isinstance(value, Mapping):
             found.update({f"{key}_{inner}": number for inner, number in value.items()})

@@ -17,12 +17,8 @@ from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 from smooth_operator.study.analysis.multivariate import outside
 
-_ROUGH: Final = 1e-5
-"""Error of a probability that is enough for the limit of an interval."""
 _PINNED: Final = 1e-13
 _STEPS: Final = 20
-_ALIKE: Final = 0.1
-_EQUAL: Final = 1e-6
 _CLOSE: Final = 1e-6
 """Relative error of the probability at which the search for a limit ends."""
 
@@ -86,17 +82,8 @@ def dunnett(
         errors.append(min(error, (count - 1) * raw))
     critical = [float("nan")] * count
     if level is not None and count:
-        few, many = min(freedom), max(freedom)
-        if few == many or few > (1 - _EQUAL) * many:
-            critical = [_critical(correlation, few, level)] * count
-        elif few < (1 - _ALIKE) * many:
-            limits = {df: _critical(correlation, df, level) for df in set(freedom)}
-            critical = [limits[df] for df in freedom]
-        else:  # between so near ones the limit is a straight line in 1 / df, to six digits
-            low, high = (_critical(correlation, df, level) for df in (few, many))
-            critical = [
-                high + (low - high) * (1 / df - 1 / many) / (1 / few - 1 / many) for df in freedom
-            ]
+        limits = {df: _critical(correlation, df, level) for df in set(freedom)}
+        critical = [limits[df] for df in freedom]
     return Dunnett(tuple(adjusted), tuple(critical), max(errors, default=0.0))
 
 
@@ -108,7 +95,7 @@ def _critical(correlation: Float[np.ndarray, "m m"], freedom: float, level: floa
 
     def excess(limit: float) -> float:
         # The logarithm is nearly a straight line, so the secant takes few steps.
-        return float(np.log(outside(limit, correlation, freedom, enough=_ROUGH)[0] / alpha))
+        return float(np.log(outside(limit, correlation, freedom)[0] / alpha))
 
     a, b = low, high
     at_a, at_b = excess(a), excess(b)

@@ -11,9 +11,9 @@ _CORRELATIONS: Final = (0.1, 0.3, 0.5)
 _WORDS: Final = ("negligible", "small", "medium", "large")
 
 
-def standardised(difference: float, sd_operator: float, sd_residual: float) -> float:
-    """Difference of means in standard deviations of single rows, operators and residual."""
-    return difference / float(np.hypot(sd_operator, sd_residual))
+def standardised(difference: float, spread: float) -> float:
+    """Difference of means in standard deviations of single rows, all variances together."""
+    return difference / spread
 
 
 def cohen_h(probability: float, baseline: float) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import StudyError
 
@@ -61,6 +61,15 @@ class Frame:
         """z-score of the index; zero where it never varies."""
         centred = self.index - self.index_mean
         return centred / self.index_sd if self.index_sd > 0 else centred
+
+    @property
+    def levels(self) -> dict[str, Int[np.ndarray, " n"]]:
+        """Groups of rows that share a random intercept, coarse to fine."""
+        own = self.group * len(self.retargeters) + self.retargeter
+        found = {"operator": self.group, "operator:retargeter": own}
+        if len(self.tasks) > 1:
+            found["block"] = own * len(self.tasks) + self.task
+        return found
 
     def factors(self) -> tuple[Float[np.ndarray, "n p"], list[str]]:
         """Columns of intercept, retargeters and tasks, and their names."""
@@ -130,12 +139,28 @@ def make_frame(
     )
 
 
-def check_frame(frame: Frame) -> None:
+def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
+    """Some rows of a frame; names that no longer occur do not count."""
+    return make_frame(
+        frame.outcome[rows],
+        np.array(frame.retargeters)[frame.retargeter[rows]],
+        np.array(frame.tasks)[frame.task[rows]],
+        np.array(frame.operators)[frame.group[rows]],
+        frame.index[rows],
+        frame.baseline,
+    )
+
+
+def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
     """Whether the rows carry an analysis at all.
 
+    Args:
+        frame: the rows.
+        retargeters: how many there must be.
+
     Raises:
-        StudyError: no rows, one operator, one retargeter, a constant outcome, or columns that tell
-            the same.
+        StudyError: no rows, one operator, too few retargeters, a constant outcome, or columns that
+            tell the same.
     """
     if not len(frame):
         raise StudyError("there are no rows to analyse")
@@ -144,7 +169,7 @@ def check_frame(frame: Frame) -> None:
             f"all rows are of one operator ({frame.operators[0]}): nothing can be said about "
             "operators in general; at least two are needed, and ten or more to be worth it"
         )
-    if len(frame.retargeters) < 2:
+    if len(frame.retargeters) < retargeters:
         raise StudyError(
             f"all rows are of one retargeter ({frame.retargeters[0]}): there is nothing to compare "
             "it with"

@@ -29,6 +29,8 @@ _STILL: Final = 1e-10
 is nearly the lowest that there is, rounding keeps the equations off by more than the tolerance."""
 _RUNAWAY: Final = 20.0
 """Log-odds beyond which a fit is on its way to infinity: 2e-9 is no probability of a trial."""
+_EDGE: Final = 0.01
+"""Smallest eigenvalue of a working correlation whose inverse is still worth something."""
 _ALONE: Final = 1 - 1e-10
 """Leverage from which on an operator alone determines a coefficient."""
 _INFINITE: Final = (
@@ -50,7 +52,8 @@ class GeeFit:
         alpha: working correlation of two rows of one operator.
         phi: scale.
         operators: number of clusters.
-        valid_correlation: whether α is one that rows of the largest operator can have.
+        margin: 1 + (n - 1) α of the largest operator's n rows, the smallest eigenvalue of its
+            working correlation where α is negative; from zero on, no rows can be so correlated.
     """
 
     beta: Float[np.ndarray, " p"]
@@ -60,7 +63,21 @@ class GeeFit:
     alpha: float
     phi: float
     operators: int
-    valid_correlation: bool
+    margin: float
+
+    def check_correlation(self) -> None:
+        """Whether the working correlation leaves estimates that mean something.
+
+        Raises:
+            StudyError: it is at the edge of what rows of one operator can have, or beyond it.
+        """
+        if self.margin < _EDGE:
+            raise StudyError(
+                f"the working correlation is estimated as {self.alpha:.4f}, at the edge of what "
+                "the rows of one operator can have, or beyond it: successes and failures alternate "
+                "more evenly than by chance. Estimates can then be far from the observed rates; "
+                "see those"
+            )
 
 
 def require_statsmodels() -> Any:
@@ -136,7 +153,6 @@ def fit_gee(
             f"correlation {alpha:.3f}); its figures would mean nothing"
         )
     largest = int(sizes.max())
-    lowest = -1 / (largest - 1) if largest > 1 else -1.0
     return GeeFit(
         beta=fit.params,
         robust=fit.cov_robust,
@@ -145,7 +161,7 @@ def fit_gee(
         alpha=alpha,
         phi=float(fit.scale),
         operators=len(sizes),
-        valid_correlation=lowest < alpha < 1,
+        margin=1 + (largest - 1) * alpha,
     )
 
 

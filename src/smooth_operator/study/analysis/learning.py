@@ -12,10 +12,12 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis.clusters import mancl_derouen
 from smooth_operator.study.analysis.dunnett import two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import fit_gee
 from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.analysis.separation import separating
 
 
@@ -23,9 +25,11 @@ def linear_slope(frame: Frame) -> dict[str, Any]:
     """Slope of time or workload over the index of the frame.
 
     Returns:
-        ``slope`` per step with ``se``, ``z`` and ``p_z`` (mode paper), ``df_satterthwaite`` and
-        ``p_satterthwaite`` (small-sample), ``n``, ``sd_x``; ``per_retargeter`` the same with a
-        slope for each. ``refused`` in place of them where there is none.
+        ``slope`` per step with ``se``, ``z`` and ``p_z`` (mode paper), ``se_mancl_derouen``, ``df``
+        and ``p_t`` (small-sample: it holds where operators learn at different rates),
+        ``df_satterthwaite`` and ``p_satterthwaite`` (if they learn at the same rate), ``n``,
+        ``sd_x``; ``per_retargeter`` the same with a slope for each. ``refused`` in place of them
+        where there is none.
     """
     try:
         _check(frame)
@@ -50,15 +54,21 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
     Returns:
         ``slope_logit`` per step with ``se`` (sandwich), ``z`` and ``p_z`` (mode paper),
         ``se_mancl_derouen``, ``df`` and ``p_t`` (small-sample); ``ame_prob_per_unit`` and
-        ``ame_se``, the average change of the probability per step; ``n``, ``sd_x``.
+        ``ame_se``, the average change of the probability per step; ``n``, ``sd_x``;
+        ``without``, retargeters that never or always succeed, if any.
     """
     try:
         _check(frame)
+        rest, separated = split(frame)
+        if rest is None:
+            raise StudyError("no retargeter has both successes and failures")
+        frame = rest
         factors, _ = frame.factors()
         design = np.column_stack([factors, frame.index - frame.index_mean])
         if separating(design, frame.outcome) is not None:
             raise StudyError("separation: the model has infinite odds")
         fit = fit_gee(design, frame.outcome, frame.group)
+        fit.check_correlation()
     except StudyError as error:
         return {"refused": str(error), "n": len(frame)}
     slope, df = float(fit.beta[-1]), float(fit.operators - 1)
@@ -67,7 +77,7 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
     spread = probability * (1 - probability)
     gradient = slope * np.mean((spread * (1 - 2 * probability))[:, None] * design, axis=0)
     gradient[-1] += spread.mean()
-    found = {
+    found: dict[str, Any] = {
         "slope_logit": slope,
         "se": se,
         "z": slope / se,
@@ -77,6 +87,8 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
         "n": len(frame),
         "sd_x": frame.index_sd,
     }
+    if separated:
+        found["without"] = list(separated)
     if fit.mancl_derouen is not None:
         corrected = float(np.sqrt(fit.mancl_derouen[-1, -1]))
         found |= {
@@ -98,17 +110,25 @@ def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[
     fit = fit_mixed(design, frame.outcome, frame.group)
     found = []
     width = design.shape[1]
+    robust = mancl_derouen(design, frame.outcome - design @ fit.beta, frame.group, fit.ratio)
+    freedom = float(len(frame.operators) - 1)
     for j in range(width - count, width):
         slope, se = float(fit.beta[j]), float(np.sqrt(fit.covariance[j, j]))
         df = fit.satterthwaite(np.eye(width)[j])
-        found.append(
-            {
-                "slope": slope,
-                "se": se,
-                "z": slope / se,
-                "p_z": two_sided(slope / se, np.inf),
-                "df_satterthwaite": df,
-                "p_satterthwaite": two_sided(slope / se, df),
+        one = {
+            "slope": slope,
+            "se": se,
+            "z": slope / se,
+            "p_z": two_sided(slope / se, np.inf),
+            "df_satterthwaite": df,
+            "p_satterthwaite": two_sided(slope / se, df),
+        }
+        if robust is not None:
+            corrected = float(np.sqrt(robust[j, j]))
+            one |= {
+                "se_mancl_derouen": corrected,
+                "df": freedom,
+                "p_t": two_sided(slope / corrected, freedom),
             }
-        )
+        found.append(one)
     return found

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import diagnostics
@@ -14,7 +16,22 @@ from smooth_operator.study.analysis.effects import standardised
 from smooth_operator.study.analysis.emm import linear_means
 from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame
 from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.nested import fit_nested
 from smooth_operator.study.analysis.results import MODES, Mode, ScopeResult
+
+_IN_R: Final = {
+    "operator": "operator",
+    "operator:retargeter": "operator:retargeter",
+    "block": "operator:retargeter:task",
+}
+_OWN: Final = {
+    "operator:retargeter": "of operator by retargeter",
+    "block": "between blocks of one operator and retargeter",
+}
+_IGNORED: Final = (
+    "mode paper has no term for that and takes trials of one block for independent: it finds "
+    "differences too easily"
+)
 
 
 def analyze_linear(
@@ -23,6 +40,7 @@ def analyze_linear(
     *,
     modes: Sequence[Mode] = MODES,
     limits: bool = True,
+    unit: str = "",
 ) -> dict[Mode, ScopeResult]:
     """Fits and compares.
 
@@ -31,10 +49,12 @@ def analyze_linear(
         missing: what is known to be absent from them, for the warnings.
         modes: which are wanted.
         limits: whether to find simultaneous intervals against the baseline.
+        unit: of the outcome, with a blank in front, for the warnings.
 
     Returns:
-        The result in each mode: ``paper`` takes statistics for normal, ``small-sample`` for t with
-        Satterthwaite's degrees of freedom. Estimates and standard errors are the same.
+        The result in each mode. ``paper`` has a random intercept for each operator and takes
+        statistics for normal. ``small-sample`` has one for each operator with each retargeter as
+        well, and with several tasks for each block, and t with Satterthwaite's degrees of freedom.
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     if len(frame):
@@ -48,50 +68,128 @@ def analyze_linear(
     try:
         check_frame(frame)
         design, names = frame.design()
-        fit = fit_mixed(design, frame.outcome, frame.group)
     except StudyError as error:
         return dict.fromkeys(modes, refuse(blank, str(error)))
-    checks, said = diagnostics.residual_checks(fit.residuals, fit.intercepts, frame)
-    if fit.singular:
-        said.append(
-            "singular fit: the variance between operators is estimated as zero, so that trials "
-            "count as independent"
-        )
-    model = {
-        "kind": "linear mixed model, REML",
-        "formula": formula(frame, random=True),
-        "sd_operator": fit.sd_operator,
-        "sd_residual": fit.sd_residual,
-        "share_of_operators": fit.ratio / (1 + fit.ratio),
-        "log_likelihood": fit.log_likelihood,
-        "singular": fit.singular,
-        "operator_effects": dict(zip(frame.operators, map(float, fit.intercepts), strict=True)),
-        **index_facts(frame),
-    }
-    means = linear_means(frame, fit.beta)
-
-    def effect(mean: float, other: float) -> float:
-        return standardised(mean - other, fit.sd_operator, fit.sd_residual)
-
-    freedoms: dict[Mode, Freedom] = {
-        "small-sample": fit.satterthwaite,
-        "paper": lambda contrast: np.inf,
+    fits: dict[Mode, Callable[[], _Fit]] = {
+        "small-sample": lambda: _nested(frame, design),
+        "paper": lambda: _published(frame, design),
     }
     found = {}
     for mode in modes:
-        freedom = freedoms[mode]
-        compared = compare(means, fit.covariance, freedom, effect, frame.baseline, limits=limits)
+        try:
+            fit = fits[mode]()
+        except StudyError as error:
+            found[mode] = refuse(blank, str(error))
+            continue
+        checks, said = diagnostics.residual_checks(fit.residuals, fit.intercepts, frame)
+        means = linear_means(frame, fit.beta)
+
+        def effect(mean: float, other: float, spread: float = fit.sd_row) -> float:
+            return standardised(mean - other, spread)
+
+        compared = compare(
+            means, fit.covariance, fit.freedom, effect, frame.baseline, limits=limits
+        )
         found[mode] = replace(
             blank,
-            coefficients=coefficients(names, fit.beta, fit.covariance, freedom),
+            coefficients=coefficients(names, fit.beta, fit.covariance, fit.freedom),
             emm=compared.emm,
             dunnett=compared.dunnett,
             pairs=compared.pairs,
-            model={**model, "dunnett_correlation": compared.correlation},
+            model={**fit.model, **index_facts(frame), "dunnett_correlation": compared.correlation},
             diagnostics={**blank.diagnostics, **checks},
-            warnings=(*blank.warnings, *said, *compared.warnings),
+            warnings=(*blank.warnings, *said, *fit.warnings, *compared.warnings),
         )
+    small, paper = found.get("small-sample"), found.get("paper")
+    if small is not None and small.refused is None:
+        apart = _preferences(small.model["variances"], unit)
+        found["small-sample"] = replace(small, warnings=(*small.warnings, *apart))
+        if apart and paper is not None and paper.refused is None:
+            found["paper"] = replace(paper, warnings=(*paper.warnings, *apart, _IGNORED))
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A fitted model, whatever its random effects."""
+
+    beta: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    freedom: Freedom
+    sd_row: float
+    intercepts: Float[np.ndarray, " g"]
+    residuals: Float[np.ndarray, " n"]
+    model: dict[str, Any]
+    warnings: tuple[str, ...]
+
+
+def _published(frame: Frame, design: Float[np.ndarray, "n p"]) -> _Fit:
+    fit = fit_mixed(design, frame.outcome, frame.group)
+    variances = {"operator": fit.sd_operator**2, "residual": fit.residual_variance}
+    return _Fit(
+        beta=fit.beta,
+        covariance=fit.covariance,
+        freedom=lambda _: np.inf,
+        sd_row=float(np.hypot(fit.sd_operator, fit.sd_residual)),
+        intercepts=fit.intercepts,
+        residuals=fit.residuals,
+        model=_facts(frame, variances, fit.log_likelihood, fit.intercepts),
+        warnings=_singular(variances),
+    )
+
+
+def _nested(frame: Frame, design: Float[np.ndarray, "n p"]) -> _Fit:
+    fit = fit_nested(design, frame.outcome, frame.levels)
+    return _Fit(
+        beta=fit.beta,
+        covariance=fit.covariance,
+        freedom=fit.satterthwaite,
+        sd_row=fit.sd_row,
+        intercepts=fit.intercepts,
+        residuals=fit.residuals,
+        model=_facts(frame, fit.variances, fit.log_likelihood, fit.intercepts),
+        warnings=_singular(fit.variances),
+    )
+
+
+def _facts(
+    frame: Frame,
+    variances: dict[str, float],
+    log_likelihood: float,
+    intercepts: Float[np.ndarray, " g"],
+) -> dict[str, Any]:
+    return {
+        "kind": "linear mixed model, REML",
+        "formula": formula(frame, random=[name for name in variances if name != "residual"]),
+        "variances": variances,
+        "sd_operator": float(np.sqrt(variances["operator"])),
+        "sd_residual": float(np.sqrt(variances["residual"])),
+        "share_of_operators": variances["operator"] / sum(variances.values()),
+        "log_likelihood": log_likelihood,
+        "singular": variances["operator"] == 0,
+        "operator_effects": dict(zip(frame.operators, map(float, intercepts), strict=True)),
+    }
+
+
+def _singular(variances: dict[str, float]) -> tuple[str, ...]:
+    if variances["operator"] > 0:
+        return ()
+    return (
+        "singular fit: the variance between operators is estimated as zero, so that what they do "
+        "counts as independent of who they are",
+    )
+
+
+def _preferences(variances: dict[str, float], unit: str) -> tuple[str, ...]:
+    """How far operators differ in which retargeter suits them, if they do."""
+    said = [
+        f"{float(np.sqrt(variances[name])):.2g}{unit} {words}"
+        for name, words in _OWN.items()
+        if variances.get(name, 0.0) > 0
+    ]
+    if not said:
+        return ()
+    return (f"operators differ in which retargeter suits them: SD {' and '.join(said)}",)
 
 
 def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
@@ -104,11 +202,11 @@ def index_facts(frame: Frame) -> dict[str, float]:
     return {"index_mean": frame.index_mean, "index_sd": frame.index_sd}
 
 
-def formula(frame: Frame, *, random: bool) -> str:
-    """The model in R's notation."""
+def formula(frame: Frame, *, random: Sequence[str] = ()) -> str:
+    """The model in R's notation, with the names of its random intercepts."""
     terms = ["retargeter"]
     if len(frame.tasks) > 1:
         terms.append("task")
     if frame.index_sd > 0:
         terms.append(INDEX)
-    return f"y ~ {' + '.join(terms)}" + (" + (1 | operator)" if random else "")
+    return " + ".join([f"y ~ {' + '.join(terms)}", *(f"(1 | {_IN_R[name]})" for name in random)])

@@ -3,9 +3,11 @@
 Variables are taken one after the other: given the ones before, each is normal with a mean that
 depends on them, so the box becomes nested integrals with smooth limits, and the innermost one is a
 difference of two normal distribution functions. Gauss-Legendre nodes then converge geometrically. A
-t divides all of them by one chi variable, which is one more integral. Two and fewer independent
-directions are one integral over an angle, exact for singular correlations as well. Many
-variables go to ``smooth_operator.study.analysis.quasi_random``.
+t divides all of them by one chi variable, which is one more integral over the probability of a
+normal box. That is a smooth function of the box's size alone, so it is worked out once for a
+correlation, at Chebyshev points, and serves every limit and every number of degrees of freedom. Two
+and fewer independent directions are one integral over an angle, exact for singular correlations as
+well. Many variables go to ``smooth_operator.study.analysis.quasi_random``.
 
 Source: Genz and Bretz 2009, chapters 3 and 4. Nothing depends on a random seed: the same data give
 the same p-value.
@@ -13,25 +15,43 @@ the same p-value.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import fdtrc, gammainc, gammainccinv, gammaincinv, gammaln, ndtr
 
-from smooth_operator.study.analysis.quasi_random import outside_by_points
+from smooth_operator.study.analysis.quasi_random import apart_by_points
 
 _FAR: Final = 8.7
 """Where a normal variable has no probability left to double precision."""
 _SINGULAR: Final = 1e-9
 """Eigenvalues of a correlation matrix below this are taken for zero."""
-_NODES: Final = {3: (14, 20, 32, 64, 160), 4: (14, 20, 30), 5: (12, 18)}
+_NODES: Final = {3: (12, 20, 32, 64, 160), 4: (10, 14, 20, 30, 44), 5: (8, 10, 12, 14, 16, 20, 24)}
 """Nodes along each direction, coarse to fine, by number of directions."""
 _NESTED: Final = 5
 """Most variables that are integrated by nodes; for more it is quasi-random points."""
+_LARGEST: Final = {3: 7.5, 4: 6.5}
+"""Size from which on the outside of a box is the sum of its sides, by number of directions."""
+_LARGE: Final = 5.5
+"""The same for more directions."""
+_SIZES: Final = {3: 48, 4: 40}
+"""Chebyshev points over the sizes below, by number of directions."""
+_FEW_SIZES: Final = 32
+"""The same for more directions."""
+_BANDS: Final = (0.0, 2.0, 2.8, 3.4, 4.0, 4.6, 5.2, 6.0, np.inf)
+"""Between these, boxes need as many nodes; the larger, the more."""
+_LEAST: Final = {3: 1e-9, 4: 1e-8, 5: 1e-7}
+"""Error that no more nodes are tried for, by number of directions."""
 _ROUGH: Final = 1e-6
-"""From this error on, the points do as well and are quicker."""
+"""Error that is enough for points."""
+_FACTOR_NODES: Final = 160
+"""Over the one factor of the approximation."""
+_MOST_SHARED: Final = 0.95
+"""Largest share of a variable that its factor explains in the one-factor approximation."""
 _CHI_NODES: Final = 14
 _BLOCK: Final = 2_000_000
 """Nodes evaluated per block, so that memory stays small."""
@@ -41,8 +61,6 @@ def outside(
     limit: float,
     correlation: Float[np.ndarray, "m m"],
     freedom: float = np.inf,
-    *,
-    enough: float = 1e-9,
 ) -> tuple[float, float]:
     """P(max |T_j| > limit).
 
@@ -50,7 +68,6 @@ def outside(
         limit: c, zero or more.
         correlation: of the variables.
         freedom: degrees of freedom of the t; infinite for normal variables.
-        enough: error at which no more nodes are tried.
 
     Returns:
         (probability, estimate of its error).
@@ -64,24 +81,117 @@ def outside(
         return _by_angle(limit, factor, freedom)
     if values[0] < _SINGULAR:  # no factor; a little independence moves no probability by 1e-6
         correlation = (correlation + 1e-8 * np.eye(len(values))) / (1 + 1e-8)
-    factor = np.linalg.cholesky(_ordered(correlation))
-    if len(factor) > _NESTED or (len(factor) == _NESTED and enough > _ROUGH):
-        return outside_by_points(limit, factor, freedom, enough=max(enough, 1e-8))
-    if len(factor) > 3:
-        enough = max(enough, 1e-7)
+    boxes = _boxes_of(correlation.tobytes(), len(correlation))
     scales, weights, rest = _chi_nodes(limit, freedom)
-    before = np.nan
-    error = np.inf
-    for nodes in _NODES[len(factor)]:
-        inside = _boxes(limit * scales, factor, nodes)
-        probability = rest + float(weights @ (1 - inside))
-        error = abs(probability - before) if np.isfinite(before) else np.inf
-        if error < enough:
-            break
-        before = probability
-    if error > max(enough, _ROUGH) and len(factor) > 3:
-        return outside_by_points(limit, factor, freedom, enough=enough)
-    return float(np.clip(probability, 0.0, 1.0)), float(error)
+    beyond, errors = boxes(limit * scales)
+    probability = rest + float(weights @ beyond)
+    return float(np.clip(probability, 0.0, 1.0)), float(weights @ errors)
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """P(|Z_j| > size for any j) of correlated normal variables, for every size.
+
+    Attributes:
+        count: of the variables.
+        largest: size from which on the sides do not overlap.
+        coefficients: of Chebyshev polynomials over sizes from 0 to ``largest`` (k,).
+        sizes: rising (s,).
+        errors: estimate of the error at each (s,).
+    """
+
+    count: int
+    largest: float
+    coefficients: Float[np.ndarray, " k"]
+    sizes: Float[np.ndarray, " s"]
+    errors: Float[np.ndarray, " s"]
+
+    def __call__(
+        self, sizes: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """(probability, estimate of its error)."""
+        at = np.minimum(2 * sizes / self.largest - 1, 1.0)
+        within = 1 - np.polynomial.chebyshev.chebval(at, self.coefficients)
+        one = 2 * ndtr(-sizes)
+        far = sizes >= self.largest
+        return (
+            np.where(far, self.count * one, within),
+            np.where(far, (self.count - 1) * one, np.interp(sizes, self.sizes, self.errors)),
+        )
+
+
+@lru_cache(maxsize=256)
+def _boxes_of(correlation: bytes, count: int) -> _Boxes:
+    matrix = _ordered(np.frombuffer(correlation).reshape(count, count))
+    loadings = _loadings(matrix)
+    near = np.outer(loadings, loadings)
+    np.fill_diagonal(near, 1.0)
+    factors = np.linalg.cholesky(matrix), np.linalg.cholesky(near)
+    largest, number = _LARGEST.get(count, _LARGE), _SIZES.get(count, _FEW_SIZES)
+    angles = np.pi * (np.arange(number) + 0.5) / number
+    sizes = largest * (np.cos(angles) + 1) / 2
+    if count <= _NESTED:
+        apart, errors = _apart(sizes, factors)
+    else:
+        apart, errors = apart_by_points(sizes, *factors, enough=_ROUGH)
+    values = _by_factor(sizes, loadings) + apart
+    terms = np.cos(np.outer(np.arange(number), angles)) @ values * 2 / number
+    terms[0] /= 2
+    return _Boxes(count, largest, terms, sizes[::-1], errors[::-1])
+
+
+def _apart(
+    sizes: Float[np.ndarray, " k"],
+    factors: tuple[Float[np.ndarray, "m m"], Float[np.ndarray, "m m"]],
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Box probabilities of a factor minus those of a near one, and estimates of their errors.
+
+    Errors of the nodes are nearly the same for both, so that the difference has few of them.
+    """
+    count = len(factors[0])
+    found, errors = np.zeros(len(sizes)), np.zeros(len(sizes))
+    for low, high in pairwise(_BANDS):
+        band = np.flatnonzero((sizes >= low) & (sizes < high))
+        if not len(band):
+            continue
+        before = np.full(len(band), np.nan)
+        for nodes in _NODES[count]:
+            here, there = (_boxes(sizes[band], factor, nodes) for factor in factors)
+            found[band] = here - there
+            errors[band] = np.abs(found[band] - before)
+            if np.max(errors[band]) < _LEAST[count]:
+                break
+            before = found[band]
+    return found, errors
+
+
+def _loadings(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, " m"]:
+    """λ of the nearest matrix with correlations λ_i λ_j, or one that is about as near.
+
+    Differences from one baseline share it as their one factor, so it is near for them.
+    """
+    shared = np.sort(np.abs(correlation), axis=1)[:, -2]
+    for _ in range(30):
+        reduced = correlation.copy()
+        np.fill_diagonal(reduced, shared)
+        values, vectors = np.linalg.eigh(reduced)
+        loadings = vectors[:, -1] * np.sqrt(max(values[-1], 0.0))
+        shared = np.minimum(loadings**2, _MOST_SHARED)
+    return np.asarray(np.sign(loadings) * np.sqrt(shared))
+
+
+def _by_factor(
+    sizes: Float[np.ndarray, " k"], loadings: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, " k"]:
+    """Box probabilities of variables that are independent given one factor."""
+    points, weights = _legendre(_FACTOR_NODES)
+    factor = _FAR * points
+    density = _FAR * weights * np.exp(-(factor**2) / 2) / np.sqrt(2 * np.pi)
+    mean = factor[:, None] * loadings
+    own = np.sqrt(1 - loadings**2)
+    size = sizes[:, None, None]
+    inside = ndtr((size - mean) / own) - ndtr((-size - mean) / own)
+    return np.asarray(inside.prod(axis=2) @ density)
 
 
 def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:

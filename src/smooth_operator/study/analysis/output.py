@@ -8,9 +8,10 @@ from typing import Final
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.citations import CITATIONS
+from smooth_operator.study.analysis.citations import cited
 from smooth_operator.study.analysis.csv_files import write_tables
 from smooth_operator.study.analysis.methods_text import methods_paragraph
+from smooth_operator.study.analysis.r_script import write_r_script
 
 RESULTS: Final = "results.json"
 METHODS: Final = "methods.txt"
@@ -33,10 +34,12 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
     with atomic_write(folder / RESULTS) as file:
         text = json.dumps(analysis.to_json(), indent=1, allow_nan=False, ensure_ascii=False)
         file.write(text.encode() + b"\n")
-    cited = "\n".join(f"[{c.key}] {c.reference}" for c in CITATIONS)
+    text = methods_paragraph(analysis)
+    works = "\n".join(f"[{c.key}] {c.reference}" for c in cited(text))
     with atomic_write(folder / METHODS) as file:
-        file.write(f"{methods_paragraph(analysis)}\n\n{cited}\n".encode())
+        file.write(f"{text}\n\n{works}\n".encode())
     written = [RESULTS, *write_tables(analysis, folder), METHODS]
+    written += write_r_script(analysis, folder)
     if report:
         from smooth_operator.study.analysis.report import write_report
 

@@ -1,8 +1,8 @@
-"""The box probability of many variables, by scrambled Sobol points with fixed seeds.
+"""Box probabilities of many normal variables, by scrambled Sobol points with fixed seeds.
 
 Where nested quadrature would need too many nodes. The variables are taken one after the other and
-mapped to the unit cube (Genz 1992); a t adds its chi variable as one more direction. Independent
-scramblings give the error. Seeds are fixed: the same data give the same p-value.
+mapped to the unit cube (Genz 1992). Independent scramblings give the error. Seeds are fixed: the
+same data give the same p-value.
 """
 
 from __future__ import annotations
@@ -12,66 +12,67 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammaincinv, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 from scipy.stats.qmc import Sobol
 
 _SCRAMBLES: Final = 8
-_POWERS: Final = (12, 14, 16)
+_POWERS: Final = (10, 12, 14)
 """Points of each scrambling, as powers of two, few to many."""
 _EDGE: Final = 1e-16
 
 
-def outside_by_points(
-    limit: float,
+def apart_by_points(
+    sizes: Float[np.ndarray, " k"],
     factor: Float[np.ndarray, "m m"],
-    freedom: float,
+    near: Float[np.ndarray, "m m"],
     *,
     enough: float,
-) -> tuple[float, float]:
-    """P(max |T_j| > limit) for the lower triangular factor of a correlation matrix.
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """P(|L z| <= size) of independent normal z, for each size, minus that of a near matrix.
 
     Args:
-        limit: above zero.
-        factor: L with L L' the correlation matrix.
-        freedom: degrees of freedom of the t; infinite for normal variables.
+        sizes: above zero.
+        factor: L, lower triangular, with L L' the correlation matrix.
+        near: the same of a matrix that is nearly it: the difference varies less from point to point
+            than the probability.
         enough: error at which no more points are tried.
 
     Returns:
-        (probability, three standard errors over the scramblings).
+        (differences, three standard errors over the scramblings of each).
     """
-    mixed = bool(np.isfinite(freedom))
     for power in _POWERS:
+        # The same points for every size, so that the error is as smooth as the probability.
         estimates = np.array(
             [
-                1 - np.mean(_inside(limit, factor, freedom, _points(len(factor), mixed, power, k)))
-                for k in range(_SCRAMBLES)
+                [
+                    np.mean(_inside(size, factor, points) - _inside(size, near, points))
+                    for size in sizes
+                ]
+                for points in (_points(len(factor), power, seed) for seed in range(_SCRAMBLES))
             ]
         )
-        error = 3 * float(estimates.std(ddof=1)) / np.sqrt(_SCRAMBLES)
-        if error < enough:
+        errors = 3 * estimates.std(axis=0, ddof=1) / np.sqrt(_SCRAMBLES)
+        if errors.max() < enough:
             break
-    return float(np.clip(estimates.mean(), 0.0, 1.0)), error
+    return estimates.mean(axis=0), errors
 
 
 @lru_cache(maxsize=32)
-def _points(width: int, mixed: bool, power: int, seed: int) -> Float[np.ndarray, "k d"]:
+def _points(width: int, power: int, seed: int) -> Float[np.ndarray, "k d"]:
     # The last variable of the box needs no coordinate, its probability is closed form.
-    points = Sobol(width - 1 + mixed, scramble=True, rng=np.random.default_rng(seed))
+    points = Sobol(width - 1, scramble=True, rng=np.random.default_rng(seed))
     return np.asarray(np.clip(points.random_base2(power), _EDGE, 1 - _EDGE))
 
 
 def _inside(
-    limit: float, factor: Float[np.ndarray, "m m"], freedom: float, points: Float[np.ndarray, "k d"]
+    size: float, factor: Float[np.ndarray, "m m"], points: Float[np.ndarray, "k d"]
 ) -> Float[np.ndarray, " k"]:
-    reach = np.full(len(points), limit)
-    if np.isfinite(freedom):
-        reach = limit * np.sqrt(2 * gammaincinv(freedom / 2, points[:, -1]) / freedom)
     known = np.zeros((len(factor), len(points)))
     total = np.ones(len(points))
     for at in range(len(factor)):
         mean = factor[at, :at] @ known[:at]
-        low = ndtr((-reach - mean) / factor[at, at])
-        share = ndtr((reach - mean) / factor[at, at]) - low
+        low = ndtr((-size - mean) / factor[at, at])
+        share = ndtr((size - mean) / factor[at, at]) - low
         total *= share
         if at + 1 < len(factor):
             known[at] = ndtri(np.clip(low + points[:, at] * share, 1e-300, 1 - _EDGE))

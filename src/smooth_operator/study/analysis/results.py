@@ -75,6 +75,49 @@ class Pair:
 
 
 @dataclass(frozen=True)
+class ExactTest:
+    """A retargeter that never or always succeeds against another, within operators.
+
+    Attributes:
+        difference: of success rates, the first minus the other, averaged over operators.
+        operators: who did a task with both.
+        differing: for how many of them the two differ.
+        p_raw: exact, two-sided.
+        p_holm: times the number of all pairs of retargeters, 1 at most.
+        p_dunnett: times the number of comparisons with the baseline; None where neither is it.
+    """
+
+    difference: float
+    operators: int
+    differing: int
+    p_raw: float
+    p_holm: float = float("nan")
+    p_dunnett: float | None = None
+
+
+@dataclass(frozen=True)
+class Separated:
+    """A retargeter that no logistic model can hold, since it never or always succeeds.
+
+    Attributes:
+        rate: observed, 0 or 1.
+        trials: how many.
+        operators: of how many.
+        bound: one-sided 95 % bound of the success rate (upper for a rate of 0, lower for 1), exact
+            with operators as units.
+        bound_if_independent: the same if all trials were independent (Clopper and Pearson).
+        against: every other retargeter.
+    """
+
+    rate: float
+    trials: int
+    operators: int
+    bound: float
+    bound_if_independent: float
+    against: Mapping[str, ExactTest]
+
+
+@dataclass(frozen=True)
 class ScopeResult:
     """One outcome, over all tasks or one of them, in one mode.
 
@@ -87,6 +130,7 @@ class ScopeResult:
         operators: clusters of the model.
         model: facts of the fit: formula, variances, working correlation.
         diagnostics: what was checked, and the results.
+        separated: retargeters that never or always succeed; they are in no other table.
         observed: rows, mean and spread of each retargeter as they are, without a model.
         warnings: what to know before believing it.
         refused: why there are no figures; None if there are.
@@ -100,6 +144,7 @@ class ScopeResult:
     operators: int = 0
     model: Mapping[str, Any] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    separated: Mapping[str, Separated] = field(default_factory=dict)
     observed: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     refused: str | None = None

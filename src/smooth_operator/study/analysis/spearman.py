@@ -3,10 +3,16 @@
 A point is one operator with one retargeter: the metric, and the operator's mean outcome. Points of
 one operator are not independent, so the interval to believe is the bootstrap's, which draws whole
 operators; Fisher's, which takes points for independent, is given too.
+
+Such a correlation mixes two questions. Within operators: does a metric rank the retargeters as each
+operator's outcomes do? Over the means: does it rank the retargeters as the study does? The second
+has as many points as there are retargeters. All figures hold for these retargeters: operators are
+drawn, retargeters are not.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,6 +20,8 @@ from jaxtyping import Float
 
 from smooth_operator.study.analysis.dunnett import quantile, two_sided
 from smooth_operator.study.analysis.effects import correlation_in_words
+from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.readings.resampling import operator_weights
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9
@@ -32,8 +40,11 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
 
     Returns:
         ``METRIC~OUTCOME`` -> ``rho``, ``n``, ``operators``, ``p_t``, ``ci_fisher`` and
-        ``ci_boot_operators`` with ``lcl`` and ``ucl``, ``effect_words``; or ``refused``. Outcomes
-        are ``success``, ``time_s`` and ``raw_tlx`` or ``weighted_tlx``. Empty without metrics.
+        ``ci_boot_operators`` with ``lcl`` and ``ucl``, ``effect_words``; or ``refused``. ``within``
+        has the correlation of ranks within operators: ``rho``, ``n``, ``operators``, ``lcl`` and
+        ``ucl`` of the bootstrap, ``p`` by changing the signs of operators, ``p_holm`` over all
+        pairs. ``means`` has that of the retargeters' means, ``rho`` and ``n``. Outcomes are
+        ``success``, ``time_s`` and ``raw_tlx`` or ``weighted_tlx``. Empty without metrics.
     """
     if data.metrics is None:
         return {}
@@ -42,7 +53,7 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
     for j, metric in enumerate(data.metrics.names):
         for name, mean in means.items():
             points = [
-                (operator, value, mean[operator, retargeter])
+                (operator, retargeter, value, mean[operator, retargeter])
                 for operator, retargeter, value in zip(
                     map(str, data.metrics.operator),
                     map(str, data.metrics.retargeter),
@@ -53,8 +64,65 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
             ]
             # Each pair draws the same operators, so that figures are comparable.
             rng = np.random.default_rng(seed)
-            found[f"{metric}~{name}"] = _correlate(points, rng, draws)
+            entry = _correlate([(p[0], p[2], p[3]) for p in points], rng, draws)
+            if "rho" in entry:
+                entry["within"] = correlation_within(points, seed=seed, draws=draws)
+                entry["means"] = _over_means(points)
+            found[f"{metric}~{name}"] = entry
+    tested = [e["within"] for e in found.values() if "p" in e.get("within", {})]
+    for entry, p in zip(tested, holm([entry["p"] for entry in tested]), strict=True):
+        entry["p_holm"] = p
     return found
+
+
+Point = tuple[str, str, float, float]
+"""Operator, retargeter, metric, mean outcome."""
+
+
+def correlation_within(points: Sequence[Point], *, seed: int, draws: int) -> dict[str, Any]:
+    """Correlation of ranks that are counted within each operator.
+
+    Args:
+        points: one for each operator and retargeter.
+        seed: of bootstrap and sign changes.
+        draws: of both.
+
+    Returns:
+        As ``within`` in ``correlations``; ``refused`` where no operator ranks anything.
+    """
+    parts = []
+    for operator in sorted({point[0] for point in points}):
+        own = [point for point in points if point[0] == operator]
+        one = np.ones((1, len(own)))
+        x, y = (_ranks(np.array([p[k] for p in own]), one)[0] for k in (2, 3))
+        x, y = x - x.mean(), y - y.mean()
+        parts.append((x @ y, x @ x, y @ y))
+    sums = np.array(parts)
+    if not np.all(sums[:, 1:].sum(axis=0) > 0):
+        return {"refused": "within operators the metric or the outcome never varies"}
+    drawn = operator_weights(len(sums), seed=seed, draws=draws) @ sums
+    scale = np.sqrt(drawn[:, 1] * drawn[:, 2])
+    rho = np.divide(drawn[:, 0], scale, out=np.full(len(scale), np.nan), where=scale > 0)
+    low, high = np.nanpercentile(rho[1:], [2.5, 97.5])
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (draws, len(sums)))
+    as_far = np.abs(signs @ sums[:, 0]) >= abs(sums[:, 0].sum()) - 1e-9
+    return {
+        "rho": float(rho[0]),
+        "n": len(points),
+        "operators": len(sums),
+        "lcl": float(low),
+        "ucl": float(high),
+        "p": float((1 + as_far.sum()) / (1 + draws)),
+    }
+
+
+def _over_means(points: Sequence[Point]) -> dict[str, Any]:
+    """Correlation of the retargeters' means of metric and outcome."""
+    names = sorted({point[1] for point in points})
+    means = np.array(
+        [np.mean([p[2:] for p in points if p[1] == name], axis=0) for name in names]
+    ).round(_DIGITS)
+    return {"rho": spearman(means[:, 0], means[:, 1]), "n": len(names)}
 
 
 def _means(data: StudyData) -> dict[str, dict[tuple[str, str], float]]:

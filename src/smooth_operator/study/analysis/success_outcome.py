@@ -17,6 +17,7 @@ from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import GeeFit, fit_gee
 from smooth_operator.study.analysis.linear_outcome import formula, index_facts, refuse
 from smooth_operator.study.analysis.results import MODES, Mode, ScopeResult
+from smooth_operator.study.analysis.separated import in_words, split
 from smooth_operator.study.analysis.separation import (
     one_sided_cells,
     one_sided_levels,
@@ -34,6 +35,7 @@ def analyze_success(frame: Frame, missing: tuple[str, ...] = ()) -> dict[Mode, S
     Returns:
         The result in each mode: ``paper`` has the sandwich covariance and normal statistics,
         ``small-sample`` Mancl and DeRouen's and t with one degree of freedom less than operators.
+        A retargeter that never or always succeeds is left out of the model, see ``separated``.
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     if len(frame):
@@ -42,18 +44,33 @@ def analyze_success(frame: Frame, missing: tuple[str, ...] = ()) -> dict[Mode, S
             blank,
             observed=diagnostics.observed(frame),
             diagnostics={**facts, "one_sided_cells": one_sided_cells(frame)},
-            warnings=(*missing, *said, *diagnostics.rare_outcomes(frame)),
+            warnings=(*missing, *said),
         )
     try:
         check_frame(frame)
+        rest, separated = split(frame)
+        said = [in_words(name, found) for name, found in separated.items()]
+        blank = replace(blank, separated=separated, warnings=(*blank.warnings, *said))
+        if rest is None:
+            raise StudyError("no retargeter has both successes and failures")
+        frame = rest
+        said = diagnostics.rare_outcomes(frame)
+        blank = replace(
+            blank,
+            n=len(frame),
+            operators=len(frame.operators),
+            warnings=(*blank.warnings, *said),
+        )
+        check_frame(frame, retargeters=1)
         design, names = frame.design()
         _check_separation(frame, design, names)
         fit = fit_gee(design, frame.outcome, frame.group)
+        fit.check_correlation()
     except StudyError as error:
         return dict.fromkeys(MODES, refuse(blank, str(error)))
     model = {
         "kind": "logistic GEE, exchangeable working correlation",
-        "formula": formula(frame, random=False),
+        "formula": formula(frame),
         "alpha": fit.alpha,
         "phi": fit.phi,
         **index_facts(frame),
@@ -130,7 +147,7 @@ def _check_separation(frame: Frame, design: Float[np.ndarray, "n p"], names: lis
     if levels:
         raise StudyError(
             f"separation: {'; '.join(levels)}, so its odds are estimated as zero or infinite and "
-            "have no standard error; see the observed rates, or leave it out"
+            "have no standard error; see the observed rates"
         )
     direction = separating(design, frame.outcome)
     if direction is not None:
@@ -148,12 +165,7 @@ def _warnings(frame: Frame, fit: GeeFit) -> list[str]:
             f"{fit.operators} operators for {len(fit.beta)} coefficients: the sandwich covariance "
             "is singular, and its standard errors are far too small"
         )
-    if not fit.valid_correlation:
-        said.append(
-            f"the working correlation is estimated as {fit.alpha:.3f}, which the rows of one "
-            "operator can't all have; estimates stay valid, but may be inefficient"
-        )
-    elif fit.alpha < 0:
+    if fit.alpha < 0:
         said.append(
             f"the working correlation is negative ({fit.alpha:.3f}): rows of one operator are no "
             "more alike than those of different ones"

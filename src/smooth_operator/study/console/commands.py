@@ -14,8 +14,11 @@ from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.store.clock import Elapsed
-from smooth_operator.study.store.events import Event, Noted, event_of
+from smooth_operator.study.store.event_fields import event_of
+from smooth_operator.study.store.events import ASIDE, Amended, Event
+from smooth_operator.study.store.operator_state import Trial
 from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.tlx_words import shown_pairs
 
 Role: TypeAlias = Literal["experimenter", "operator"]
 
@@ -34,11 +37,18 @@ EVENTS: Final = {
     "end_break": "break_ended",
     "note": "noted",
     "undo": "undone",
+    "pause": "trial_paused",
+    "resume": "trial_resumed",
+    "amend": "amended",
+    "end_block": "block_ended",
+    "recalibrate": "recalibrated",
+    "withdraw": "withdrawn",
+    "form": "form_answered",
 }
 """Word -> kind of the event that it causes."""
-OTHER: Final = ("choose", "enrol", "switch")
-"""Words that cause no event."""
-OPERATOR_MAY: Final = ("answer", "weigh")
+OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
+"""Words that cause no event of the operator who is on."""
+OPERATOR_MAY: Final = ("answer", "weigh", "form")
 
 _LONGEST_WAIT: Final = 86_400.0
 _TOKEN: Final = range(8, 129)
@@ -90,7 +100,11 @@ def command_of(said: Mapping[str, Any], role: Role) -> Command:
 
 
 def event_for(
-    command: Command, progress: Progress, elapsed: Elapsed | None, measured_s: float | None = None
+    command: Command,
+    progress: Progress,
+    elapsed: Elapsed | None,
+    measured_s: float | None = None,
+    more: Mapping[str, Any] | None = None,
 ) -> Event:
     """The event that a command causes. What the protocol decides is not taken from the page.
 
@@ -99,6 +113,7 @@ def event_for(
         progress: of its operator.
         elapsed: from the start of the trial until it came; None where none runs.
         measured_s: how long the trial took, where something better than a person measured it [s].
+        more: fields that this program knows and a page does not say.
 
     Raises:
         StudyError: a field is missing, unknown or wrong, or nothing runs that could be scored.
@@ -106,12 +121,42 @@ def event_for(
     """
     values = dict(command.fields)
     if command.do == "score":
-        values["score"] = progress.capped(str(values.get("line")))
+        line = str(values.get("line"))
+        values["score"] = progress.capped(line)
+        _check_reset(line, progress.running)
         values["time_s"] = trial_time(progress, elapsed, command.waited_s, measured_s)
     elif command.do == "start_block":
         block = progress.step.block
         values["condition"] = "" if block is None else block.condition.name
-    return event_of(EVENTS[command.do], values)
+    elif command.do == "weigh":
+        pairs = shown_pairs(progress.plan.protocol.seed, progress.operator)
+        values["shown"] = ["-".join(pair) for pair in pairs]
+    elif command.do == "amend":
+        values = _amended(values, progress)
+    return event_of(EVENTS[command.do], {**values, **(more or {})})
+
+
+def _check_reset(line: str, trial: Trial | None) -> None:
+    if trial is not None and not trial.resets and line.endswith("after-reset"):
+        raise StudyError(
+            f"line {line!r} of the rubric needs a reset, and this trial had none; if the object "
+            "was put back, say so first"
+        )
+
+
+def _amended(values: dict[str, Any], progress: Progress) -> dict[str, Any]:
+    """An amendment with what it leaves as it is; its score is the rubric's."""
+    task, block, number = (values.get(name) for name in ("task", "block", "trial"))
+    trial = progress.scored_trial(str(task), _whole(block), _whole(number))
+    line = str(values.get("line") or trial.line)
+    if line != trial.line:
+        _check_reset(line, trial)
+    time_s = trial.time_s if values.get("time_s") is None else values["time_s"]
+    return {**values, "line": line, "score": progress.capped(line, trial), "time_s": time_s}
+
+
+def _whole(value: Any) -> int:
+    return value if isinstance(value, int) else -1
 
 
 def trial_time(
@@ -129,7 +174,7 @@ def trial_time(
         progress: of the operator.
         elapsed: from its start until now.
         waited_s: how long ago the clock was stopped [s].
-        measured_s: what a simulation says [s]; by its own clock, and to the moment.
+        measured_s: what a simulation says, without pauses [s]; by its own clock.
     """
     trial = progress.running
     if trial is None or elapsed is None:
@@ -138,7 +183,7 @@ def trial_time(
         return trial.undone_time_s
     if measured_s is not None:
         return round(measured_s, 3)
-    return round(max(0.0, elapsed.seconds - waited_s), 3)
+    return round(max(0.0, elapsed.seconds - waited_s - trial.paused_s), 3)
 
 
 def check_seen(command: Command, progress: Progress) -> None:
@@ -150,7 +195,9 @@ def check_seen(command: Command, progress: Progress) -> None:
     if command.after is None or command.do == "note":
         return
     for record in progress.records[command.after :]:
-        if not isinstance(record.event, Noted):
+        if isinstance(record.event, Amended) and command.do not in ("amend", "undo"):
+            continue  # of an earlier trial: what is due is the same
+        if not isinstance(record.event, ASIDE):
             what = record.event.kind.replace("_", " ")
             raise StudyError(
                 f"not done: meanwhile another page, or this console itself, wrote event "

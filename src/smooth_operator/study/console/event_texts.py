@@ -7,24 +7,33 @@ from typing import TypeAlias
 
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store.events import (
+    Amended,
     Answered,
+    BlockEnded,
     BlockStarted,
     BreakEnded,
     BreakStarted,
     Calibrated,
+    Chosen,
     FamiliarisationEnded,
     FamiliarisationStarted,
+    FormAnswered,
     Noted,
+    Recalibrated,
     Record,
+    Replaces,
+    TrialPaused,
     TrialReset,
+    TrialResumed,
     TrialScored,
     TrialStarted,
     TrialVoided,
     Undone,
     Weighed,
+    Withdrawn,
 )
 from smooth_operator.study.store.nasa_tlx import raw_workload
-from smooth_operator.study.store.progress import Step
+from smooth_operator.study.store.operator_state import Step
 
 Named: TypeAlias = Callable[[str], str]
 
@@ -45,7 +54,12 @@ def naming(plan: Plan, blind: bool) -> Named:
 def step_in_words(step: Step) -> str:
     """What is due, short."""
     if step.block is None:
-        return "done"
+        plain = {
+            "withdrawn": "withdrawn",
+            "refused": "consent refused",
+            "form": f"form {step.form}",
+        }
+        return plain.get(step.what, "done")
     where = f"{step.block.task.name}, block {step.block.number}"
     match step.what:
         case "calibrate":
@@ -54,8 +68,8 @@ def step_in_words(step: Step) -> str:
             return f"start of {where}"
         case "start_familiarisation" | "familiarise":
             return f"free movement, {where}"
-        case "start_trial" | "trial":
-            return f"trial {step.trial}, {where}"
+        case "start_trial" | "trial" | "paused":
+            return f"trial {step.trial}, {where}" + (" (paused)" if step.what == "paused" else "")
         case "questionnaire":
             return f"questionnaire ({step.point}), {where}"
         case "weights":
@@ -63,8 +77,8 @@ def step_in_words(step: Step) -> str:
     return f"break, {where}"
 
 
-def event_in_words(record: Record, named: Named) -> str:
-    """What happened, in a line."""
+def event_in_words(record: Record, named: Named, *, sums: bool = True) -> str:
+    """What happened, in a line; ``sums`` is whether the workload may be known already."""
     event = record.event
     match event:
         case Calibrated():
@@ -85,6 +99,8 @@ def event_in_words(record: Record, named: Named) -> str:
         case TrialVoided():
             return f"Trial {event.trial} void: {event.reason or 'no reason given'}"
         case Answered():
+            if not sums:  # who scores the rest of the block is not to know
+                return f"Questionnaire ({event.point}) answered"
             return f"Questionnaire ({event.point}): workload {raw_workload(event.ratings):.0f}"
         case Weighed():
             return "Pairs of scales answered"
@@ -95,4 +111,40 @@ def event_in_words(record: Record, named: Named) -> str:
         case Noted():
             return f"Note: {event.text}"
         case Undone():
-            return f"Event {event.number} undone" + (f": {event.reason}" if event.reason else "")
+            return f"Event {event.number} undone" + _why(event.reason)
+        case _:
+            return _of_the_day(record)
+
+
+def _of_the_day(record: Record) -> str:
+    """What departs from the plan, in a line."""
+    event = record.event
+    match event:
+        case TrialPaused():
+            return f"Trial {event.trial}: clock paused" + _why(event.reason)
+        case TrialResumed():
+            return f"Trial {event.trial}: clock goes on after {event.paused_s:.1f}\u00a0s"
+        case Amended():
+            now = f"{event.line}, score {event.score:g}, {event.time_s:.1f}\u00a0s"
+            where = f"Trial {event.trial} of {event.task}, block {event.block}"
+            by = f" ({event.who})" if event.who else ""
+            return f"{where} amended to {now}: {event.reason}{by}"
+        case BlockEnded():
+            return f"Block {event.block} of {event.task} ended early: {event.reason}"
+        case Recalibrated():
+            return f"Calibrated again for {event.task}" + _why(event.detail)
+        case Withdrawn():
+            kept = "the data is kept" if event.keep else "the data is left out"
+            return f"Withdrew, {kept}" + _why(event.reason)
+        case Replaces():
+            return f"Takes the place of {event.operator}"
+        case Chosen():
+            before = f", {event.before} was on" if event.before else ""
+            return f"{event.operator} was put on{before}"
+        case FormAnswered():
+            return f"Form {event.form} filled in"
+    return event.kind
+
+
+def _why(text: str) -> str:
+    return f": {text}" if text else ""

@@ -1,4 +1,4 @@
-"""What the two pages show, as plain values for JSON. The operator's never holds a condition."""
+"""What the experimenter's page shows, as plain values for JSON."""
 
 from __future__ import annotations
 
@@ -7,11 +7,21 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any, Final
 
+from smooth_operator.errors import StudyError
 from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
+from smooth_operator.study.console.expected_time import break_is_due, time_left
+from smooth_operator.study.console.operator_view import place
 from smooth_operator.study.design.plan import Block, Plan
-from smooth_operator.study.store.events import Undone
-from smooth_operator.study.store.nasa_tlx import HIGHEST, PAIRS, SCALES, STEP
-from smooth_operator.study.store.progress import Progress, Step
+from smooth_operator.study.store.events import (
+    Answered,
+    BlockEnded,
+    BreakStarted,
+    Event,
+    Recalibrated,
+    Record,
+    Undone,
+)
+from smooth_operator.study.store.progress import Progress
 
 _LONGEST_LOG: Final = 250
 
@@ -22,7 +32,18 @@ def study_view(plan: Plan, blind: bool) -> dict[str, Any]:
     return {
         "name": protocol.name,
         "blind": blind,
-        "tasks": [{"name": t.name, "title": t.title or t.name} for t in protocol.tasks],
+        "tasks": [
+            {
+                "name": task.name,
+                "title": task.title or task.name,
+                "rubric": [
+                    {"name": line.name, "score": line.score, "text": line.text}
+                    for line in task.rubric
+                ],
+            }
+            for task in protocol.tasks
+        ],
+        "reset_cap": protocol.reset_cap,
         "familiarisation_s": protocol.familiarisation_s,
         "break_s": protocol.break_s,
         "resets": protocol.resets,
@@ -37,12 +58,10 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
         if trial.score is not None and trial.void is None:
             scored[trial.block.task.name, trial.block.number] += 1
     step = progress.step
-    due = None if step.block is None else (step.block.task.name, step.block.number)
     blocks = []
-    passed = True  # blocks before the one that is due are finished
     for block in progress.blocks:
         key = (block.task.name, block.number)
-        passed = passed and key != due
+        state = "done" if progress.finished(block) else "on" if block == step.block else "next"
         blocks.append(
             {
                 "task": block.task.name,
@@ -50,7 +69,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
                 "condition": named(block.condition.name),
                 "trials": block.task.trials,
                 "scored": scored[key],
-                "state": "done" if passed else "on" if key == due else "next",
+                "state": "left" if key in progress.ended_early else state,
             }
         )
     return {
@@ -58,6 +77,7 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
         "step": step_in_words(step),
         "what": step.what,
         "begun": progress.number > 0,
+        "replaces": progress.replaces,
         "blocks": blocks,
     }
 
@@ -73,39 +93,88 @@ def step_view(progress: Progress, named: Named) -> dict[str, Any]:
         "since": _milliseconds(step.since),
         "after": progress.number,
         "words": step_in_words(step),
-        "break_possible": step.what not in ("break", "trial", "familiarise", "done"),
+        "form": step.form,
+        "break_possible": can_happen(progress, BreakStarted()),
+        "break_due": break_is_due(progress),
+        "left_s": time_left(progress),
+        "scored": scored_view(progress, named),
+        "withdrawn": None,
         "undoable": None,
     }
+    if (left := progress.withdrawn) is not None:
+        view["withdrawn"] = {"keep": left.keep, "reason": left.reason}
     if (last := progress.undoable) is not None:
-        view["undoable"] = {"number": last.number, "text": event_in_words(last, named)}
+        view["undoable"] = {
+            "number": last.number,
+            "text": event_in_words(last, named, sums=_known(progress, last)),
+        }
     if step.block is None:
         return view
-    view |= _place(step.block, named(step.block.condition.name), progress)
+    view |= place(step.block, named(step.block.condition.name), progress)
     running = progress.running
     resets = running.resets if running is not None else 0
     view |= {
+        "paused_ms": 0.0 if running is None else 1e3 * running.paused_s,
+        "started": None if running is None else _milliseconds(running.started),
+        "can_calibrate": can_happen(progress, Recalibrated(step.block.task.name)),
+        "can_end_block": can_happen(
+            progress, BlockEnded(step.block.task.name, step.block.number, "asked")
+        ),
         "resets": resets,
         "resets_left": max(0, protocol.resets - resets),
         "reset_cap": protocol.reset_cap,
         "undone_time_s": running.undone_time_s if running is not None else None,
         "rubric": rubric_view(step.block, resets, protocol.reset_cap),
-        "results": [
-            {"trial": t.number, "score": t.score, "line": t.line, "time_s": t.time_s}
-            for t in progress.trials
-            if t.block == step.block and t.score is not None
-        ],
     }
     return view
 
 
+def scored_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
+    """Blocks with their scored trials, which can be amended."""
+    blocks: dict[tuple[str, int], dict[str, Any]] = {}
+    for trial in progress.trials:
+        if not trial.counts:
+            continue
+        key = (trial.block.task.name, trial.block.number)
+        block = blocks.setdefault(
+            key,
+            {
+                "task": key[0],
+                "block": key[1],
+                "condition": named(trial.block.condition.name),
+                "trials": [],
+            },
+        )
+        block["trials"].append(
+            {
+                "trial": trial.number,
+                "score": trial.score,
+                "line": trial.line,
+                "time_s": trial.time_s,
+                "resets": trial.resets,
+                "amended": trial.amended,
+            }
+        )
+    return list(blocks.values())
+
+
+def can_happen(progress: Progress, event: Event) -> bool:
+    """Whether the protocol allows an event now."""
+    try:
+        progress.check(event)
+    except StudyError:
+        return False
+    return True
+
+
 def rubric_view(block: Block, resets: int, cap: float) -> list[dict[str, Any]]:
-    """Lines of the rubric; after a reset those that score more than is possible are off."""
+    """Lines of the rubric; off are those by which the trial can't end, with its resets."""
     return [
         {
             "name": line.name,
             "score": line.score,
             "text": line.text,
-            "possible": not resets or line.score <= cap,
+            "possible": line.possible(resets, cap),
         }
         for line in block.task.rubric
     ]
@@ -120,11 +189,20 @@ def log_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
             "at": _milliseconds(record.at),
             "author": record.author,
             "kind": record.event.kind,
-            "text": event_in_words(record, named),
+            "text": event_in_words(record, named, sums=_known(progress, record)),
             "undone": record.number in undone,
         }
         for record in reversed(progress.records[-_LONGEST_LOG:])
     ]
+
+
+def _known(progress: Progress, record: Record) -> bool:
+    """Whether the workload of an event may be known to who scores: not before its block is over."""
+    event = record.event
+    return not isinstance(event, Answered) or any(
+        block.task.name == event.task and block.number == event.block and progress.finished(block)
+        for block in progress.blocks
+    )
 
 
 def experimenter_view(
@@ -138,67 +216,6 @@ def experimenter_view(
         "now": None if current is None else step_view(current, named),
         "log": [] if current is None else log_view(current, named),
     }
-
-
-def operator_view(plan: Plan, current: Progress | None) -> dict[str, Any]:
-    """All of the operator's page."""
-    view: dict[str, Any] = {"study": plan.protocol.name, "what": "wait", "operator": None}
-    if current is None:
-        return view
-    step = current.step
-    view |= {"operator": current.operator, "after": current.number, "step": step.what}
-    if step.what in ("break", "done"):
-        view["what"] = step.what
-    if step.block is None:
-        return view
-    view |= _place(step.block, None, current)
-    if step.what == "questionnaire":
-        view |= {
-            "what": "questionnaire",
-            "point": step.point,
-            "trial": step.trial,
-            "scales": [
-                {"name": s.name, "title": s.title, "question": s.question,
-                 "low": s.low, "high": s.high}
-                for s in SCALES
-            ],
-            "step_of_scale": STEP,
-            "highest": HIGHEST,
-        }  # fmt: skip
-    elif step.what == "weights":
-        titles = {s.name: (s.title, s.question) for s in SCALES}
-        view |= {
-            "what": "weights",
-            "pairs": [
-                [{"name": n, "title": titles[n][0], "question": titles[n][1]} for n in pair]
-                for pair in PAIRS
-            ],
-        }
-    view["key"] = asked_key(current, step)
-    return view
-
-
-def asked_key(progress: Progress, step: Step) -> str:
-    """Identifies one questionnaire, one that is asked again after an undo included."""
-    undone = sum(isinstance(record.event, Undone) for record in progress.records)
-    block = step.block
-    where = "" if block is None else f"{block.task.name}/{block.number}"
-    return f"{progress.operator}/{where}/{step.what}/{step.point or ''}/{undone}"
-
-
-def _place(block: Block, condition: str | None, progress: Progress) -> dict[str, Any]:
-    place = {
-        "task": block.task.name,
-        "title": block.task.title or block.task.name,
-        "instruction": block.task.instruction,
-        "block": block.number,
-        "blocks": sum(b.task.name == block.task.name for b in progress.blocks),
-        "session": block.session,
-        "sessions": len({b.task.name for b in progress.blocks}),
-        "trials": block.task.trials,
-        "limit_s": block.task.time_limit_s,
-    }
-    return place if condition is None else {**place, "condition": condition}
 
 
 def _milliseconds(moment: datetime | None) -> float | None:

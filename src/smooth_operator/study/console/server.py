@@ -127,6 +127,7 @@ class Console:
                 ready()
                 await stop.wait()
         finally:
+            self._service.give_up_start()
             for job in jobs:
                 job.cancel()
             await asyncio.gather(*jobs, return_exceptions=True)

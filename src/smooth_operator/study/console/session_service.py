@@ -6,13 +6,13 @@ All methods may be called from any thread. A command returns when what it caused
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from datetime import datetime
 from typing import Any, Final
 
-from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.errors import StudyError
 from smooth_operator.study.console.commands import (
     EVENTS,
     Command,
@@ -20,8 +20,12 @@ from smooth_operator.study.console.commands import (
     check_seen,
     event_for,
 )
-from smooth_operator.study.console.page_state import experimenter_view, operator_view
+from smooth_operator.study.console.operator_choice import OperatorChoice
+from smooth_operator.study.console.operator_view import operator_view
+from smooth_operator.study.console.page_state import experimenter_view
 from smooth_operator.study.console.session_teleop import SessionTeleop
+from smooth_operator.study.console.store_failures import StoreFailedError as StoreFailedError
+from smooth_operator.study.console.store_failures import store_failures
 from smooth_operator.study.console.switching import Switch, Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store.clock import Elapsed
@@ -33,13 +37,16 @@ from smooth_operator.study.store.events import (
 )
 from smooth_operator.study.store.progress import Progress
 from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords
 
-_WITH_THE_HAND: Final = ("calibrated", "start_block", "start_trial", "reset", "void", "score")
+_STARTS: Final = (
+    "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
+)  # fmt: skip
+_WITH_THE_HAND: Final = (
+    *_STARTS, "reset", "void", "score", "pause", "resume", "withdraw",
+    "undo",
+)  # fmt: skip
 """Commands that the teleoperation has a part in."""
-
-
-class StoreFailedError(StudyError):
-    """Nothing is wrong with the command, but it can't be written now: trying again may help."""
 
 
 class SessionService:
@@ -50,6 +57,7 @@ class SessionService:
         operator: who is on; None for the one with the last event who is not done.
         blind: whether the experimenter sees labels in the place of conditions.
         teleop: the running teleoperation, if it is to be switched.
+        words: of NASA-TLX, as operators read it.
         enrolled: called with a plan that was changed here and is stored.
         changed: called, from any thread, when the pages should be drawn again.
         report: where a sentence for the terminal goes.
@@ -65,13 +73,14 @@ class SessionService:
         operator: str | None = None,
         blind: bool = False,
         teleop: Teleop | None = None,
+        words: TlxWords = ENGLISH,
         enrolled: Callable[[Plan], None] = lambda plan: None,
         changed: Callable[[], None] = lambda: None,
         report: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._store = store
         self._blind = blind
-        self._enrolled = enrolled
+        self._words = words
         self._changed = changed
         self._report = report
         self._lock = threading.RLock()
@@ -79,11 +88,19 @@ class SessionService:
         self._known_progress: dict[str, tuple[tuple[int, int], Progress]] = {}
         switch = None if teleop is None else Switch(teleop, lambda: self._changed())
         self._hand = None if switch is None else SessionTeleop(switch, blind=blind, report=report)
-        self.chosen = operator is not None
-        """Whether the current operator was stated and not guessed."""
-        if operator is not None:
-            store.progress(operator)
-        self.operator = self._latest() if operator is None else operator
+        self._choice = OperatorChoice(
+            store,
+            operator,
+            enrolled=enrolled,
+            changed=lambda: self._changed(),
+            report=report,
+            lock=self._lock,
+        )
+
+    @property
+    def operator(self) -> str | None:
+        """Who is on; None for nobody."""
+        return self._choice.operator
 
     # What the pages do.
 
@@ -98,22 +115,26 @@ class SessionService:
             SmoothOperatorError: it is refused; nothing was written.
         """
         at = self._store.clock.seconds()  # what takes long here does not count
-        with _store_failures():
+        with store_failures():
             if command.do == "choose":
-                return self._choose(command.operator)
+                confirmed = command.fields.get("confirm") is True
+                return self._choice.choose(command.operator, role, confirmed)
+            if command.do == "replace":
+                return self._choice.replace(command, role)
             if command.do == "enrol":
-                return self._enrol(command)
+                return self._choice.enrol(command, role)
             if command.do == "switch":
                 return self._switch_again()
+            if command.do == "cancel_start":
+                self.give_up_start()
+                return 0
             if self._hand is not None and command.do in _WITH_THE_HAND:
                 return self._write_with(self._hand, command, role, at)
             return self._write(command, role, at)
 
     def propose(self, operator: str) -> None:
         """A page that comes back says who was on; heeded if nobody was chosen here since."""
-        with self._lock:
-            if not self.chosen and operator in self._store.plan.codes:
-                self._choose(operator)
+        self._choice.propose(operator)
 
     # What happens by itself.
 
@@ -126,11 +147,14 @@ class SessionService:
         Raises:
             StoreFailedError: it is over, but that can't be written.
         """
-        operator = self.operator
-        if operator is None:
+        if self.operator is None:
             return False
-        self._note_clock_steps(operator)
-        with _store_failures(), self._lock:
+        self._note_clock_steps(self.operator)
+        ended = [self._end_movement(code) for code in {self.operator, self._choice.left} if code]
+        return any(ended)
+
+    def _end_movement(self, operator: str) -> bool:
+        with store_failures(), self._lock:
             progress = self._store.progress(operator)
             step, block = progress.step, progress.step.block
             if step.what != "familiarise" or block is None or step.since is None:
@@ -157,7 +181,7 @@ class SessionService:
                 "so durations are right, and moments are as they would be without that"
             )
             self._report(text)
-            with _store_failures():
+            with store_failures():
                 self._store.append(operator, Noted(text), author="system")
 
     def watch(self) -> None:
@@ -169,13 +193,20 @@ class SessionService:
         if self._hand is None or not self._switching.acquire(blocking=False):
             return  # something is being switched right now
         try:
-            with _store_failures():
+            with store_failures():
                 progress = None if self.operator is None else self._store.progress(self.operator)
-                if self._hand.watch(progress) and progress and progress.running is not None:
-                    text = "the teleoperation ran something else during a trial; switched back"
+                if self._choice.still_busy() is not None:
+                    progress = None  # the hand stays with the one who was left
+                for text in self._hand.watch(progress):
+                    assert progress is not None  # or there is nothing to note
                     self._store.append(progress.operator, Noted(text), author="system")
         finally:
             self._switching.release()
+
+    def give_up_start(self) -> None:
+        """A trial that waits for the hand to be clear does not start."""
+        if self._hand is not None:
+            self._hand.scenes.give_up()
 
     # What the pages show.
 
@@ -185,14 +216,14 @@ class SessionService:
         Raises:
             StoreFailedError: the store can't be read.
         """
-        with _store_failures():
+        with store_failures():
             version, counts = self._store.newest()
             plan = self._store.plan
             everyone = [self._seen(code, (version, counts.get(code, 0))) for code in plan.codes]
         current = next((p for p in everyone if p.operator == self.operator), None)
         view = experimenter_view(plan, everyone, current, self._blind)
         view["teleop"] = None if self._hand is None else self._hand.view(current)
-        return view, operator_view(plan, current)
+        return view, operator_view(plan, current, self._words)
 
     def now(self) -> datetime:
         """This moment, by the clock that trials are timed by."""
@@ -200,7 +231,7 @@ class SessionService:
 
     def marks(self) -> tuple[object, ...]:
         """Changes whenever what the pages show changes."""
-        with _store_failures():
+        with store_failures():
             version, counts = self._store.newest()
             return (self.operator, version, *sorted(counts.items()))
 
@@ -210,16 +241,6 @@ class SessionService:
         if known is None or known[0] != mark:
             known = self._known_progress[operator] = (mark, self._store.progress(operator))
         return known[1]
-
-    def _latest(self) -> str | None:
-        """Who did something last and is not done yet."""
-        found: tuple[datetime, str] | None = None
-        for code in self._store.plan.codes:
-            progress = self._store.progress(code)
-            if progress.records and progress.step.what != "done":
-                found = max(found or (progress.records[-1].at, code),
-                            (progress.records[-1].at, code))  # fmt: skip
-        return None if found is None else found[1]
 
     def _known(self, command: Command) -> int | None:
         """Number of the event that this very command has caused already."""
@@ -232,14 +253,19 @@ class SessionService:
         return record.number
 
     def _write(
-        self, command: Command, role: Role, at: float, measured_s: float | None = None
+        self,
+        command: Command,
+        role: Role,
+        at: float,
+        measured_s: float | None = None,
+        more: Mapping[str, Any] | None = None,
     ) -> int:
         with self._lock:
             if (number := self._known(command)) is not None:
                 return number
             progress = self._due(command)
             elapsed = self._elapsed(progress, at)
-            event = event_for(command, progress, elapsed, measured_s)
+            event = event_for(command, progress, elapsed, measured_s, more)
             try:
                 number = self._store.append(
                     command.operator, event, author=role, token=command.token
@@ -275,17 +301,28 @@ class SessionService:
 
     def _write_with(self, hand: SessionTeleop, command: Command, role: Role, at: float) -> int:
         """The same, with what the hand has to do before and along with it."""
-        starts = command.do in ("calibrated", "start_block", "start_trial")
+        starts = command.do in _STARTS
         with self._switching if starts else nullcontext():
+            if starts:
+                self._check_hand_is_free()
             if (number := self._known(command)) is not None:
                 return number
             with self._lock:
                 progress = self._due(command)
                 elapsed = self._elapsed(progress, at)
                 progress.check(event_for(command, progress, elapsed))
-            hand.before(command, progress)
+            note = hand.before(command, progress)
             measured = hand.measured(progress) if command.do == "score" else None
-            number = self._write(command, role, at, measured)
+            facts = hand.facts(command, progress)
+            try:
+                number = self._write(command, role, at, measured, facts)
+            except StudyError:
+                if command.do == "start_trial":
+                    hand.scenes.abandon()
+                raise
+            if note:
+                with suppress(StudyError):
+                    self._store.append(command.operator, Noted(note), author="system")
         hand.along(command.do, progress)
         return number
 
@@ -300,52 +337,18 @@ class SessionService:
         check_seen(command, progress)
         return progress
 
+    def _check_hand_is_free(self) -> None:
+        """Refuses to touch a hand that another operator's trial runs with."""
+        if (left := self._choice.still_busy()) is not None:
+            raise StudyError(
+                f"not done: operator {left} was left in a trial or in free movement with this "
+                f"hand; go back to {left}, and end or void that first"
+            )
+
     def _switch_again(self) -> int:
         if self._hand is None or self.operator is None:
             raise StudyError("no teleoperation is attached that could be switched")
         with self._switching:
+            self._check_hand_is_free()
             self._hand.again(self._store.progress(self.operator))
         return 0
-
-    def _choose(self, operator: str) -> int:
-        with self._lock:
-            self._store.progress(operator)  # there is one, and not erased
-            self.operator, self.chosen = operator, True
-        self._changed()
-        return 0
-
-    def _enrol(self, command: Command) -> int:
-        tasks = command.fields.get("tasks")
-        listed = isinstance(tasks, list) and all(isinstance(task, str) for task in tasks)
-        if tasks is not None and not listed:
-            raise StudyError("tasks must be a list of names")
-        with self._lock:
-            plan = self._store.plan
-            code = command.operator
-            if code in self._store.erased:
-                raise StudyError(f"{code} was deleted; codes are not used again")
-            if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
-                plan = plan.enrol(code, tasks or None)
-                self._store.revise(plan)
-                try:
-                    self._enrolled(plan)
-                except SmoothOperatorError as error:  # the store has it; the file is a copy
-                    self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
-            return self._choose(code)
-
-
-@contextmanager
-def _store_failures() -> Iterator[None]:
-    """Raises ``StoreFailedError`` where a database is to blame, and not what was asked."""
-    from sqlalchemy.exc import SQLAlchemyError
-
-    try:
-        yield
-    except StoreFailedError:
-        raise
-    except StudyError as error:
-        cause = error.__cause__
-        blamed = isinstance(cause, SQLAlchemyError | OSError)
-        if blamed and not isinstance(cause, SmoothOperatorError):
-            raise StoreFailedError(str(error)) from error
-        raise

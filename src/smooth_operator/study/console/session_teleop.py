@@ -8,17 +8,17 @@ and what it makes of them is proposed to the experimenter, who has the last word
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.errors import StudyError
 from smooth_operator.study.console.commands import Command
-from smooth_operator.study.console.switching import Standing, Switch, standing
+from smooth_operator.study.console.scene_trials import SceneTrials
+from smooth_operator.study.console.switching import Switch
 from smooth_operator.study.design.plan import Block
-from smooth_operator.study.store.events import Calibrated, Undone
+from smooth_operator.study.store.events import Calibrated, Recalibrated, TrialStarted, Undone
 from smooth_operator.study.store.progress import Progress
 
 HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
@@ -40,30 +40,36 @@ class SessionTeleop:
         self._report = report
         self._reported = ""
         self._loaded: tuple[str, tuple[tuple[str, str], ...]] | None = None
-        self._begun = False  # a trial of the simulation, for the next one of the log
-        self._follows: datetime | None = None  # start of the logged trial that it belongs to
+        self.scenes = SceneTrials(switch)
 
-    def before(self, command: Command, progress: Progress) -> None:
+    def before(self, command: Command, progress: Progress) -> str:
         """What must be so before a calibration counts, or a block or a trial starts.
+
+        Returns:
+            What to note in the log; empty for nothing.
 
         Raises:
             StudyError: it can't be made so; nothing may start.
         """
         block = progress.step.block
-        if command.do == "calibrated":
+        if command.do in ("calibrated", "recalibrate"):
             try:
                 self._calibrate(_file(str(command.fields.get("detail", ""))))
             except StudyError as error:
                 raise StudyError(
                     f"the calibration was not loaded into the hand: {error}"
                 ) from error
+        if block is not None and command.do == "start_familiarisation":
+            with contextlib.suppress(StudyError):  # watching tries again
+                return self.scenes.load(block, with_object=False)
         if block is None or command.do not in ("start_block", "start_trial"):
-            return
+            return ""
         what = "block" if command.do == "start_block" else "trial"
         try:
             if command.do == "start_block":
                 self.switch.to(block.condition)
             else:
+                self.switch.remember(block.condition, progress.begun_with)
                 self.switch.keep(block.condition)
             self._pace(progress)
             self._calibrate(calibration(progress, block))
@@ -72,7 +78,13 @@ class SessionTeleop:
             why = HIDDEN if self._blind else f"the teleoperation could not be switched: {error}"
             raise StudyError(f"the {what} does not start: {why}") from error
         try:
-            self._ready_scene(command, progress, block)
+            if command.do == "start_block":
+                self.switch.look()
+                self.scenes.load(block, with_object=False)
+                return ""
+            note = self.scenes.load(block)
+            self.scenes.begin(progress, block)
+            return note
         except StudyError as error:
             raise StudyError(f"the {what} does not start: the simulation: {error}") from error
 
@@ -92,68 +104,70 @@ class SessionTeleop:
         self.switch.ask("rate", rate=rate)
         self.switch.look()
 
-    def _ready_scene(self, command: Command, progress: Progress, block: Block) -> None:
-        if command.do == "start_block":
-            self.switch.look()
-            if self.switch.heard.task is not None and _scene(block) is not None:
-                self.switch.ask("task", task=_scene(block))
-                self.switch.look()
-        elif self._in_scene(block):
-            trial = self.switch.heard.trial
-            if trial is not None and trial.phase == "running":  # of one that was undone
-                self.switch.ask("trial", cancel=True)
-            about = {
-                "study": progress.plan.protocol.name,
-                "operator": progress.operator,
-                "condition": block.condition.name,
-                "block": block.number,
-                "trial": progress.step.trial,
-            }
-            self.switch.ask("trial", begin=True, about=about)
-            self._begun = True
-            self.switch.look()
+    def facts(self, command: Command, progress: Progress) -> dict[str, str | float]:
+        """What the log keeps of the hand along with an event.
+
+        Of a block, what the teleoperation said it runs; of a score, what the simulation proposed.
+        """
+        if command.do == "start_block" and self.switch.heard.running is not None:
+            method, preset = self.switch.heard.running
+            return {"method": method, "preset": preset or ""}
+        if command.do == "score":
+            trial = self.scenes.standing(progress)
+            if trial is not None and trial.phase == "done":
+                return {"proposed_line": trial.line, "proposed_score": trial.score}
+        return {}
 
     def along(self, do: str, progress: Progress) -> None:
-        """What the simulation does with a trial that was reset, void or scored. Never raises."""
-        block = progress.step.block
-        if block is None or not self._in_scene(block) or self.switch.heard.state == "gone":
+        """What the simulation does with a trial that was reset, void, scored or undone.
+
+        Never raises. An event before the trial's start can't be undone while it runs.
+        """
+        if do == "undo" and not _starts_trial(progress):
             return
-        with contextlib.suppress(StudyError):
-            if do == "reset":
-                self.switch.ask("reset")
-            elif do == "void":
-                self.switch.ask("trial", cancel=True)
-            elif do == "score":
-                trial = standing(self.switch.ask("trial"))
-                if trial is not None and trial.phase == "running":
-                    self.switch.ask("trial", finish=True)
+        self.scenes.along(do, progress)
 
     def measured(self, progress: Progress) -> float | None:
         """How long the trial that runs took in the simulation [s]; None where that is not over."""
-        trial = self._standing(progress, fresh=True)
-        return None if trial is None or trial.phase != "done" else trial.time_s
+        trial = self.scenes.standing(progress, fresh=True)
+        if trial is None or trial.phase != "done" or trial.time_s is None:
+            return None
+        running = progress.running
+        paused = running.paused_within(trial.time_s) if running else 0.0
+        return max(0.0, trial.time_s - paused)
 
-    def watch(self, progress: Progress | None) -> bool:
-        """Looks at the teleoperation, and puts it back on the condition of the block that is on.
+    def watch(self, progress: Progress | None) -> list[str]:
+        """Looks at the teleoperation; puts it back on condition and scene of the block that is on.
 
         Returns:
-            Whether it had to be put back.
+            What to note in the log.
         """
         block = None if progress is None else progress.begun
         if progress is None or block is None:
             self.switch.look()
-            return False
-        switched = False
+            return []
+        switched, notes = False, []
         try:
+            self.switch.remember(block.condition, progress.begun_with)
             if not self.switch.runs(block.condition) and self.switch.heard.state != "refused":
                 self.switch.to(block.condition)  # refused is tried again on request
                 switched = True
             self._pace(progress)
             if switched or self._loaded is not None:
                 self._calibrate(calibration(progress, block))
+            if switched and progress.running is not None:
+                notes.append("the teleoperation ran something else during a trial; switched back")
+            notes.append(self._watch_scene(progress, block))
         except StudyError as error:
             self._complain(error)
-        return switched
+        return [note for note in notes if note]
+
+    def _watch_scene(self, progress: Progress, block: Block) -> str:
+        if progress.running is None:
+            self.scenes.abandon_stray(progress.operator)
+            return self.scenes.load(block, with_object=False if _free(progress, block) else None)
+        self.scenes.standing(progress)
+        return self.scenes.lost(progress)
 
     def again(self, progress: Progress) -> None:
         """Switches once more, on request.
@@ -176,44 +190,17 @@ class SessionTeleop:
         heard = self.switch.heard
         running = None if heard.running is None else " ".join(filter(None, heard.running))
         hidden = self._blind and heard.state == "refused"
-        trial = None if progress is None else self._standing(progress)
+        trial = None if progress is None else self.scenes.standing(progress)
+        block = None if progress is None else progress.step.block
         return {
             "state": heard.state,
             "detail": HIDDEN if hidden else heard.detail,
             "running": None if self._blind else running,
             "scene": heard.task,
-            "limit_s": self._limit_s(progress),
-            "trial": None if trial is None else asdict(trial),
+            "limit_s": None if block is None else self.scenes.limit_s(block),
+            "waiting": self.scenes.waiting,
+            "trial": None if trial is None else {**asdict(trial), "about": None},
         }
-
-    def _standing(self, progress: Progress, *, fresh: bool = False) -> Standing | None:
-        """Of the trial that runs, if the simulation knows of it all that the log does."""
-        running = progress.running
-        if running is None or not self._in_scene(running.block):
-            return None
-        trial = self.switch.heard.trial
-        if fresh and self.switch.heard.state != "gone":
-            report: Mapping[str, Any] | None = None
-            with contextlib.suppress(StudyError):
-                report = self.switch.ask("trial")
-            trial = standing(report)
-        if trial is None or trial.phase == "ready" or trial.resets != running.resets:
-            return None
-        if self._begun or trial.phase == "running":
-            self._begun, self._follows = False, running.started
-        return trial if self._follows == running.started else None  # or it is that of an earlier
-
-    def _limit_s(self, progress: Progress | None) -> float | None:
-        """Time limit of the simulated task that is on; the study's own may say another."""
-        from smooth_operator.simulation.tasks.task_registry import task_named
-
-        block = None if progress is None else progress.step.block
-        if block is None or not self._in_scene(block):
-            return None
-        return task_named(block.task.name).task.time_limit_s
-
-    def _in_scene(self, block: Block) -> bool:
-        return self.switch.heard.task is not None and self.switch.heard.task == _scene(block)
 
     def _complain(self, error: Exception) -> None:
         if str(error) != self._reported:
@@ -226,7 +213,11 @@ def calibration(progress: Progress, block: Block) -> str | None:
     undone = {r.event.number for r in progress.records if isinstance(r.event, Undone)}
     for record in reversed(progress.records):
         event, counts = record.event, record.number not in undone
-        if counts and isinstance(event, Calibrated) and event.task == block.task.name:
+        if (
+            counts
+            and isinstance(event, Calibrated | Recalibrated)
+            and event.task == block.task.name
+        ):
             return _file(event.detail)
     return None
 
@@ -239,11 +230,12 @@ def _file(detail: str) -> str | None:
     return str(path.absolute()) if path.is_file() else detail
 
 
-def _scene(block: Block) -> str | None:
-    """Name of the simulated task, where the block's is one."""
-    from smooth_operator.simulation.tasks.task_registry import task_named
+def _starts_trial(progress: Progress) -> bool:
+    """Whether the event that would be undone now is the start of a trial."""
+    due = progress.undoable
+    return due is not None and isinstance(due.event, TrialStarted)
 
-    try:
-        return task_named(block.task.name).name
-    except UnknownNameError:
-        return None
+
+def _free(progress: Progress, block: Block) -> bool:
+    """Whether a block has had no trial yet: the operator moves without the object."""
+    return not any(trial.block == block for trial in progress.trials)

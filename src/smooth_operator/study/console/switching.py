@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, TypeAlias
 
 from smooth_operator.errors import RemoteRefusedError, SmoothOperatorError, StudyError
@@ -29,12 +29,14 @@ class Standing:
     """How a simulated trial stands.
 
     Attributes:
-        phase: ``ready``, ``running`` or ``done``; final only when it is done.
+        phase: ``ready``, ``waiting`` (for the hand to be clear), ``running`` or ``done``; final
+            only when it is done.
         line: of the rubric, by which it would be scored.
         score: of that line.
         reason: in a few words.
         resets: how often the object was put back.
         time_s: how long it took [s]; None before it is done.
+        about: what it was begun with; names the condition.
     """
 
     phase: str
@@ -43,6 +45,7 @@ class Standing:
     reason: str
     resets: int
     time_s: float | None
+    about: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class Heard:
         trial: in that scene.
         calibrations: of its hands, as it names them.
         rate_hz: commands a second that it sends; None if it does not say.
+        simulated: whether it drives a simulation, with a task or without.
+        object_there: whether the scene has its object now; None if it does not say.
     """
 
     state: State = "unknown"
@@ -67,6 +72,8 @@ class Heard:
     trial: Standing | None = None
     calibrations: tuple[tuple[str, str], ...] = ()
     rate_hz: float | None = None
+    simulated: bool = False
+    object_there: bool | None = None
 
 
 class Switch:
@@ -130,15 +137,20 @@ class Switch:
             status = self.ask("status")
             running = _running(status)
             wanted = self._answered.get(condition.name)
-            if wanted is None and condition.preset is not None:
-                wanted = (condition.method, condition.preset)
-            right = running == wanted  # its default preset is known only once it was asked for
+            if wanted is None:  # a console that was started again
+                wanted = (condition.method, condition.preset or _default_preset(running))
+            right = running == wanted
             state: State = "ready" if right else "unknown"
             if not right and self.heard.state == "refused":
                 self._hear(_seen(status, "refused", self.heard.detail))
             else:
                 self._hear(_seen(status, state))
             return right
+
+    def remember(self, condition: Condition, answered: tuple[str, str | None] | None) -> None:
+        """What it answered to a condition before this program was started, if that is known."""
+        if answered is not None:
+            self._answered.setdefault(condition.name, answered)
 
     def look(self) -> None:
         """Sees whether it answers, where nothing particular has to run. Never raises."""
@@ -147,6 +159,16 @@ class Switch:
                 self._hear(_seen(self.ask("status"), "ready"))
             except StudyError:
                 return
+
+    def follow(self) -> Standing | None:
+        """How the simulated trial stands now.
+
+        Raises:
+            StudyError: there is none, or nobody answers.
+        """
+        trial = standing(self.ask("trial"))
+        self._hear(replace(self.heard, trial=trial))
+        return trial
 
     def ask(self, do: str, **fields: Any) -> Mapping[str, Any]:
         """Anything else; what is heard of it is kept.
@@ -179,7 +201,7 @@ def standing(report: object) -> Standing | None:
     """How a simulated trial stands, from what ``trial`` answers; None if that is nothing such."""
     if not isinstance(report, Mapping):
         return None
-    time_s = report.get("time_s")
+    time_s, about = report.get("time_s"), report.get("about")
     try:
         return Standing(
             str(report["phase"]),
@@ -188,6 +210,7 @@ def standing(report: object) -> Standing | None:
             str(report.get("reason", "")),
             int(report["resets"]),
             None if time_s is None else float(time_s),
+            dict(about) if isinstance(about, Mapping) else {},
         )
     except (KeyError, TypeError, ValueError):
         return None
@@ -198,10 +221,20 @@ def _running(answer: Mapping[str, Any]) -> tuple[str, str | None]:
     return str(answer.get("method", "")), None if preset is None else str(preset)
 
 
+def _default_preset(running: tuple[str, str | None]) -> str | None:
+    """The preset that a method has where none was asked for; what runs, if it is not known here."""
+    from smooth_operator.methods.presets import default_preset
+
+    try:
+        return default_preset(running[0])
+    except (SmoothOperatorError, KeyError):
+        return running[1]
+
+
 def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
     task, operators = status.get("task"), status.get("operators")
     known = operators.items() if isinstance(operators, Mapping) else ()
-    rate = status.get("rate")
+    rate, there = status.get("rate"), status.get("object")
     return Heard(
         state,
         detail,
@@ -210,4 +243,6 @@ def _seen(status: Mapping[str, Any], state: State, detail: str = "") -> Heard:
         standing(status.get("trial")),
         tuple(sorted((str(side), str(source)) for side, source in known)),
         float(rate) if isinstance(rate, int | float) else None,
+        task is not None or status.get("simulation") is True,
+        there if isinstance(there, bool) else None,
     )

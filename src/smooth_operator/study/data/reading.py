@@ -1,4 +1,7 @@
-"""Files of a study: CSV tables recognised by their columns, a folder of them, or one JSON file."""
+"""Files of a study: CSV tables recognised by their columns, a folder of them, or one JSON file.
+
+Next to ``trials.csv`` an export's ``study.json`` gives what tables don't hold: plan, participants.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +28,12 @@ from smooth_operator.study.data.checked_tables import (
     make_trials,
 )
 from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData, Trials
+from smooth_operator.study.data.study_facts import study_facts
 
 NAMES: Final = ("trials.csv", "tlx.csv", "sim_metrics.csv")
 """Names of the tables in a folder."""
+EXPORT: Final = "study.json"
+"""What an export calls its JSON file."""
 KEYS: Final = ("trials", "questionnaires", "simulation_metrics")
 """Names of the tables in a JSON file."""
 
@@ -35,6 +41,8 @@ _KINDS: Final = {
     "trials": frozenset(TRIAL_COLUMNS),
     "questionnaires": frozenset(QUESTIONNAIRE_COLUMNS),
 }
+_SIMULATED: Final = "simulation.json"
+"""Of virtual operators: their plan is in it."""
 _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "questionnaires"}
 """Columns that identify a table although others are missing."""
 
@@ -48,7 +56,7 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
         texts: (name, content) of JSON that is in no file, as a store exports it.
 
     Returns:
-        The data, each value checked.
+        The data, each value checked; with plan and participants, where a JSON file has them.
 
     Raises:
         StudyError: no trials among the files, two tables of a kind, a column is missing, or values
@@ -56,8 +64,22 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
     """
     files = [file for path in paths for file in _files(Path(path))]
     tables: dict[str, tuple[str, Rows, str]] = {}
-    read = [(name, _from_json(name, text)) for name, text in texts]
-    read += [(file.name, _tables(file)) for file in files]
+    facts: dict[str, Any] = {}
+    read: list[tuple[str, list[tuple[str, Rows, str]]]] = []
+    for name, text in texts:
+        content = _content(name, text)
+        facts |= study_facts(content, name)
+        read.append((name, _from_json(name, content)))
+    for file in files:
+        text = _text(file)
+        if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
+            content = _content(file.name, text)
+            facts |= study_facts(content, file.name)
+            read.append((file.name, _from_json(file.name, content)))
+        else:
+            read.append((file.name, [_from_csv(file.name, text)]))
+    for file in () if facts else _facts_files(files):
+        facts |= study_facts(_plan_in(_content(file.name, _text(file))), file.name)
     for name, found in read:
         for kind, rows, unit in found:
             if kind in tables:
@@ -69,7 +91,7 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
             f"table with the columns {', '.join(TRIAL_COLUMNS)}"
         )
     trials, notes = make_trials(*tables["trials"])
-    data = StudyData(trials, notes=notes, sources=tuple(name for name, _ in read))
+    data = StudyData(trials, notes=notes, sources=tuple(name for name, _ in read), **facts)
     if "questionnaires" in tables:
         questionnaires, more = make_questionnaires(*tables["questionnaires"])
         data = replace(data, questionnaires=questionnaires, notes=data.notes + more)
@@ -82,6 +104,8 @@ def read_study(paths: Sequence[str | Path], *, texts: Sequence[tuple[str, str]] 
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
         found = [path / name for name in NAMES if (path / name).is_file()]
+        if path / NAMES[0] not in found and (path / EXPORT).is_file():
+            found = [path / EXPORT, *(file for file in found if file.name == NAMES[2])]
         if not found:
             raise StudyError(
                 f"the folder {str(path)!r} holds no study: expected {', '.join(NAMES[:-1])} and, "
@@ -93,19 +117,52 @@ def _files(path: Path) -> list[Path]:
     return [path]
 
 
-def _tables(file: Path) -> list[tuple[str, Rows, str]]:
+def _facts_files(files: Sequence[Path]) -> list[Path]:
+    """The file next to ``trials.csv`` that has the plan."""
+    for file in files:
+        if file.name == NAMES[0]:
+            for name in (EXPORT, _SIMULATED):
+                if file.with_name(name).is_file():
+                    return [file.with_name(name)]
+    return []
+
+
+def _plan_in(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {"study": content["plan"]} if "plan" in content else content
+
+
+def _text(file: Path) -> str:
     try:
-        text = read_text(file)
+        return read_text(file)
     except DocumentError as error:
         raise StudyError(f"{file.name}: {error}; expected a table (.csv) or JSON") from None
     except OSError as error:
         raise StudyError(f"can't read {str(file)!r}: {error.strerror or error}") from error
-    if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
-        return _from_json(file.name, text)
-    return [_from_csv(file.name, text)]
+
+
+def csv_rows(file: Path) -> Rows:
+    """Numbered rows of a table by column; one at least.
+
+    Raises:
+        StudyError: there is no such file, or it is no table.
+    """
+    if not file.is_file():
+        raise StudyError(f"no such file: {str(file)!r}; expected a table (.csv)")
+    rows = _csv(file.name, _text(file))[1]
+    if not rows:
+        raise StudyError(f"{file.name} holds a header and no rows")
+    return rows
 
 
 def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
+    header, rows = _csv(name, text)
+    kind = _kind(name, header)
+    if not rows:
+        raise StudyError(f"{name} holds a header and no rows")
+    return kind, rows, "row"
+
+
+def _csv(name: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     first = text.split("\n", 1)[0]
     delimiter = max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text), delimiter=delimiter)
@@ -127,10 +184,7 @@ def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
     twice = sorted(word for word, count in Counter(header).items() if count > 1)
     if twice:
         raise StudyError(f"{name}: the column {brief(twice[0])} is there twice; keep one")
-    kind = _kind(name, header)
-    if not rows:
-        raise StudyError(f"{name} holds a header and no rows")
-    return kind, rows, "row"
+    return header, rows
 
 
 def _kind(name: str, header: Sequence[str]) -> str:
@@ -154,12 +208,16 @@ def _kind(name: str, header: Sequence[str]) -> str:
     )
 
 
-def _from_json(name: str, text: str) -> list[tuple[str, Rows, str]]:
+def _content(name: str, text: str) -> Mapping[str, Any]:
     try:
         content = parse_json(text)
     except DocumentError as error:
         raise StudyError(f"{name}: no readable JSON: {error}") from None
-    if not isinstance(content, Mapping) or not isinstance(content.get("trials"), list):
+    return content if isinstance(content, Mapping) else {}
+
+
+def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, str]]:
+    if not isinstance(content.get("trials"), list):
         raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
     needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
     found: list[tuple[str, Rows, str]] = []

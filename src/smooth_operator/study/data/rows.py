@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+
+from smooth_operator.study.data.participants import Flow, SecondRatings
+from smooth_operator.study.design.protocol import Protocol
 
 ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 """Scales of the NASA-TLX, each 0 to 100, higher is worse."""
@@ -22,6 +26,11 @@ SCORES: Final = (0.0, 0.5, 1.0)
 SUCCESS: Final = 0.5
 """Score from which a trial counts as a success."""
 
+_UNKNOWN: Final = {
+    "duration": np.nan, "line": "", "resets": -1, "started": "", "place": -1, "amended": -1,
+}  # fmt: skip
+"""Of columns that a table of trials may lack."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trials:
@@ -36,6 +45,12 @@ class Trials:
         trial_global: count over all blocks of the operator's task, from 1 (n,).
         score: 0, 0.5 or 1 (n,).
         time: completion time [s], NaN where there is none (n,).
+        duration: from the start to the score, of failures too [s], NaN where unknown (n,).
+        line: of the rubric, "" where unknown (n,) of str.
+        resets: of the object, -1 where unknown (n,).
+        started: ISO date and time, "" where unknown (n,) of str.
+        place: of the block among all of the operator's, from 1, -1 where unknown (n,).
+        amended: whether it was corrected later, 0 or 1, -1 where unknown (n,).
     """
 
     operator: np.ndarray
@@ -46,9 +61,33 @@ class Trials:
     trial_global: Int[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
     time: Float[np.ndarray, " n"]
+    duration: Float[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0))
+    line: np.ndarray = field(default_factory=lambda: np.empty(0, str))
+    resets: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, int))
+    started: np.ndarray = field(default_factory=lambda: np.empty(0, str))
+    place: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, int))
+    amended: Int[np.ndarray, " n"] = field(default_factory=lambda: np.empty(0, int))
+
+    def __post_init__(self) -> None:
+        for name, unknown in _UNKNOWN.items():
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(len(self), unknown))
 
     def __len__(self) -> int:
         return len(self.score)
+
+    @property
+    def previous(self) -> np.ndarray:
+        """Retargeter of the block before in the operator's task, "" where there is none (n,)."""
+        keys = list(
+            zip(self.operator.tolist(), self.task.tolist(), self.block.tolist(), strict=True)
+        )
+        by_block = dict(zip(keys, map(str, self.retargeter), strict=True))
+        return np.array([by_block.get((o, t, b - 1), "") for o, t, b in keys], str)
+
+    def where(self, rows: Bool[np.ndarray, " n"]) -> Trials:
+        """Only some rows."""
+        return _where(self, rows)
 
     @property
     def success(self) -> np.ndarray:
@@ -84,6 +123,10 @@ class Questionnaires:
     def __len__(self) -> int:
         return len(self.point)
 
+    def where(self, rows: Bool[np.ndarray, " n"]) -> Questionnaires:
+        """Only some rows."""
+        return _where(self, rows)
+
     @property
     def workload(self) -> Float[np.ndarray, " n"]:
         """Raw or weighted TLX; NaN where an answer is missing, or the weights are (n,)."""
@@ -115,6 +158,10 @@ class SimulationMetrics:
     names: tuple[str, ...]
     values: Float[np.ndarray, "n m"]
 
+    def where(self, rows: Bool[np.ndarray, " n"]) -> SimulationMetrics:
+        """Only some rows."""
+        return _where(self, rows)
+
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
@@ -126,6 +173,12 @@ class StudyData:
         metrics: from simulation; None if none were given.
         notes: what is odd in the data, but no reason to refuse them.
         sources: names of the files that they came from.
+        plan: of the study; None where only tables are known.
+        orders: rows of the plan's square; empty where unknown.
+        flow: of the participants, from enrolment to analysis.
+        forms: operator -> answers to the forms, by field.
+        ranking: operator -> retargeters, the preferred one first.
+        second_ratings: scores by another rater; None if there are none.
     """
 
     trials: Trials
@@ -133,3 +186,18 @@ class StudyData:
     metrics: SimulationMetrics | None = None
     notes: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
+    plan: Protocol | None = None
+    orders: tuple[tuple[str, ...], ...] = ()
+    flow: Flow = field(default_factory=Flow)
+    forms: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    ranking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    second_ratings: SecondRatings | None = None
+
+
+_Table = TypeVar("_Table", Trials, Questionnaires, SimulationMetrics)
+
+
+def _where(table: _Table, rows: Bool[np.ndarray, " n"]) -> _Table:
+    columns = {f.name: getattr(table, f.name) for f in fields(table)}
+    chosen = {name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
+    return replace(table, **chosen)

@@ -126,19 +126,23 @@ class Plan:
         for code in self.codes:
             yield from self.blocks(code)
 
-    def enrol(self, operator: str, tasks: Sequence[str] | None = None) -> Plan:
+    def enrol(
+        self, operator: str, tasks: Sequence[str] | None = None, *, absent: Sequence[str] = ()
+    ) -> Plan:
         """The plan with an operator more, or with further tasks for one who is there.
 
         Args:
             operator: pseudonym.
             tasks: None for all of the study.
+            absent: operators who withdrew and are left out: their rows are free.
 
         Raises:
             StudyError: the operator does all of these tasks already, or the code can't be one.
         """
         check_name(operator, "operator")
         wanted = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)
-        new = enrolled(self.protocol, self.orders, self.enrolled, operator, wanted)
+        present = [one for one in self.enrolled if one.code not in absent]
+        new = enrolled(self.protocol, self.orders, present, operator, wanted)
         if operator not in self.codes:
             return replace(self, enrolled=(*self.enrolled, new))
         if new == self.enrolment(operator):
@@ -151,6 +155,11 @@ class Plan:
         """The plan without an operator; the next operator gets the row that is now used least."""
         self.enrolment(operator)
         return replace(self, enrolled=tuple(o for o in self.enrolled if o.code != operator))
+
+    def replace_operator(self, operator: str, by: str) -> Plan:
+        """The plan with a new operator who has the rows of one who left."""
+        new = Enrolment(check_name(by, "operator"), dict(self.enrolment(operator).rows))
+        return replace(self, enrolled=(*self.enrolled, new))
 
     def balance(self, task: str) -> Balance:
         """How evenly the operators of a task meet the conditions."""

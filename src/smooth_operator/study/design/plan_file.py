@@ -10,10 +10,17 @@
     break_s = 120.0
     questionnaires = ["initial", "midpoint", "final"]
     weights = false
+    break_every = 1                # blocks between two breaks
+    tlx_language = "tlx-de.toml"   # NASA-TLX in other words
     resets = 1
     reset_cap = 0.5
     task_order = "balanced"        # or "listed"
     seed = 0
+    rate_hz = 30.0
+    primary = "success/pooled"     # or time, tlx, and a task; the rest is exploratory
+
+    [margins]                      # of equivalence: share, seconds, points
+    success = 0.1
 
     [conditions.sbr]
     method = "sbr"                 # optional: the name
@@ -30,6 +37,11 @@
       { name = "done", score = 1.0, text = "held in a pinch" },
       { name = "dropped", score = 0.0, text = "left the workspace" },
     ]
+
+    [[forms]]                      # optional: asked on the operator's page
+    name = "about-you"
+    when = "before"                # the first block, or "after" the last one
+    fields = [{ name = "age", label = "Age [years]", kind = "number" }]
 
     [orders]                       # drawn where they are missing
     1 = ["sbr", "dexpilot"]
@@ -52,7 +64,9 @@ from typing import Any, Final
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import StudyError
 from smooth_operator.io.entries import Entries, read_entries
+from smooth_operator.study.design.endpoints import PRIMARY
 from smooth_operator.study.design.enrolment import Enrolment, Orders
+from smooth_operator.study.design.forms import form_lines, read_forms
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import (
     POINTS,
@@ -145,11 +159,14 @@ def _protocol(entries: Entries) -> Protocol:
     entries.only(
         "format", "name", "baseline", "operators", "familiarisation_s", "break_s",
         "questionnaires", "weights", "resets", "reset_cap", "task_order", "seed", "rate_hz",
-        "conditions",
-        "tasks", "orders", "enrolled",
+        "break_every", "tlx_language", "primary", "margins", "forms", "conditions", "tasks",
+        "orders", "enrolled",
     )  # fmt: skip
     conditions = entries.table("conditions")
     tasks = entries.table("tasks")
+    margins = entries.table("margins", {})
+    # Where a plan was drawn and names no primary endpoint, none was planned.
+    primary = entries.text("primary", "" if "orders" in entries.names else PRIMARY)
     asked = entries.texts("questionnaires", POINTS)
     for point in asked:
         if point not in POINTS:
@@ -169,6 +186,11 @@ def _protocol(entries: Entries) -> Protocol:
         task_order=entries.choice("task_order", ("balanced", "listed"), "balanced"),
         seed=entries.whole("seed", 0),
         rate_hz=entries.number("rate_hz") if "rate_hz" in entries.names else None,
+        primary=primary,
+        margins={name: margins.number(name) for name in margins.names},
+        break_every=entries.whole("break_every", 1),
+        forms=read_forms(entries),
+        tlx_language=entries.text("tlx_language", ""),
     )
 
 
@@ -229,14 +251,25 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f"operators = {protocol.operators}"
     yield f"familiarisation_s = {protocol.familiarisation_s!r}  # free movement before a block"
     yield f"break_s = {protocol.break_s!r}  # offered between blocks"
+    if protocol.break_every != 1:
+        yield f"break_every = {protocol.break_every}  # blocks between two breaks"
     yield f"questionnaires = {_texts(protocol.questionnaires)}  # NASA-TLX, after these trials"
     yield f"weights = {_flag(protocol.weights)}  # the 15 pairs of NASA-TLX at the end of a block"
     yield f"resets = {protocol.resets}  # of the object, in a trial"
     yield f"reset_cap = {protocol.reset_cap!r}  # best score after that"
     yield f"task_order = {_text(protocol.task_order)}"
     yield f"seed = {protocol.seed}"
+    if protocol.tlx_language:
+        yield f"tlx_language = {_text(protocol.tlx_language)}  # words of NASA-TLX"
     if protocol.rate_hz is not None:
         yield f"rate_hz = {float(protocol.rate_hz)!r}  # commands a second, in every condition"
+    if protocol.primary:
+        yield f"primary = {_text(protocol.primary)}  # decides; all else is exploratory"
+    if protocol.margins:
+        yield ""
+        yield "[margins]  # of equivalence: share of successes, seconds, points of workload"
+        for name, margin in protocol.margins.items():
+            yield f"{name} = {float(margin)!r}"
     for condition in protocol.conditions:
         yield ""
         yield f"[conditions.{_key(condition.name)}]"
@@ -249,6 +282,7 @@ def _lines(plan: Plan) -> Iterator[str]:
         yield ""
         yield from _task_lines(task)
     yield ""
+    yield from form_lines(protocol.forms)
     yield "[orders]  # a balanced Latin square: the conditions of the first block, the second, ..."
     for number, order in enumerate(plan.orders, 1):
         yield f"{number} = {_texts(order)}"

@@ -14,6 +14,8 @@ from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.simulation.tasks.checks import check_name, distinct, seconds, whole
 from smooth_operator.simulation.tasks.task import RubricLine as RubricLine
 from smooth_operator.simulation.tasks.task import Task as Task
+from smooth_operator.study.design.endpoints import PRIMARY, check_margins, check_primary
+from smooth_operator.study.design.forms import Form, check_forms
 
 Point: TypeAlias = Literal["initial", "midpoint", "final"]
 """When a questionnaire is asked: after the first, the middle or the last trial of a block."""
@@ -78,6 +80,14 @@ class Protocol:
         seed: of everything that is drawn: square, orders, labels.
         rate_hz: commands a second that the hand is sent, whatever the condition [Hz]; None for
             those that the teleoperation was started with.
+        primary: the endpoint that decides, ``OUTCOME/SCOPE``: success, time or tlx, and pooled or
+            a task; the rest is exploratory. Empty where none was named.
+        margins: outcome -> difference below which two conditions are called equivalent, in the
+            outcome's unit: share, s, points.
+        break_every: after how many blocks a break is offered; 0 for never.
+        forms: what operators are asked before the first block and after the last one.
+        tlx_language: file in the folder of the study with NASA-TLX in another language; empty
+            for the published wording.
     """
 
     name: str
@@ -94,6 +104,11 @@ class Protocol:
     task_order: Literal["balanced", "listed"] = "balanced"
     seed: int = 0
     rate_hz: float | None = None
+    primary: str = PRIMARY
+    margins: Mapping[str, float] = field(default_factory=dict, hash=False)
+    break_every: int = 1
+    forms: tuple[Form, ...] = ()
+    tlx_language: str = ""
     _by_name: Mapping[str, Condition] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -116,6 +131,8 @@ class Protocol:
         seconds(self.familiarisation_s, "familiarisation")
         seconds(self.break_s, "break")
         whole(self.resets, 0, 100, "resets of a trial")
+        whole(self.break_every, 0, 1000, "blocks between two breaks")
+        check_forms(self.forms)
         if self.reset_cap not in _SCORES:
             raise StudyError(f"the score after a reset must be 0, 0.5 or 1, not {self.reset_cap}")
         if self.task_order not in ("balanced", "listed"):
@@ -124,6 +141,9 @@ class Protocol:
             raise StudyError(f"the seed must be a whole number, 0 or more, not {self.seed!r}")
         if self.rate_hz is not None and not 1.0 <= self.rate_hz <= 1000.0:
             raise StudyError(f"the rate of commands must be 1 to 1000 Hz, not {self.rate_hz}")
+        names = [task.name for task in self.tasks]
+        check_primary(self.primary, names, workload=bool(self.questionnaires))
+        check_margins(self.margins)
         self._check_enrolment()
         for task in self.tasks:
             self.questionnaire_trials(task)

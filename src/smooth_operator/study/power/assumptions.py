@@ -46,7 +46,8 @@ class Assumptions:
         time_s: condition -> mean time of successful trials [s].
         workload: condition -> mean raw NASA-TLX, 0 to 100.
         operators: standard deviation between operators.
-        interaction: standard deviation of how an operator does with one condition in particular.
+        interaction: standard deviation of how an operator does with one condition in particular;
+            people have preferences, so it is not zero.
         trials: standard deviation between trials of an operator; of success there is none but in
             its probability; of workload it is shared by the six scales.
         scales: standard deviation of each scale of NASA-TLX on top [points].
@@ -58,7 +59,7 @@ class Assumptions:
     time_s: Mapping[str, float]
     workload: Mapping[str, float]
     operators: Spread = Spread(0.6, 4.0, 10.0)
-    interaction: Spread = Spread(0.0, 0.0, 0.0)
+    interaction: Spread = Spread(0.3, 2.0, 5.0)
     trials: Spread = Spread(0.0, 7.0, 6.0)
     scales: float = 8.0
     practice: Spread = Spread(0.012, -0.06, -0.4)

@@ -25,6 +25,9 @@ TITLES: Final[dict[Outcome, str]] = {"success": "success", "time": "time", "tlx"
 ENOUGH: Final = 0.8
 """Power that is usually asked for."""
 
+MOST_ERROR: Final = 0.07
+"""Family-wise error from which on a test is not to be relied on: 5 % and what simulation adds."""
+
 Tallies = Mapping[tuple[int, Truth], Tally]
 
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
@@ -35,14 +38,15 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
 
     ``cells`` is a list of one number of operators, truth, outcome, scope and mode each; ``power``
     holds how often the true difference of a condition from the baseline was found (``dunnett``) and
-    that of a pair (``holm``), ``all`` of them together; ``family_error`` how often any difference
-    was called that is none.
+    that of a pair (``holm``), ``all`` of them together, and how often a condition was shown to be
+    ``equivalent`` to the baseline within the plan's margin; ``family_error`` how often any
+    difference was called that is none, and ``errs`` whether that is more than 7 %.
     """
     cells = []
     for (operators, truth), tally in tallies.items():
         for key, found in rates(tally).items():
             outcome, scope, mode = key.split("/", 2)
-            power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}}
+            power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}, "equivalent": {}}
             for what, value in found.items():
                 family, _, name = what.partition(":")
                 if family in power:
@@ -60,10 +64,16 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
                         "dunnett": asdict(found["family:dunnett"]),
                         "holm": asdict(found["family:holm"]),
                     },
+                    "errs": truth == "null" and errs(found["family:dunnett"]),
                     "refused": asdict(found["refused"]),
                 }
             )
     return {"format": FORMAT, "alpha": ALPHA, "settings": settings.to_json(), "cells": cells}
+
+
+def errs(error: Rate) -> bool:
+    """Whether a family-wise error is more than what can be relied on."""
+    return error.rate > MOST_ERROR
 
 
 def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list[Path]:
@@ -118,12 +128,19 @@ def draw_power(
         top.set_title(f"{TITLES[outcome]}, against {baseline}")
         top.axhline(ENOUGH, color="0.7", linewidth=0.8, zorder=0)
         bottom.axhline(ALPHA, color="0.7", linewidth=0.8, zorder=0)
+        bottom.axhspan(MOST_ERROR, 1.0, color="C3", alpha=0.08, linewidth=0, zorder=0)
         bottom.set_xlabel("operators")
         top.legend(fontsize=8, loc="lower right")
     axes[0, 0].set_ylim(-0.02, 1.02)
     axes[0, 0].set_ylabel("power (solid small-sample, dashed paper)")
-    axes[1, 0].set_ylim(0.0, None)
-    axes[1, 0].set_ylabel("family-wise error if nothing differs")
+    worst = [
+        found(tallies[n, "null"], outcome, scope, mode, "family:dunnett").upper
+        for n in settings.operators
+        for outcome in outcomes
+        for mode in MODES
+    ]
+    axes[1, 0].set_ylim(0.0, 1.1 * max([*worst, 1.4 * MOST_ERROR]))
+    axes[1, 0].set_ylabel("family-wise error if nothing differs\n(shaded: over 7 %)")
     axes[1, 0].legend(fontsize=8)
     figure.suptitle(
         f"{settings.protocol.name}: {settings.studies} simulated studies each, bars 95 %",

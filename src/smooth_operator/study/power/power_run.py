@@ -164,20 +164,20 @@ def run_power(
 
 def simulate_chunk(chunk: Chunk) -> dict[str, dict[str, int]]:
     """Counts over some studies; what a worker does."""
-    simulator, analyst, truth, baseline, seed = _prepared(
+    simulator, analyst, truth, protocol, seed = _prepared(
         chunk.setting, chunk.operators, chunk.truth
     )
     tally = Tally()
     for number in range(chunk.first, chunk.first + chunk.count):
         rng = np.random.default_rng([seed, chunk.operators, TRUTHS.index(chunk.truth), number])
-        tally.add(analyst.verdicts(simulator.draw(rng)), truth, baseline)
+        tally.add(analyst.verdicts(simulator.draw(rng)), truth, protocol.baseline, protocol.margins)
     return {key: dict(counts) for key, counts in tally.counts.items()}
 
 
 @lru_cache(maxsize=8)
 def _prepared(
     setting: str, operators: int, which: Truth
-) -> tuple[Simulator, Analyst, Assumptions, str, int]:
+) -> tuple[Simulator, Analyst, Assumptions, Protocol, int]:
     values = json.loads(setting)
     protocol = plan_of(values["plan"], "the plan").protocol
     rows = layout(make_plan(scaled(protocol, operators)))
@@ -186,7 +186,7 @@ def _prepared(
         truth = truth.null(protocol.baseline)
     simulator = Simulator(rows, truth)
     analyst = Analyst(rows, tuple(values["scopes"]))
-    return simulator, analyst, truth, protocol.baseline, values["seed"]
+    return simulator, analyst, truth, protocol, values["seed"]
 
 
 def _assumptions(values: Mapping[str, Any]) -> Assumptions:

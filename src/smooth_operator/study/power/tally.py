@@ -46,12 +46,18 @@ class Tally:
     studies: int = 0
     counts: dict[str, Counter[str]] = field(default_factory=dict)
 
-    def add(self, verdicts: Iterable[Verdict], truth: Assumptions, baseline: str) -> None:
+    def add(
+        self,
+        verdicts: Iterable[Verdict],
+        truth: Assumptions,
+        baseline: str,
+        margins: Mapping[str, float],
+    ) -> None:
         """One study more."""
         self.studies += 1
         for verdict in verdicts:
             key = f"{verdict.outcome}/{verdict.scope}/{verdict.mode}"
-            self.counts.setdefault(key, Counter()).update(count(verdict, truth, baseline))
+            self.counts.setdefault(key, Counter()).update(count(verdict, truth, baseline, margins))
 
     def merge(self, studies: int, counts: Mapping[str, Mapping[str, int]]) -> None:
         """The counts of other studies."""
@@ -60,19 +66,33 @@ class Tally:
             self.counts.setdefault(key, Counter()).update(more)
 
 
-def count(verdict: Verdict, truth: Assumptions, baseline: str) -> Counts:
+def count(
+    verdict: Verdict, truth: Assumptions, baseline: str, margins: Mapping[str, float] | None = None
+) -> Counts:
     """What one verdict got right and wrong.
+
+    Args:
+        verdict: of one outcome.
+        truth: what was assumed.
+        baseline: condition that others are compared with.
+        margins: outcome -> largest difference of equivalent conditions, in its unit.
 
     Returns:
         ``dunnett:NAME`` and ``holm:A-B``: a true difference was found, with its right sign;
         ``dunnett:all`` and ``holm:all``: all of them; ``family:dunnett`` and ``family:holm``: a
-        difference was found that is none, or with the wrong sign; ``refused``.
+        difference was found that is none, or with the wrong sign; ``equivalent:NAME``: its
+        difference from the baseline was shown to be below the margin; ``refused``.
     """
     if verdict.refused is not None:
         return {"refused": 1}
     values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
     value = values[verdict.outcome]
     found: Counts = {}
+    margin = (margins or {}).get(verdict.outcome)
+    if margin is not None:
+        for name, smallest in verdict.smallest_margin.items():
+            if smallest < margin:
+                found[f"equivalent:{name}"] = 1
     families = {
         "dunnett": {name: (name, baseline, sign) for name, sign in verdict.against.items()},
         "holm": {f"{a}-{b}": (a, b, sign) for (a, b), sign in verdict.pairs.items()},

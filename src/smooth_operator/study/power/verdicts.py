@@ -8,7 +8,7 @@ is worked out only where its bounds leave the verdict open.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
 
@@ -16,19 +16,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.dunnett import two_sided
+from smooth_operator.study.analysis.dunnett import quantile, two_sided
 from smooth_operator.study.analysis.emm import MarginalMeans, linear_means, response_means
 from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import fit_gee
 from smooth_operator.study.analysis.holm import holm
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.multivariate import outside
-from smooth_operator.study.analysis.results import POOLED, Mode, Outcome
+from smooth_operator.study.analysis.nested import fit_nested
+from smooth_operator.study.analysis.results import POOLED, Mode, Outcome, Separated
+from smooth_operator.study.analysis.separated import split
 from smooth_operator.study.power.simulated_study import Simulated
 from smooth_operator.study.power.study_rows import Layout, Rows
 
 ALPHA: Final = 0.05
-_EXACT: Final = 1e-5
 
 Freedom = Callable[[Float[np.ndarray, " p"]], float]
 
@@ -44,6 +45,9 @@ class Verdict:
         against: condition -> sign of its significant difference from the baseline, else 0; by
             Dunnett.
         pairs: (condition, condition) -> likewise, of the first minus the second; by Holm.
+        smallest_margin: condition -> end of the 90 % interval of its difference from the baseline
+            that is further from zero: by two one-sided tests at 5 %, both are equivalent within any
+            margin that is larger.
         refused: why the analysis gives no figures; None if it does.
     """
 
@@ -53,6 +57,7 @@ class Verdict:
     against: dict[str, int]
     pairs: dict[tuple[str, str], int]
     refused: str | None = None
+    smallest_margin: dict[str, float] = field(default_factory=dict)
 
 
 class Analyst:
@@ -104,47 +109,84 @@ class Analyst:
         )
 
     def _success(self, frame: Frame, scope: str) -> Iterator[Verdict]:
+        separated: dict[str, Separated] = {}
         try:
             check_frame(frame)
+            rest, separated = split(frame)
+            if rest is None:
+                raise StudyError("no retargeter has both successes and failures")
+            frame = rest
+            check_frame(frame, retargeters=1)
             for codes in (frame.retargeter, frame.task):
                 rates = np.bincount(codes, frame.outcome) / np.bincount(codes)
                 if np.any((rates == 0) | (rates == 1)):
                     raise StudyError("separation: a condition or task always or never succeeds")
             fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
+            fit.check_correlation()
         except StudyError as error:
             yield from _refusals("success", scope, str(error))
             return
         means = response_means(frame, fit.beta)
-        yield _verdict("success", scope, "paper", frame, means, fit.robust, lambda _: np.inf)
+        found = _verdict("success", scope, "paper", frame, means, fit.robust, lambda _: np.inf)
+        yield _with_separated(found, separated, frame)
         if fit.mancl_derouen is None:
             reason = "an operator's leverage can't be corrected"
             yield Verdict("success", scope, "small-sample", {}, {}, reason)
             return
         df = float(fit.operators - 1)
-        yield _verdict(
+        found = _verdict(
             "success", scope, "small-sample", frame, means, fit.mancl_derouen, lambda _: df
         )
+        yield _with_separated(found, separated, frame)
 
     def _linear(self, frame: Frame, outcome: Outcome, scope: str) -> Iterator[Verdict]:
         try:
             check_frame(frame)
-            fit = fit_mixed(frame.design()[0], frame.outcome, frame.group)
+            design = frame.design()[0]
+            fit = fit_mixed(design, frame.outcome, frame.group)
         except StudyError as error:
             yield from _refusals(outcome, scope, str(error))
             return
         means = linear_means(frame, fit.beta)
-        freedom: dict[Mode, Freedom] = {
-            "paper": lambda _: np.inf,
-            "small-sample": fit.satterthwaite,
-        }
-        for mode, of in freedom.items():
-            yield _verdict(outcome, scope, mode, frame, means, fit.covariance, of)
+        yield _verdict(outcome, scope, "paper", frame, means, fit.covariance, lambda _: np.inf)
+        try:
+            nested = fit_nested(design, frame.outcome, frame.levels)
+        except StudyError as error:
+            yield Verdict(outcome, scope, "small-sample", {}, {}, str(error))
+            return
+        means = linear_means(frame, nested.beta)
+        yield _verdict(
+            outcome, scope, "small-sample", frame, means, nested.covariance, nested.satterthwaite
+        )
 
 
 def _refusals(outcome: Outcome, scope: str, reason: str) -> Iterator[Verdict]:
     blank = Verdict(outcome, scope, "paper", {}, {}, reason)
     yield blank
     yield replace(blank, mode="small-sample")
+
+
+def _with_separated(verdict: Verdict, separated: dict[str, Separated], frame: Frame) -> Verdict:
+    """With the exact comparisons of retargeters that are in no model."""
+    if not separated or verdict.refused is not None:
+        return verdict
+    against, pairs = dict(verdict.against), dict(verdict.pairs)
+    for name, found in separated.items():
+        for other, test in found.against.items():
+            # As the pairs of the analysis are named: the baseline first, then by name.
+            turned = other == frame.baseline or (name != frame.baseline and other < name)
+            key = (other, name) if turned else (name, other)
+            pairs[key] = _sign(
+                -test.difference if turned else test.difference, test.p_holm <= ALPHA
+            )
+            if test.p_dunnett is None:
+                continue
+            sign = _sign(test.difference, test.p_dunnett <= ALPHA)
+            if other == frame.baseline:
+                against[name] = sign
+            else:
+                against[other] = -sign
+    return replace(verdict, against=against, pairs=pairs)
 
 
 def _verdict(
@@ -172,6 +214,7 @@ def _verdict(
         for a, b in statistics
     }
     against: dict[str, int] = {}
+    margins: dict[str, float] = {}
     if names[0] == frame.baseline:
         others = range(1, len(names))
         correlation = _correlation(means.covariance(covariance))
@@ -179,7 +222,10 @@ def _verdict(
             statistic, df = statistics[0, j]
             significant = _dunnett_rejects(statistic, raw[0, j], correlation, df)
             against[names[j]] = _sign(-statistic, significant)
-    return Verdict(outcome, scope, mode, against, pairs)
+            difference = abs(float(means.values[0] - means.values[j]))
+            error = difference / abs(statistic) if statistic else float("nan")
+            margins[names[j]] = difference + error * quantile(df, ALPHA)
+    return Verdict(outcome, scope, mode, against, pairs, smallest_margin=margins)
 
 
 def _dunnett_rejects(
@@ -189,7 +235,7 @@ def _dunnett_rejects(
         return False
     if len(correlation) * raw <= ALPHA:  # and no higher than Bonferroni's
         return True
-    return outside(abs(statistic), correlation, df, enough=_EXACT)[0] <= ALPHA
+    return outside(abs(statistic), correlation, df)[0] <= ALPHA
 
 
 def _correlation(covariance: Float[np.ndarray, "r r"]) -> Float[np.ndarray, "m m"]:

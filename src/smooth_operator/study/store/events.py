@@ -7,18 +7,12 @@ by one more event.
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, ClassVar, Final, TypeAlias, get_type_hints
+from typing import Any, ClassVar, Final, TypeAlias
 
-from smooth_operator.errors import StudyError
 from smooth_operator.study.design.protocol import Point
-from smooth_operator.study.store.nasa_tlx import check_ratings, check_winners
-
-_LONGEST_TEXT: Final = 20_000
 
 
 @dataclass(frozen=True)
@@ -48,10 +42,18 @@ class Calibrated(_Event):
 
 @dataclass(frozen=True)
 class BlockStarted(_OfBlock):
-    """The retargeter was switched to the block's condition."""
+    """The retargeter was switched to the block's condition.
+
+    Attributes:
+        condition: name.
+        method: that the teleoperation said it runs then; empty where none was attached.
+        preset: of the method, likewise.
+    """
 
     kind: ClassVar[str] = "block_started"
     condition: str
+    method: str = field(default="", compare=False)
+    preset: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,17 @@ class TrialScored(_OfTrial):
     Attributes:
         line: of the task's rubric.
         score: of that line, capped if there was a reset.
-        time_s: from its start [s].
+        time_s: from its start, without pauses [s].
+        proposed_line: what a simulation proposed; empty where it did not.
+        proposed_score: of that line; None where nothing was proposed.
     """
 
     kind: ClassVar[str] = "trial_scored"
     line: str
     score: float
     time_s: float
+    proposed_line: str = field(default="", compare=False)
+    proposed_score: float | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -114,6 +120,132 @@ class TrialVoided(_OfTrial):
 
     kind: ClassVar[str] = "trial_voided"
     reason: str
+
+
+@dataclass(frozen=True)
+class TrialPaused(_OfTrial):
+    """The clock of the trial that runs was stopped for a fault that is not the operator's.
+
+    Attributes:
+        reason: why.
+        clock: reading of a steady clock (``smooth_operator.study.store.clock``).
+    """
+
+    kind: ClassVar[str] = "trial_paused"
+    reason: str = ""
+    clock: str = field(default="", compare=False)
+
+
+@dataclass(frozen=True)
+class TrialResumed(_OfTrial):
+    """The clock of a paused trial goes on.
+
+    Attributes:
+        paused_s: how long it had stood [s].
+    """
+
+    kind: ClassVar[str] = "trial_resumed"
+    paused_s: float = field(default=0.0, compare=False)
+
+
+@dataclass(frozen=True)
+class Amended(_OfTrial):
+    """A scored trial was corrected later; the first score stays in the log.
+
+    Attributes:
+        line: of the task's rubric, as it is from now on.
+        score: of that line, capped if there was a reset.
+        time_s: as it is from now on [s].
+        reason: why.
+        who: decided so; initials, never a name.
+    """
+
+    kind: ClassVar[str] = "amended"
+    line: str
+    score: float
+    time_s: float
+    reason: str
+    who: str = ""
+
+
+@dataclass(frozen=True)
+class BlockEnded(_OfBlock):
+    """The rest of a block is not done.
+
+    Attributes:
+        reason: why.
+    """
+
+    kind: ClassVar[str] = "block_ended"
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recalibrated(_Event):
+    """The tracker was calibrated once more.
+
+    Attributes:
+        task: that is on.
+        detail: file or remark.
+    """
+
+    kind: ClassVar[str] = "recalibrated"
+    task: str
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Withdrawn(_Event):
+    """The operator takes no further part.
+
+    Attributes:
+        keep: whether the data so far may be analysed.
+        reason: why.
+    """
+
+    kind: ClassVar[str] = "withdrawn"
+    keep: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Replaces(_Event):
+    """The operator has the rows of one who withdrew.
+
+    Attributes:
+        operator: pseudonym of that one.
+    """
+
+    kind: ClassVar[str] = "replaces"
+    operator: str
+
+
+@dataclass(frozen=True)
+class Chosen(_Event):
+    """Another operator was put on at a console.
+
+    Attributes:
+        operator: who is on now.
+        before: who was; empty for nobody.
+    """
+
+    kind: ClassVar[str] = "chosen"
+    operator: str
+    before: str = ""
+
+
+@dataclass(frozen=True)
+class FormAnswered(_Event):
+    """A form of the study was filled in.
+
+    Attributes:
+        form: name.
+        answers: field -> text, number, yes or no, or list of texts.
+    """
+
+    kind: ClassVar[str] = "form_answered"
+    form: str
+    answers: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -127,10 +259,16 @@ class Answered(_OfBlock):
 
 @dataclass(frozen=True)
 class Weighed(_OfBlock):
-    """The fifteen pairs of NASA-TLX were chosen from."""
+    """The fifteen pairs of NASA-TLX were chosen from.
+
+    Attributes:
+        winners: of each of ``PAIRS``, in that order.
+        shown: the pairs as the operator saw them, ``left-right``, in that order; empty if unknown.
+    """
 
     kind: ClassVar[str] = "weights_answered"
     winners: tuple[str, ...]
+    shown: tuple[str, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)
@@ -184,14 +322,26 @@ Event: TypeAlias = (
     | BreakEnded
     | Noted
     | Undone
+    | TrialPaused
+    | TrialResumed
+    | Amended
+    | BlockEnded
+    | Recalibrated
+    | Withdrawn
+    | Replaces
+    | Chosen
+    | FormAnswered
 )
 
+ASIDE: Final = (Noted, Chosen, Replaces)
+"""Kinds that change nothing in what is due, and are not undone."""
 EVENTS: Final[dict[str, type[Event]]] = {
     made.kind: made
     for made in (
         Calibrated, BlockStarted, FamiliarisationStarted, FamiliarisationEnded, TrialStarted,
         TrialReset, TrialScored, TrialVoided, Answered, Weighed, BreakStarted, BreakEnded, Noted,
-        Undone,
+        Undone, TrialPaused, TrialResumed, Amended, BlockEnded, Recalibrated, Withdrawn, Replaces,
+        Chosen, FormAnswered,
     )
 }  # fmt: skip
 """Kind, as it is stored -> class."""
@@ -212,59 +362,3 @@ class Record:
     at: datetime
     author: str
     event: Event
-
-
-def payload(event: Event) -> dict[str, Any]:
-    """An event's fields as plain values."""
-    return {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in dataclasses.asdict(event).items()
-    }
-
-
-def event_of(kind: str, values: Mapping[str, Any]) -> Event:
-    """An event from its kind and fields, checked as far as it can be without the plan.
-
-    Raises:
-        StudyError: no such kind, or a field is missing, unknown or of the wrong type.
-    """
-    if kind not in EVENTS:
-        raise StudyError(f"no event is called {kind!r}; expected one of {', '.join(EVENTS)}")
-    made = EVENTS[kind]
-    hints = get_type_hints(made)
-    known = [f.name for f in fields(made)]
-    needed = {f.name for f in fields(made) if f.default is dataclasses.MISSING}
-    missing, unknown = sorted(needed - set(values)), sorted(set(values) - set(known))
-    if missing or unknown:
-        raise StudyError(
-            f"event {kind!r} has the fields {', '.join(known) or '(none)'}"
-            + (f"; missing: {', '.join(missing)}" if missing else "")
-            + (f"; unknown: {', '.join(unknown)}" if unknown else "")
-        )
-    return made(**{name: _checked(kind, name, v, hints[name]) for name, v in values.items()})
-
-
-def _checked(kind: str, name: str, value: Any, hint: Any) -> Any:
-    where = f"event {kind!r}: {name}"
-    if name == "ratings":
-        if not isinstance(value, Mapping):
-            raise StudyError(f"{where} must be a table of the six scales, not {value!r}")
-        check_ratings(value)
-        return dict(value)
-    if name == "winners":
-        if not isinstance(value, list | tuple):
-            raise StudyError(f"{where} must be a list of scales, not {value!r}")
-        check_winners(value)
-        return tuple(value)
-    if hint is int:
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise StudyError(f"{where} must be a whole number, not {value!r}")
-        return value
-    if hint is float:
-        right = isinstance(value, int | float) and not isinstance(value, bool)
-        if not right or not math.isfinite(value) or value < 0:
-            raise StudyError(f"{where} must be a number of 0 or more, not {value!r}")
-        return float(value)
-    if not isinstance(value, str) or len(value) > _LONGEST_TEXT or "\x00" in value:
-        raise StudyError(f"{where} must be a text of up to {_LONGEST_TEXT} characters")
-    return value

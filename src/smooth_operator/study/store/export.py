@@ -8,7 +8,7 @@ either.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,19 +16,21 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.data.checked_tables import (
+    MORE_TRIAL_COLUMNS,
     QUESTIONNAIRE_COLUMNS,
     TRIAL_COLUMNS,
     WEIGHT_COLUMNS,
 )
 from smooth_operator.study.design.plan_file import plan_table
-from smooth_operator.study.store.events import payload
+from smooth_operator.study.store.export_operators import operator_json
 from smooth_operator.study.store.nasa_tlx import (
     SCALE_NAMES,
     raw_workload,
     weighted_workload,
     weights,
 )
-from smooth_operator.study.store.progress import Progress, Trial
+from smooth_operator.study.store.operator_state import Trial
+from smooth_operator.study.store.progress import Progress
 from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
@@ -63,7 +65,7 @@ def export_study(
     everything = study_json(store, operators)
     weighted = (*WEIGHT_COLUMNS, "weighted_workload")
     files = {
-        _TRIALS: (TRIAL_COLUMNS, everything["trials"]),
+        _TRIALS: ((*TRIAL_COLUMNS, *MORE_TRIAL_COLUMNS), everything["trials"]),
         _TLX: (
             (*QUESTIONNAIRE_COLUMNS, *(weighted if everything["weights"] else ())),
             everything["questionnaires"],
@@ -101,10 +103,13 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
     }
     for code in codes:
         progress = store.progress(code)
-        made["trials"] += [_trial(code, trial) for trial in progress.trials if _counts(trial)]
+        places = {(b.task.name, b.number): n for n, b in enumerate(progress.blocks, 1)}
+        made["trials"] += [
+            _trial(code, trial, places) for trial in progress.trials if _counts(trial)
+        ]
         made["questionnaires"] += list(_questionnaires(progress))
         made["weights"] += list(_weights(progress))
-        made["operators"].append(_operator(progress))
+        made["operators"].append(operator_json(progress))
     return made
 
 
@@ -112,7 +117,7 @@ def _counts(trial: Trial) -> bool:
     return trial.score is not None and trial.void is None
 
 
-def _trial(code: str, trial: Trial) -> dict[str, Any]:
+def _trial(code: str, trial: Trial, places: Mapping[tuple[str, int], int]) -> dict[str, Any]:
     assert trial.score is not None
     assert trial.time_s is not None
     block = trial.block
@@ -130,6 +135,8 @@ def _trial(code: str, trial: Trial) -> dict[str, Any]:
         "line": trial.line,
         "resets": trial.resets,
         "started_at": trial.started.isoformat(),
+        "place": places[block.task.name, block.number],
+        "amended": int(trial.amended),
     }
 
 
@@ -165,39 +172,6 @@ def _weights(progress: Progress) -> Iterator[dict[str, Any]]:
             "block": block,
             **weights(winners),
         }
-
-
-def _operator(progress: Progress) -> dict[str, Any]:
-    step = progress.step
-    return {
-        "operator": progress.operator,
-        "done": step.what == "done",
-        "notes": [{"at": at.isoformat(), "text": text} for at, text in progress.notes],
-        "breaks": [
-            {"started_at": start.isoformat(), "ended_at": end and end.isoformat()}
-            for start, end in progress.breaks
-        ],
-        "voided": [
-            {
-                "task": trial.block.task.name,
-                "block": trial.block.number,
-                "trial_in_block": trial.number,
-                "reason": trial.void,
-            }
-            for trial in progress.trials
-            if trial.void is not None
-        ],
-        "events": [
-            {
-                "number": record.number,
-                "at": record.at.isoformat(),
-                "author": record.author,
-                "kind": record.event.kind,
-                "fields": payload(record.event),
-            }
-            for record in progress.records
-        ],
-    }
 
 
 def _table(columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:

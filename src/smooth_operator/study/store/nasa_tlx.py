@@ -1,6 +1,7 @@
 """NASA-TLX: six scales, their end labels, and the fifteen pairs for weights.
 
-Sources: Hart and Staveland 1988; Hart 2006 (the unweighted mean, "raw TLX").
+Sources: Hart and Staveland 1988, in the words of the paper-and-pencil version (NASA Ames);
+Hart 2006 (the unweighted mean, "raw TLX").
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Scale:
     name: str
     title: str
     question: str
-    low: str = "very low"
-    high: str = "very high"
+    low: str = "Very low"
+    high: str = "Very high"
 
 
 SCALES: Final = (
@@ -42,15 +43,19 @@ SCALES: Final = (
     Scale(
         "performance",
         "Performance",
-        "How successful were you in doing what you were asked to do?",
-        "perfect",
-        "failure",
+        "How successful were you in accomplishing what you were asked to do?",
+        "Perfect",
+        "Failure",
     ),
-    Scale("effort", "Effort", "How hard did you have to work for what you reached?"),
+    Scale(
+        "effort",
+        "Effort",
+        "How hard did you have to work to accomplish your level of performance?",
+    ),
     Scale(
         "frustration",
         "Frustration",
-        "How insecure, discouraged, irritated, stressed and annoyed were you?",
+        "How insecure, discouraged, irritated, stressed, and annoyed were you?",
     ),
 )
 SCALE_NAMES: Final = tuple(scale.name for scale in SCALES)

@@ -19,6 +19,8 @@ def export_schema() -> dict[str, Any]:
     times = {"type": "integer", "minimum": 0, "maximum": len(SCALE_NAMES) - 1}
     times_or_none = {**times, "type": ["integer", "null"]}
     workload = {"type": ["number", "null"], "minimum": 0, "maximum": 100}
+    trial = {"task": text, "retargeter": text, "block": count, "trial_in_block": count}
+    scoring = _object({"line": text, "score": score, "time_s": seconds})
     where = {"operator": text, "task": text, "retargeter": text, "block": count}
 
     def rows(**columns: Any) -> dict[str, Any]:
@@ -42,6 +44,8 @@ def export_schema() -> dict[str, Any]:
                     line=text,
                     resets={"type": "integer", "minimum": 0},
                     started_at=moment,
+                    place=count,
+                    amended={"enum": [0, 1]},
                 ),
                 "questionnaires": rows(
                     **where,
@@ -61,7 +65,28 @@ def export_schema() -> dict[str, Any]:
                     done={"type": "boolean"},
                     notes=rows(at=moment, text=text),
                     breaks=rows(started_at=moment, ended_at={"type": ["string", "null"]}),
-                    voided=rows(task=text, block=count, trial_in_block=count, reason=text),
+                    withdrawn={
+                        **_object({"at": moment, "keep": {"type": "boolean"}, "reason": text}),
+                        "type": ["object", "null"],
+                    },
+                    replaces={"type": ["string", "null"]},
+                    forms=_by_name(_object({"at": moment, "answers": {"type": "object"}})),
+                    ranking={"type": "array", "items": text},
+                    voided=rows(**trial, reason=text),
+                    pauses=rows(
+                        **trial,
+                        at=moment,
+                        length_s={"type": ["number", "null"], "minimum": 0},
+                        reason=text,
+                    ),
+                    recalibrations=rows(at=moment, task=text, detail=text),
+                    ended_early=rows(
+                        task=text, retargeter=text, block=count, at=moment, reason=text
+                    ),
+                    amendments=rows(
+                        **trial, at=moment, before=scoring, after=scoring, reason=text, who=text
+                    ),
+                    undone=_by_name(count),
                     events=rows(
                         number=count,
                         at=moment,
@@ -73,6 +98,10 @@ def export_schema() -> dict[str, Any]:
             }
         ),
     }
+
+
+def _by_name(values: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": values}
 
 
 def _object(columns: dict[str, Any]) -> dict[str, Any]:

@@ -7,10 +7,8 @@ write to one store; those about the same operator take turns, each decides on wh
 from __future__ import annotations
 
 import json
-import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
@@ -19,16 +17,22 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.store.clock import Clock
-from smooth_operator.study.store.database_tables import reason, stored, tables
+from smooth_operator.study.store.database_access import DatabaseAccess
+from smooth_operator.study.store.database_tables import stored
+from smooth_operator.study.store.event_fields import event_of, payload
 from smooth_operator.study.store.events import (
     Event,
     FamiliarisationStarted,
     Record,
+    Replaces,
+    TrialPaused,
+    TrialResumed,
     TrialStarted,
-    event_of,
-    payload,
+    Undone,
+    Withdrawn,
 )
 from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.revisions import check_revision, refuse_erased
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine
@@ -37,7 +41,7 @@ AUTHORS: Final = ("experimenter", "operator", "system")
 """Who may have caused an event."""
 
 
-class StudyStore:
+class StudyStore(DatabaseAccess):
     """One study in a database.
 
     Made by ``open_study``. All methods may be called from
@@ -45,12 +49,10 @@ class StudyStore:
     """
 
     def __init__(self, engine: Engine, study_id: int, name: str) -> None:
-        self._engine = engine
-        self._tables = tables().tables
+        super().__init__(engine)
         self._id = study_id
         self._progress: dict[str, Progress] = {}
         self._newest: tuple[int, Plan] | None = None
-        self._file = self._file_now()
         self._lock = threading.RLock()
         self.name = name
         """Of the study."""
@@ -75,6 +77,18 @@ class StudyStore:
                 .order_by(people.operator)
             )
             return tuple(row.operator for row in connection.execute(query))
+
+    def absent(self) -> tuple[str, ...]:
+        """Operators who withdrew, whose data is left out, and whom nobody has replaced."""
+        everyone = [self.progress(code) for code in self.plan.codes]
+        replaced = {progress.replaces for progress in everyone}
+        return tuple(
+            progress.operator
+            for progress in everyone
+            if progress.withdrawn is not None
+            and not progress.withdrawn.keep
+            and progress.operator not in replaced
+        )
 
     def append(
         self,
@@ -112,24 +126,51 @@ class StudyStore:
                 return record
             progress = self._caught_up(connection, operator)
             progress.check(event)
-            if isinstance(event, TrialStarted | FamiliarisationStarted):
+            if isinstance(event, TrialStarted | FamiliarisationStarted | TrialPaused):
                 event = replace(event, clock=self.clock.reading())
+            elif isinstance(event, TrialResumed) and progress.step.since is not None:
+                stood = self.clock.since(progress.step.since, progress.step.clock).seconds
+                event = replace(event, paused_s=round(max(0.0, stood), 3))
+            elif isinstance(event, Undone):
+                self._check_row_is_free(connection, operator, progress, event.number)
             record = Record(progress.number + 1, self.clock.now(), author, event)
-            connection.execute(
-                self._tables["events"]
-                .insert()
-                .values(
-                    study_id=self._id,
-                    operator=operator,
-                    number=record.number,
-                    kind=event.kind,
-                    at=record.at.isoformat(),
-                    author=author,
-                    token=token,
-                    payload=json.dumps(payload(event)),
-                )
-            )
+            self._insert(connection, operator, record, token)
         # The cache learns of it on the next look: only what was committed is ever folded.
+        return record
+
+    def replace(
+        self, withdrawn: str, by: str, *, author: str = "experimenter", token: str | None = None
+    ) -> Record:
+        """Gives the rows of an operator who withdrew to a new one: both, or neither, is written.
+
+        Args:
+            withdrawn: pseudonym of the one who left.
+            by: of the new one.
+            author: who did it.
+            token: as of ``append``.
+
+        Returns:
+            The first event of the new operator.
+
+        Raises:
+            StudyError: the one has not withdrawn, or is replaced already, or the other is enrolled.
+            UnknownNameError: nobody of the first code takes part.
+        """
+        with self._lock, self._writing() as connection:
+            self._take_turn(connection, withdrawn)
+            if token is not None and (known := self._by_token(connection, token)) is not None:
+                return known[1]
+            progress = self._caught_up(connection, withdrawn)
+            if progress.withdrawn is None:
+                raise StudyError(f"operator {withdrawn} has not withdrawn; nobody can replace them")
+            self._check_row_is_free(connection, withdrawn, progress, None)
+            before = self._plan(connection)
+            if by in (*before.codes, *self.erased):
+                raise StudyError(f"{by} is or was an operator already; a new one needs a new code")
+            self._write_plan(connection, before.replace_operator(withdrawn, by))
+            self._take_turn(connection, by)
+            record = Record(1, self.clock.now(), author, Replaces(withdrawn))
+            self._insert(connection, by, record, token)
         return record
 
     def recorded(self, token: str) -> tuple[str, Record] | None:
@@ -191,7 +232,9 @@ class StudyStore:
             before = self._plan(connection)
             if plan == before:
                 return
-            self._check_revision(connection, before, plan)
+            people = self._tables["participants"]
+            begun = connection.execute(people.select().where(people.c.study_id == self._id)).all()
+            check_revision(self.name, before, plan, begun)
             self._write_plan(connection, plan)
 
     def erase(self, operator: str) -> int:
@@ -225,65 +268,11 @@ class StudyStore:
                 self._empty_write_ahead_log()
             return gone
 
-    def close(self) -> None:
-        """Closes the database."""
-        self._engine.dispose()
-
     def __enter__(self) -> StudyStore:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _empty_write_ahead_log(self) -> None:
-        """What was overwritten in the file may still be in its write-ahead log, until now."""
-        connection = self._engine.raw_connection()
-        try:
-            busy, *_ = connection.cursor().execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-        finally:
-            connection.close()
-        if busy:
-            raise StudyError(
-                "the data was deleted, but another program that reads the store keeps old pages "
-                "of it alive; end that, and delete again"
-            )
-
-    @contextmanager
-    def _writing(self) -> Iterator[Connection]:
-        from sqlalchemy.exc import SQLAlchemyError
-
-        try:
-            with self._engine.begin() as connection:
-                yield connection
-                self._check_there()
-        except (SQLAlchemyError, OSError) as error:
-            raise StudyError(f"nothing was written: {reason(error)}") from error
-
-    @contextmanager
-    def _reading(self) -> Iterator[Connection]:
-        from sqlalchemy.exc import SQLAlchemyError
-
-        try:
-            with self._engine.connect().execution_options(reads=True) as connection:
-                self._check_there()
-                yield connection
-        except (SQLAlchemyError, OSError) as error:
-            raise StudyError(f"the store can't be read: {reason(error)}") from error
-
-    def _check_there(self) -> None:
-        """SQLite writes into a file that was deleted or moved away, and says nothing."""
-        try:
-            now = self._file_now()
-        except FileNotFoundError:
-            raise OSError(f"{self._engine.url.database} was deleted or moved away") from None
-        if now != self._file:
-            raise OSError(f"{self._engine.url.database} was replaced by another file")
-
-    def _file_now(self) -> int | None:
-        """What distinguishes the file of SQLite from another one at its place."""
-        if self._engine.dialect.name != "sqlite" or not self._engine.url.database:
-            return None
-        return os.stat(self._engine.url.database).st_ino
 
     def _take_turn(self, connection: Connection, operator: str) -> None:
         """Until the transaction ends, nobody else writes about this operator."""
@@ -306,11 +295,7 @@ class StudyStore:
         row = connection.execute(
             people.select().where(people.c.study_id == self._id, people.c.operator == operator)
         ).first()
-        if row is not None and row.erased_at is not None:
-            raise StudyError(
-                f"the data of operator {operator} was deleted on {row.erased_at[:10]}; enrol "
-                "under another code"
-            )
+        refuse_erased(row)
 
     def _caught_up(self, connection: Connection, operator: str) -> Progress:
         plan = self._plan(connection)  # a new one empties the cache
@@ -361,29 +346,37 @@ class StudyStore:
             .values(study_id=self._id, at=now().isoformat(), plan=json.dumps(plan_table(plan)))
         )
 
-    def _check_revision(self, connection: Connection, before: Plan, plan: Plan) -> None:
-        people = self._tables["participants"].c
-        begun = connection.execute(
-            self._tables["participants"].select().where(people.study_id == self._id)
-        ).all()
-        if begun and (plan.protocol != before.protocol or plan.orders != before.orders):
-            raise StudyError(
-                f"study {self.name!r} is stored with another protocol or other orders; those of a "
-                "study don't change once someone has begun: make a new study, under another name"
+    def _insert(
+        self, connection: Connection, operator: str, record: Record, token: str | None
+    ) -> None:
+        connection.execute(
+            self._tables["events"]
+            .insert()
+            .values(
+                study_id=self._id,
+                operator=operator,
+                number=record.number,
+                kind=record.event.kind,
+                at=record.at.isoformat(),
+                author=record.author,
+                token=token,
+                payload=json.dumps(payload(record.event)),
             )
-        for row in begun:
-            if row.erased_at is not None:
-                if row.operator in plan.codes:
-                    self._check_not_erased(connection, row.operator)
-                continue
-            was = before.enrolment(row.operator)
-            now = {one.code: one for one in plan.enrolled}.get(row.operator)
-            kept = None if now is None else dict(list(now.rows.items())[: len(was.rows)])
-            if kept is None or list(kept.items()) != list(was.rows.items()):
-                raise StudyError(
-                    f"operator {row.operator} has begun with {dict(was.rows)}; tasks can be added "
-                    "at the end, not taken away or given another row"
-                )
+        )
+
+    def _check_row_is_free(
+        self, connection: Connection, operator: str, progress: Progress, undone: int | None
+    ) -> None:
+        """Refuses to undo a withdrawal, or to replace once more, where somebody has the rows."""
+        if undone is not None:
+            last = progress.undoable
+            if last is None or last.number != undone or not isinstance(last.event, Withdrawn):
+                return
+        events = self._tables["events"]
+        query = events.select().where(events.c.study_id == self._id, events.c.kind == Replaces.kind)
+        for row in connection.execute(query):
+            if record_of(row).event == Replaces(operator):
+                raise StudyError(f"operator {row.operator} has replaced {operator} already")
 
 
 def record_of(row: Any) -> Record:

@@ -15,11 +15,16 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         "engage": false}.
     {"do": "task", "task": "card"}
         the scene of a task, by its name or the paper's (A, B, C); without a task the hand alone:
-        {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}.
+        {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}. With
+        "object": false there is no object until a trial begins, as for free movement.
     {"do": "trial"}
         how the trial stands. With "begin": true a trial begins, with the object at its start, and
-        "about": {...} is put into its record; with "finish": true it ends, the operator can do no
-        more; with "cancel": true it is forgotten. "side" says which one, if there are two:
+        "about": {...} is put into its record; "when_clear": true has its clock begin when the hand
+        has left the object alone for half a second ("phase" is waiting until then), and
+        "limit_s": 45 is its time limit in place of the task's. With "finish": true it ends, the
+        operator can do no more; with "cancel": true it is forgotten, and with "mark": "undone" or
+        "void" the record of one that has ended, with these entries "about" it, is marked so.
+        "side" says which one, if there are two:
         {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
          "line": "not-done", "text": ..., "reason": "on the table", "time_s": null, "ended": null,
          "resets": 0, "number": 1, "placed": true, "side": "right"}; "phase" is ready, running or
@@ -30,8 +35,9 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
 
 "status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
 "building" (what is being compiled), "source" {"label", "state", "detail"}, "sinks", "operators"
-{side: where the calibration is from}, "task" and "trial" (None without
-one) and the loop's own "modes" and "rate_hz".
+{side: where the calibration is from}, "simulation" (whether there is one that can have a task),
+"task" and "trial" (None without one), "object" (whether it is there) and the loop's own "modes" and
+"rate_hz".
 """
 
 from __future__ import annotations
@@ -115,7 +121,9 @@ class RpcHandlers:
                 side: None if operator is None else operator.source
                 for side, operator in switcher.operators.items()
             },
+            "simulation": runner is not None,
             "task": None if task is None else task.name,
+            "object": runner is not None and task is not None and runner.object_there,
             "trial": trial,
         }
 
@@ -149,7 +157,10 @@ class RpcHandlers:
         return {"engage": engage}
 
     def _task(self, fields: Mapping[str, Any]) -> dict[str, Any]:
-        loaded = self._open_runner().change(_text(fields, "task"))
+        there = fields.get("object", True)
+        if not isinstance(there, bool):
+            raise ConfigError(f"object: expected true or false, not {there!r}")
+        loaded = self._open_runner().change(_text(fields, "task"), there)
         if loaded is None:
             return {"task": None}
         task = loaded.task
@@ -166,13 +177,19 @@ class RpcHandlers:
         wanted = [word for word in ("begin", "finish", "cancel") if fields.get(word)]
         if len(wanted) > 1:
             raise ConfigError(f"a trial can't {' and '.join(wanted)} together")
+        about = fields.get("about") or {}
+        if not isinstance(about, dict) or {"when_clear", "limit_s", "mark"} & about.keys():
+            raise ConfigError(f"about: expected an object with other entries, not {about!r}")
         if "begin" in wanted:
-            about = fields.get("about") or {}
-            if not isinstance(about, dict):
-                raise ConfigError(f"about: expected an object, not {about!r}")
-            runner.go(**about)
+            clear = bool(fields.get("when_clear"))
+            runner.go(when_clear=clear, limit_s=_limit(fields), **about)
+        elif "cancel" in wanted:
+            mark = _text(fields, "mark")
+            if mark not in (None, "undone", "void"):
+                raise ConfigError(f"mark: expected undone or void, not {mark!r}")
+            runner.cancel(mark, **about)
         elif wanted:
-            getattr(runner, wanted[0])()
+            runner.finish()
         return runner.report(_side(fields))
 
     def _reset(self, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -207,6 +224,15 @@ def _text(fields: Mapping[str, Any], name: str) -> str | None:
     if value is not None and not (isinstance(value, str) and value):
         raise ConfigError(f"{name}: expected a text, not {value!r}")
     return value
+
+
+def _limit(fields: Mapping[str, Any]) -> float | None:
+    value = fields.get("limit_s")
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e5:
+        raise ConfigError(f"limit_s: expected seconds above 0, not {value!r}")
+    return float(value)
 
 
 def _side(fields: Mapping[str, Any]) -> Side | None:

@@ -95,6 +95,31 @@ class TaskTrials:
             for failed in self.runner.failures:
                 self._said.note(failed, matters=True)
 
+    def shown(self) -> dict[str, Any] | None:
+        """What the operator sees of the trial: never its score. None without a task.
+
+        Returns:
+            ``title`` and ``instruction`` of the task; ``number`` of the trial, as who began it
+            counts, and ``count`` of how many, where that is known; ``phase``, ``elapsed_s`` and
+            ``limit_s``, see TaskSession; ``object``, whether there is one.
+        """
+        runner = self.runner
+        if runner is None or (task := runner.task) is None:
+            return None
+        try:
+            report = runner.report()
+        except SmoothOperatorError:  # the scene is just being changed
+            return None
+        about = report["about"]
+        return {
+            "title": task.task.title,
+            "instruction": task.task.instruction,
+            "number": about.get("trial", report["number"]),
+            "count": about.get("trials"),
+            **{name: report[name] for name in ("phase", "elapsed_s", "limit_s")},
+            "object": runner.object_there,
+        }
+
     def summary(self) -> dict[str, Any]:
         """Outcomes of each hand, for ``--json``; nothing without a task and its trials."""
         if self.runner is None:

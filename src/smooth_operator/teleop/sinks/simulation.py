@@ -230,6 +230,12 @@ class Simulation(Sink):
         assert self._world is not None  # it has a scene
         return self._world.reset_object(side, physics)
 
+    def put_away(self, side: Side) -> None:
+        """Have no object from the next step on, until it is put back; raises as ``scene_of``."""
+        self._scene(side)
+        assert self._world is not None  # it has a scene
+        self._world.put_away(side)
+
     def _built(self, hand: Hand, task: str) -> HandPhysics:
         step, arm = 1.0 / self.rate, self._arms.get(hand.spec.side)
         if task != "none":
@@ -283,7 +289,7 @@ class _World:
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
         }
         self._watchers: dict[Side, Watcher] = {}
-        self._put_back: set[Side] = set()
+        self._there: dict[Side, bool] = {}  # whether the object is to be put back or away
         self._targets: dict[Side, _Target | None] = {}
         self._changed = threading.Lock()
         self._error: Exception | None = None
@@ -316,8 +322,12 @@ class _World:
 
     def reset_object(self, side: Side, physics: ScenePhysics) -> int:
         with self._changed:
-            self._put_back.add(side)
+            self._there[side] = True
             return physics.starts + 1
+
+    def put_away(self, side: Side) -> None:
+        with self._changed:
+            self._there[side] = False
 
     def end(self) -> None:
         self._ending.set()
@@ -368,10 +378,9 @@ class _World:
         """The scene's new state, to whom it concerns; resets that were asked for."""
         with self._changed:
             watcher = self._watchers.get(side)
-            put_back = side in self._put_back
-            self._put_back.discard(side)
-        if put_back:
-            physics.reset_object()
+            there = self._there.pop(side, None)
+        if there is not None:
+            (physics.reset_object if there else physics.put_away)()
         state = self.scenes[side] = physics.observe()
         if watcher is not None:
             watcher(state, physics.positions)

@@ -1,55 +1,129 @@
-"""Conclusion of a study in a few lines, for the top of its report."""
+"""Conclusion of a study in five sentences, for the top of its report."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.report.report_tables import DIGITS, p_text
+from smooth_operator.study.analysis.readings.interaction import Interaction
+from smooth_operator.study.analysis.report.number_text import number, p_said, signed
+from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
 
 _ALPHA: Final = 0.05
-_NAMES: Final[dict[Outcome, str]] = {
+NAMES: Final[dict[Outcome, str]] = {
     "success": "Success", "time": "Completion time", "tlx": "Workload",
 }  # fmt: skip
 _FIXED: Final = "\N{NO-BREAK SPACE}"  # a figure stays in the line of its unit
 
 
 def conclusion(analysis: Analysis) -> list[str]:
-    """Which retargeters differ from the baseline, by outcome; only what the tables hold.
+    """What was found, in five sentences: the data, each outcome, and what limits them.
 
-    All tasks together, in the mode that is to be reported, Dunnett's p under 0.05. That none
-    differs is no evidence that they are alike, and is not said to be.
-
-    Returns:
-        What was compared, then a line for each outcome; empty where there is no result.
+    The primary outcome comes first; the others are named exploratory. Differences have effect sizes
+    and simultaneous intervals, whether they are found or not. That none is found is no evidence
+    that retargeters are alike, and is not said to be.
     """
-    found = analysis.results.get(MODES[0], {})
-    parts = [
-        f"{_NAMES[outcome]}: {_differences(outcome, found[outcome][POOLED])}."
-        for outcome in OUTCOMES
-        if POOLED in found.get(outcome, {})
+    outcome, scope = primary_of(analysis)
+    order = sorted(OUTCOMES, key=lambda one: one != outcome)
+    return [
+        _data(analysis, outcome, scope),
+        *(
+            _outcome(analysis, one, scope if one == outcome else POOLED, primary=one == outcome)
+            for one in order
+        ),
+        _limits(analysis, outcome, scope),
     ]
-    if not parts:
-        return []
-    compared = (
-        f"Against {analysis.baseline}, all tasks together (mode {MODES[0]}, Dunnett, "
-        f"p{_FIXED}<{_FIXED}{_ALPHA:g}):"
+
+
+def primary_of(analysis: Analysis) -> tuple[Outcome | None, str]:
+    """Outcome and scope that the plan names; (None, pooled) where no plan is known."""
+    name, scope = analysis.primary or ("", POOLED)
+    known = [one for one in OUTCOMES if one == name]
+    return (known[0], scope) if known and scope in analysis.scopes else (None, POOLED)
+
+
+def _data(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
+    trials = analysis.data.trials
+    operators = len({str(name) for name in trials.operator})
+    first = (
+        f"{operators} operators did {len(trials):,} trials with {len(analysis.retargeters)} "
+        f"retargeters; each is compared with {analysis.baseline}, all tasks together unless said "
+        "otherwise, with simultaneous 95 % intervals (Dunnett)"
     )
-    return [compared, *parts]
+    if outcome is None:
+        return f"{first}; no primary outcome was planned, so all of it is exploratory."
+    return f"{first}; the primary outcome is {NAMES[outcome].lower()}, {scope_name(scope)}."
 
 
-def _differences(outcome: Outcome, result: ScopeResult) -> str:
-    if result.refused is not None or not result.dunnett:
-        return "no result"
+def _outcome(analysis: Analysis, outcome: Outcome, scope: str, *, primary: bool) -> str:
+    result = analysis.results[MODES[0]][outcome][scope]
+    rank = "primary" if primary else "exploratory"
+    return f"{NAMES[outcome]} ({rank}): {_differences(outcome, result, analysis.baseline)}."
+
+
+def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
+    if result.refused is not None:
+        return f"no result, refused: {result.refused}"
     scale, digits, unit = DIGITS[outcome]
-    shown = [
-        f"{'higher' if one.difference > 0 else 'lower'} with {name} "
-        f"({scale * one.difference:+.{digits}f}{_FIXED}{_unit(unit)}, {_p(one.p_dunnett)})"
-        for name, one in result.dunnett.items()
-        if one.p_dunnett < _ALPHA
+    found: list[str] = []
+    open_: list[str] = []
+    for name, exact in result.separated.items():
+        test = exact.against.get(baseline)
+        always = "always" if exact.rate else "never"
+        if test is None or test.p_dunnett is None:
+            found.append(f"{name} {always} succeeds")
+            continue
+        shown = f"{name} {always} succeeds, exact {_p(test.p_dunnett)}"
+        (found if test.p_dunnett < _ALPHA else open_).append(shown)
+    for name, one in result.dunnett.items():
+        low, high = (signed(scale * end, digits) for end in (one.lower, one.upper))
+        shown = (
+            f"{name} {signed(scale * one.difference, digits)}{_FIXED}{_unit(unit)} "
+            f"[{low}, {high}], {_p(one.p_dunnett)}, {one.effect_words}"
+        )
+        (found if one.p_dunnett < _ALPHA else open_).append(shown)
+    if not found and not open_:
+        return "no result, nothing to compare with the baseline"
+    if not found:
+        return f"no difference shown ({'; '.join(open_)})"
+    return "; ".join(found) + (f"; not shown for {'; '.join(open_)}" if open_ else "")
+
+
+def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
+    said = []
+    for one, test in analysis.readings.interaction.items():
+        if isinstance(test, Interaction) and test.found:
+            said.append(
+                f"differences in {NAMES[one].lower()} depend on the task "
+                f"({_p(test.test.p)}), so their mean over tasks says little"
+            )
+    if outcome is not None:
+        said += _alike(analysis, outcome, scope)
+    refused = [
+        f"{NAMES[one].lower()} in {scope_name(part)}"
+        for one in OUTCOMES
+        for part, result in analysis.results[MODES[0]][one].items()
+        if result.refused is not None and (one != "tlx" or analysis.data.questionnaires is not None)
     ]
-    return ", ".join(shown) or "no difference shown"
+    if refused:
+        said.append(f"refused with a reason: {', '.join(refused)}")
+    said.append("a difference that is not shown is no evidence of equality")
+    text = "; ".join(said)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _alike(analysis: Analysis, outcome: Outcome, scope: str) -> list[str]:
+    tests = analysis.readings.equivalence[outcome].get(scope, {})
+    scale, digits, unit = DIGITS[outcome]
+    shown = [f"{one.a} and {one.b}" for one in tests.values() if one.equivalent]
+    margins = [one.margin for one in tests.values() if one.margin is not None]
+    if not margins:
+        return ["no margin of equivalence was planned"]
+    within = f"the planned {number(scale * margins[0], digits)}{_FIXED}{_unit(unit)}"
+    if shown:
+        return [f"equivalent within {within}, pair by pair: {', '.join(shown)}"]
+    return [f"no pair was shown to be equivalent within {within}"]
 
 
 def _unit(unit: str) -> str:
@@ -57,6 +131,4 @@ def _unit(unit: str) -> str:
 
 
 def _p(value: float) -> str:
-    text = p_text(value)
-    shown = f"p {text}" if text.startswith("<") else f"p = {text}"
-    return shown.replace(" ", _FIXED)
+    return p_said(value).replace(" ", _FIXED)

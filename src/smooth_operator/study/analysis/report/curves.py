@@ -9,7 +9,8 @@ import numpy as np
 
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.operators import operator_means
-from smooth_operator.study.analysis.report.figures import scope_name
+from smooth_operator.study.analysis.report.number_text import p_said, signed
+from smooth_operator.study.analysis.report.report_tables import scope_name
 from smooth_operator.study.analysis.results import POOLED, Outcome
 
 if TYPE_CHECKING:
@@ -78,9 +79,9 @@ def _slope(axes: Axes, entry: Mapping[str, float], x: np.ndarray, y: np.ndarray)
     if not len(x) or not np.isfinite(slope):
         return
     ends = np.array([x.min(), x.max()], float)
-    p = entry.get("p_satterthwaite", entry.get("p_t", float("nan")))
+    p = entry.get("p_t", entry.get("p_satterthwaite", float("nan")))
     axes.plot(ends, y.mean() + slope * (ends - x.mean()), "--", color="#444c55", linewidth=1.4)
-    axes.set_title(f"{slope:+.3f} a trial, p = {p:.3f}", fontsize=9)
+    axes.set_title(f"{signed(slope, 3)} a trial, {p_said(p)}", fontsize=9)
 
 
 def violin_figure(analysis: Analysis, colors: Mapping[str, str], outcome: Outcome) -> Figure | None:

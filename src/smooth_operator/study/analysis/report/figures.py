@@ -9,7 +9,10 @@ import numpy as np
 
 from smooth_operator.reporting.drawing import GRID
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.results import MODES, POOLED
+from smooth_operator.study.analysis.outcome_frames import within
+from smooth_operator.study.analysis.report.number_text import signed, span
+from smooth_operator.study.analysis.report.report_tables import scope_name
+from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data.rows import ITEMS
 
 if TYPE_CHECKING:
@@ -21,44 +24,66 @@ _OUTCOMES: Final = {
     "raw_tlx": "workload",
     "weighted_tlx": "workload",
 }
-_BAR: Final = 0.8
-
-
-def scope_name(scope: str) -> str:
-    """A scope as a reader knows it."""
-    return "all tasks" if scope == POOLED else f"task {scope}"
+_ACROSS: Final = 4
+"""Panels next to each other."""
 
 
 def success_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
-    """Bars of estimated success rates with 95 % intervals, by scope and retargeter."""
+    """Estimated success rates with 95 % intervals; thin lines are the operators' observed rates."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
-    figure = Figure(figsize=(2.2 + 1.6 * len(analysis.scopes), 3.4), layout="constrained")
-    axes = figure.subplots()
-    width = _BAR / len(analysis.retargeters)
-    for j, name in enumerate(analysis.retargeters):
-        for i, scope in enumerate(analysis.scopes):
-            result = analysis.results[MODES[0]]["success"][scope]
-            at = i + (j - (len(analysis.retargeters) - 1) / 2) * width
-            label = name if i == 0 else None
+    scopes, names = analysis.scopes, analysis.retargeters
+    columns = min(len(scopes), _ACROSS)
+    rows = -(-len(scopes) // columns)
+    figure = Figure(
+        figsize=((0.8 + 0.42 * len(names)) * columns + 0.6, 2.9 * rows), layout="constrained"
+    )
+    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for axes in grid.flat[len(scopes) :]:
+        axes.remove()
+    for axes, scope in zip(grid.flat, scopes, strict=False):
+        for rates in _operator_rates(analysis, scope):
+            axes.plot(
+                range(len(names)), 100 * rates, "-", color=GRID, alpha=0.45, linewidth=0.7,
+                marker=".", markersize=2.5, zorder=1,
+            )  # fmt: skip
+        result = analysis.results[MODES[0]]["success"][scope]
+        for j, name in enumerate(names):
             if name in result.emm:
                 mean = result.emm[name]
-                axes.bar(at, 100 * mean.estimate, 0.92 * width, color=colors[name], label=label)
                 low, high = max(mean.lower, 0.0), min(mean.upper, 1.0)
-                error = [[100 * (mean.estimate - low)], [100 * (high - mean.estimate)]]
-                axes.errorbar(at, 100 * mean.estimate, error, fmt="none", ecolor=GRID, capsize=2.5)
+                reach = [[100 * (mean.estimate - low)], [100 * (high - mean.estimate)]]
+                axes.errorbar(
+                    j, 100 * mean.estimate, reach, fmt="o", color=colors[name], markersize=6,
+                    elinewidth=2.2, zorder=3,
+                )  # fmt: skip
             elif name in result.observed:  # refused: the raw rate, hollow and without an interval
                 rate = 100 * result.observed[name]["mean"]
-                axes.bar(
-                    at, rate, 0.92 * width, color="none", edgecolor=colors[name], hatch="//",
-                    label=label,
+                axes.plot(
+                    j, rate, "o", markerfacecolor="none", markeredgecolor=colors[name],
+                    markersize=7, zorder=3,
                 )  # fmt: skip
-    axes.set_xticks(range(len(analysis.scopes)), [scope_name(s) for s in analysis.scopes])
-    axes.set_ylabel("success rate [%]")
-    axes.set_ylim(0, 100)
-    axes.grid(visible=False, axis="x")
-    figure.legend(loc="outside upper center", ncols=len(analysis.retargeters))
+        axes.set_xticks(range(len(names)), names, rotation=35, ha="right")
+        axes.set_xlim(-0.5, len(names) - 0.5)
+        axes.set_ylim(-3, 103)
+        axes.set_title(scope_name(scope))
+        axes.grid(visible=False, axis="x")
+        axes.set_axisbelow(True)
+    for row in grid:
+        row[0].set_ylabel("success rate [%]")
     return figure
+
+
+def _operator_rates(analysis: Analysis, scope: str) -> list[np.ndarray]:
+    """Observed rate of each operator with each retargeter; NaN where there is none."""
+    trials = analysis.data.trials
+    rows = within(trials, scope)
+    found = []
+    for operator in np.unique(trials.operator[rows]):
+        own = rows & (trials.operator == operator)
+        chosen = [own & (trials.retargeter == name) for name in analysis.retargeters]
+        found.append(np.array([trials.success[c].mean() if c.any() else np.nan for c in chosen]))
+    return found
 
 
 def time_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
@@ -91,6 +116,46 @@ def time_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure:
         axes.grid(visible=False, axis="x")
     figure.axes[0].set_ylabel("completion time [s]")
     figure.axes[0].set_ylim(bottom=0)
+    return figure
+
+
+def item_figure(analysis: Analysis, colors: Mapping[str, str]) -> Figure | None:
+    """The six scales of the NASA-TLX as dots with 95 % intervals, by scope."""
+    if analysis.data.questionnaires is None:
+        return None
+    from matplotlib.figure import Figure
+
+    scopes, names = analysis.scopes, analysis.retargeters
+    columns = min(len(scopes), _ACROSS)
+    rows = -(-len(scopes) // columns)
+    figure = Figure(
+        figsize=(2.1 * columns + 1.2, 0.4 + (0.9 + 0.14 * len(names) * len(ITEMS)) * rows),
+        layout="constrained",
+    )
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes in grid.flat[len(scopes) :]:
+        axes.remove()
+    step = 0.7 / max(len(names), 2)
+    for axes, scope in zip(grid.flat, scopes, strict=False):
+        for j, name in enumerate(names):
+            for k, item in enumerate(ITEMS):
+                value = _item(analysis, scope, item, name)
+                if value is None:
+                    continue
+                at = k + (j - (len(names) - 1) / 2) * step
+                mean = analysis.tlx_items[scope][item].emm.get(name)
+                if mean is not None:
+                    axes.plot([mean.lower, mean.upper], [at, at], color=colors[name], linewidth=1.2)
+                label = name if scope == scopes[0] and k == 0 else None
+                axes.plot(value, at, "o", color=colors[name], markersize=3.5, label=label)
+        axes.set_title(scope_name(scope))
+        axes.set_yticks(range(len(ITEMS)), ITEMS)
+        axes.set_xlim(0, 100)
+        axes.grid(visible=False, axis="y")
+        axes.set_axisbelow(True)
+    grid[0, 0].invert_yaxis()
+    figure.supxlabel("answer, 0 to 100 (less is better)", fontsize=9)
+    figure.legend(loc="outside upper center", ncols=len(names))
     return figure
 
 
@@ -158,7 +223,7 @@ def correlation_figure(analysis: Analysis) -> Figure | None:
         values[row, column] = entry["rho"]
         low, high = (entry["ci_boot_operators"][end] for end in ("lcl", "ucl"))
         axes.text(
-            column, row, f"{entry['rho']:+.2f}\n{low:+.2f} to {high:+.2f}", ha="center",
+            column, row, f"{signed(entry['rho'])}\n{span(low, high, sign=True)}", ha="center",
             va="center", fontsize=8, color="#ffffff" if abs(entry["rho"]) > 0.6 else "#111111",
         )  # fmt: skip
     image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")

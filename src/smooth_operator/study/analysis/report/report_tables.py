@@ -17,7 +17,16 @@ from smooth_operator.reporting.html import (
     table,
     text_table,
 )
-from smooth_operator.study.analysis.results import Outcome, ScopeResult
+from smooth_operator.study.analysis.holm import holm
+from smooth_operator.study.analysis.report.number_text import (
+    number,
+    p_text,
+    signed,
+    span,
+    with_minus,
+)
+from smooth_operator.study.analysis.report.plain_names import slope_name, term_names
+from smooth_operator.study.analysis.results import POOLED, Outcome, ScopeResult
 
 DIGITS: dict[Outcome, tuple[float, int, str]] = {
     "success": (100.0, 1, "%"),
@@ -25,12 +34,19 @@ DIGITS: dict[Outcome, tuple[float, int, str]] = {
     "tlx": (1.0, 2, "points"),
 }
 
+_OUTCOMES = {"success": "success", "time": "completion time", "tlx": "workload"}
 
-def p_text(p: float) -> str:
-    """A p-value as it is printed."""
-    if math.isnan(p):
-        return "–"
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+_LEVELS = {
+    "operator": "operators",
+    "operator:retargeter": "operators' preferences",
+    "block": "blocks",
+    "residual": "trials",
+}
+
+
+def scope_name(scope: str) -> str:
+    """A scope as a reader knows it."""
+    return "all tasks" if scope == POOLED else f"task {scope}"
 
 
 def means_table(
@@ -42,21 +58,37 @@ def means_table(
     for name, mean in result.emm.items():
         cells = [
             name_cell(name, colors.get(name, ""), "baseline" if name == baseline else ""),
-            escape(f"{scale * mean.estimate:.{digits}f}"),
-            escape(f"{scale * mean.se:.{digits}f}"),
-            escape(f"{scale * mean.lower:.{digits}f} to {scale * mean.upper:.{digits}f}"),
+            escape(number(scale * mean.estimate, digits)),
+            escape(number(scale * mean.se, digits)),
+            escape(span(scale * mean.lower, scale * mean.upper, digits)),
         ]
         test = result.dunnett.get(name)
         if test is None:
             cells += [Html("")] * 4
         else:
             cells += [
-                escape(f"{scale * test.difference:+.{digits}f}"),
-                escape(f"{scale * test.lower:+.{digits}f} to {scale * test.upper:+.{digits}f}"),
+                escape(signed(scale * test.difference, digits)),
+                escape(span(scale * test.lower, scale * test.upper, digits, sign=True)),
                 escape(p_text(test.p_dunnett)),
-                escape(f"{test.effect_words} ({test.effect:+.2f})"),
+                escape(f"{test.effect_words} ({signed(test.effect)})"),
             ]
         rows.append(cells)
+    for name, exact in result.separated.items():
+        at = f"{'≥' if exact.rate else '≤'} {number(scale * exact.bound, digits)}"
+        swapped = exact.against.get(baseline)
+        p = None if swapped is None else swapped.p_dunnett
+        rows.append(
+            [
+                name_cell(name, colors.get(name, ""), "not in the model"),
+                escape(number(scale * exact.rate, digits)),
+                escape("exact"),
+                escape(at),
+                escape(signed(scale * swapped.difference, digits) if swapped else ""),
+                Html(""),
+                escape("" if p is None else p_text(p)),
+                Html(""),
+            ]
+        )
     headers = [
         Html("retargeter"),
         Html(f"mean<small>{unit}</small>"),
@@ -76,13 +108,13 @@ def pairs_table(outcome: Outcome, result: ScopeResult) -> Html:
     rows = [
         (
             f"{pair.a} − {pair.b}",
-            f"{scale * pair.difference:+.{digits}f}",
-            f"{scale * pair.se:.{digits}f}",
-            f"{pair.statistic:.2f}",
-            "∞" if pair.df == float("inf") else f"{pair.df:.1f}",
+            signed(scale * pair.difference, digits),
+            number(scale * pair.se, digits),
+            number(pair.statistic),
+            number(pair.df, 1),
             p_text(pair.p_raw),
             p_text(pair.p_holm),
-            f"{pair.effect_words} ({pair.effect:+.2f})",
+            f"{pair.effect_words} ({signed(pair.effect)})",
         )
         for pair in result.pairs.values()
     ]
@@ -92,12 +124,13 @@ def pairs_table(outcome: Outcome, result: ScopeResult) -> Html:
 
 def coefficients_table(result: ScopeResult) -> Html:
     """Coefficients of the model."""
+    names = term_names(result)
     rows = [
         (
-            name,
-            f"{one.estimate:.4f}",
-            f"{one.se:.4f}",
-            "∞" if one.df == float("inf") else f"{one.df:.1f}",
+            names[name],
+            number(one.estimate, 4),
+            number(one.se, 4),
+            number(one.df, 1),
             p_text(one.p),
         )
         for name, one in result.coefficients.items()
@@ -112,8 +145,8 @@ def observed_table(outcome: Outcome, result: ScopeResult, colors: Mapping[str, s
         [
             name_cell(name, colors.get(name, "")),
             escape(facts["n"]),
-            escape(f"{scale * facts['mean']:.{digits}f}"),
-            escape(f"{scale * facts['median']:.{digits}f}"),
+            escape(number(scale * facts["mean"], digits)),
+            escape(number(scale * facts["median"], digits)),
         ]
         for name, facts in result.observed.items()
     ]
@@ -123,36 +156,78 @@ def observed_table(outcome: Outcome, result: ScopeResult, colors: Mapping[str, s
 
 
 def learning_table(learning: Mapping[str, Any]) -> Html:
-    """Slopes over trials by scope and index."""
+    """Slopes over trials by scope and index; p-values corrected over all of the table."""
+    entries = [
+        (scope, index, outcome, entry)
+        for scope, indices in learning.items()
+        for index, outcomes in indices.items()
+        for outcome, entry in outcomes.items()
+    ]
+    raw = {i: _slope_p(entry) for i, (*_, entry) in enumerate(entries)}
+    known = {i: p for i, p in raw.items() if p is not None and not math.isnan(p)}
+    adjusted = dict(zip(known, holm(list(known.values())), strict=True))
     rows = []
-    for scope, indices in learning.items():
-        for index, outcomes in indices.items():
-            for outcome, entry in outcomes.items():
-                name = name_cell(f"{scope}: {outcome} over {index}")
-                if "refused" in entry:
-                    rows.append([name, failed_cell(entry["refused"], 4)])
-                    continue
-                slope = entry.get("slope", entry.get("slope_logit"))
-                small = entry.get("p_satterthwaite", entry.get("p_t", float("nan")))
-                unit = (
-                    "logit" if "slope_logit" in entry else ("s" if outcome == "time" else "points")
-                )
-                rows.append(
-                    [
-                        name,
-                        escape(f"{slope:+.4f} {unit}"),
-                        escape(f"{entry.get('se_mancl_derouen', entry['se']):.4f}"),
-                        escape(p_text(small)),
-                        escape(p_text(entry["p_z"])),
-                    ]
-                )
-    headers = ["slope", "a step", "SE", "p small-sample", "p paper"]
+    for i, (scope, index, outcome, entry) in enumerate(entries):
+        name = name_cell(f"{scope_name(scope)}: {_OUTCOMES[outcome]} {slope_name(index)}")
+        if "refused" in entry:
+            rows.append([name, failed_cell(entry["refused"], 4)])
+            continue
+        if "slope_logit" in entry:  # as percentage points: nobody thinks in logits
+            slope = 100 * entry["ame_prob_per_unit"]
+            # The error of mode small-sample, so that it goes with the p-value.
+            wider = entry.get("se_mancl_derouen", entry["se"]) / entry["se"]
+            se = 100 * entry["ame_se"] * wider
+        else:
+            slope, se = entry["slope"], entry.get("se_mancl_derouen", entry["se"])
+        unit = {"success": "percentage points", "time": "s", "tlx": "points"}[outcome]
+        rows.append(
+            [
+                name,
+                escape(f"{signed(slope, 3)} {unit}"),
+                escape(number(se, 3)),
+                escape(p_text(raw[i])),
+                escape(p_text(adjusted.get(i))),
+            ]
+        )
+    headers = ["slope", "a step", "SE", "p raw", f"p Holm, {len(known)} slopes"]
     return table([Html(header) for header in headers], rows)
+
+
+def _slope_p(entry: Mapping[str, Any]) -> float | None:
+    """p in mode small-sample."""
+    for key in ("p_t", "p_satterthwaite"):
+        if key in entry:
+            return float(entry[key])
+    return None
+
+
+def correlation_table(spearman: Mapping[str, Any]) -> Html:
+    """Correlations within operators and over the retargeters' means, with n."""
+    rows = []
+    for pair, entry in spearman.items():
+        if "rho" not in entry:
+            continue
+        within, means = entry["within"], entry["means"]
+        row = [pair.replace("~", " ~ "), f"{signed(entry['rho'])}, n = {entry['n']}"]
+        if "refused" in within:
+            row += [within["refused"], "", ""]
+        else:
+            interval = span(within["lcl"], within["ucl"], sign=True)
+            row.append(f"{signed(within['rho'])} [{interval}], {within['operators']} operators")
+            row += [p_text(within["p"]), p_text(within["p_holm"])]
+        rows.append([*row, f"{signed(means['rho'])}, n = {means['n']}"])
+    if not rows:
+        return Html("")
+    headers = (
+        "metric ~ outcome", "all points", "within operators", "p", f"p Holm, {len(rows)}",
+        "over means of retargeters",
+    )  # fmt: skip
+    return text_table(headers, rows)
 
 
 def warning_list(result: ScopeResult) -> Html:
     """What to know before believing a result."""
-    return join(paragraph(text, "warning") for text in result.warnings)
+    return join(paragraph(with_minus(text), "warning") for text in result.warnings)
 
 
 def model_facts(result: ScopeResult) -> Html:
@@ -162,11 +237,13 @@ def model_facts(result: ScopeResult) -> Html:
         f"{facts.get('kind', '')}: {facts.get('formula', '')}",
         f"{result.n} rows, {result.operators} operators",
     ]
-    if "sd_operator" in facts:
-        said.append(
-            f"standard deviation of operators {facts['sd_operator']:.3g}, of trials "
-            f"{facts['sd_residual']:.3g}"
+    variances = facts.get("variances", {})
+    if variances:
+        spreads = (
+            f"{_LEVELS.get(name, name)} {number(math.sqrt(value))}"
+            for name, value in variances.items()
         )
+        said.append(f"standard deviations: {', '.join(spreads)}")
     if "alpha" in facts:
-        said.append(f"working correlation {facts['alpha']:.3f}")
+        said.append(f"working correlation {number(facts['alpha'], 3)}")
     return element("p", escape("; ".join(said)), class_="soft")

@@ -4,17 +4,20 @@ import { ask } from './ask.js';
 import { clock, h, fill, part } from './dom.js';
 import { keep, kept, Link, moment } from './link.js';
 import { drawPeople } from './people.js';
+import { drawScored } from './scored.js';
 import { drawStep } from './step.js';
 
 const link = new Link('/link', () => ({ operator: link.state?.now?.operator ?? kept('smooth-operator:on') }));
 let refusal = '';
 let drawn = '';
+const BUSY = ['trial', 'paused', 'familiarise'];
+const CODE = '[A-Za-z0-9][A-Za-z0-9_.\\-]*';
 
 /** When the clock of the trial that runs was stopped on this page, by this clock; null if it runs. */
 const stopped = {
   key() {
     const now = link.state?.now;
-    return now?.what === 'trial' ? `${link.state.study.name}/${now.operator}/${now.task}/${now.block}/${now.trial}/${now.since}` : null;
+    return now?.what === 'trial' ? `${link.state.study.name}/${now.operator}/${now.task}/${now.block}/${now.trial}/${now.since}/${now.paused_ms}` : null;
   },
   get at() {
     const known = kept('smooth-operator:stopped');
@@ -49,10 +52,13 @@ const actions = {
   place(...names) {
     return Object.fromEntries(names.map((name) => [name, link.state.now[name]]));
   },
-  choose(operator) {
+  async choose(operator) {
+    const { now } = link.state;
+    const busy = BUSY.includes(now?.what);
+    if (busy && !await ask(`Put ${operator} on?`, `${now.operator} is in the middle of ${now.words}. It goes on, and so does the hand.`, [], `Put ${operator} on`)) return;
     refusal = '';
     keep('smooth-operator:on', operator);
-    link.command('choose', operator);
+    link.command('choose', operator, busy ? { confirm: true } : {});
   },
   stop() {
     stopped.at = stopped.at === null ? moment() : null;
@@ -70,6 +76,54 @@ const actions = {
       [{ name: 'reason', label: 'Reason', required: true }], 'Void');
     if (given) actions.send('void', { ...actions.place('task', 'block', 'trial'), reason: given.reason });
   },
+  async pause() {
+    const given = await ask('Pause the clock', 'For a fault that is not the operator’s. The time until the clock goes on does not count.',
+      [{ name: 'reason', label: 'Reason', required: true }], 'Pause');
+    if (given) actions.send('pause', { ...actions.place('task', 'block', 'trial'), reason: given.reason });
+  },
+  async endBlock() {
+    const now = link.state.now;
+    const given = await ask(`End block ${now.block} of ${now.task} now?`, 'What is left of it is not done, its questionnaires included. The next block follows.',
+      [{ name: 'reason', label: 'Reason', required: true }], 'End the block');
+    if (given) actions.send('end_block', { ...actions.place('task', 'block'), reason: given.reason });
+  },
+  async recalibrate() {
+    const given = await ask('Calibrate again', 'Calibrate, then enter the file. It is loaded into the running hand.',
+      [{ name: 'detail', label: 'File or remark', required: true, maxLength: 400 }], 'Calibrated');
+    if (given) actions.send('recalibrate', { ...actions.place('task'), detail: given.detail });
+  },
+  async withdraw() {
+    const now = link.state.now;
+    const given = await ask(`Operator ${now.operator} withdraws`, 'No further step is due. A trial that runs becomes void. To delete the data: smooth-operator study erase.', [
+      { name: 'keep', label: 'The data so far', type: 'select', options: [
+        { value: 'keep', text: 'is kept and may be analysed' }, { value: 'leave', text: 'is left out of the analysis' }] },
+      { name: 'reason', label: 'Reason, if given' }], 'Withdraw');
+    if (given) actions.send('withdraw', { keep: given.keep === 'keep', reason: given.reason });
+  },
+  async replace() {
+    const now = link.state.now;
+    const given = await ask(`Replace operator ${now.operator}`, 'A new operator gets the same tasks and orders of conditions.',
+      [{ name: 'code', label: 'Code of the new operator', required: true, pattern: CODE, maxLength: 64 }], 'Enrol');
+    if (!given) return;
+    refusal = '';
+    keep('smooth-operator:on', given.code);
+    link.command('replace', now.operator, { by: given.code });
+  },
+  async amend(block, trial) {
+    const { study } = link.state;
+    const { rubric } = study.tasks.find((task) => task.name === block.task);
+    const given = await ask(`Amend trial ${trial.trial} of ${block.task}, block ${block.block}`,
+      `It was scored ${trial.line}, ${trial.score}, in ${trial.time_s.toFixed(1)} s. The log keeps that.`, [
+        { name: 'line', label: 'Line of the rubric', type: 'select', options: rubric.map((line) => ({
+          value: line.name, text: `${line.name}: ${trial.resets ? Math.min(line.score, study.reset_cap) : line.score}`, selected: line.name === trial.line })) },
+        { name: 'time', label: 'Time [s]', type: 'number', min: '0', step: 'any', value: String(trial.time_s), required: true },
+        { name: 'reason', label: 'Reason', required: true },
+        { name: 'who', label: 'Decided by (initials)', maxLength: 40 }], 'Amend');
+    if (!given) return;
+    const time = Number(given.time);
+    actions.send('amend', { task: block.task, block: block.block, trial: trial.trial, line: given.line,
+      ...(time === trial.time_s ? {} : { time_s: time }), reason: given.reason, who: given.who });
+  },
   async endFamiliarisation() {
     const given = await ask('End free movement now?', 'Its time is not over yet.', [], 'End it');
     if (given) actions.send('end_familiarisation', actions.place('task', 'block'));
@@ -83,7 +137,7 @@ const actions = {
   async enrol() {
     const tasks = link.state.study.tasks;
     const given = await ask('Enrol an operator', 'A code, never a name: who it is stands on paper.', [
-      { name: 'code', label: 'Code', required: true, pattern: '[A-Za-z0-9][A-Za-z0-9_.\\-]*', maxLength: 64 },
+      { name: 'code', label: 'Code', required: true, pattern: CODE, maxLength: 64 },
       ...tasks.map((task) => ({ name: `task:${task.name}`, label: `${task.name}: ${task.title}`, type: 'checkbox', checked: true })),
     ], 'Enrol');
     if (!given) return;
@@ -109,13 +163,14 @@ function draw() {
   if (!state?.study) return;
   drawHead(state);
   const blocked = !link.connected || link.pending;
-  const key = JSON.stringify([state.now, state.teleop?.trial, state.links, state.pages, blocked, link.connected, stopped.at]);
+  const key = JSON.stringify([state.now, state.teleop?.trial, state.teleop?.waiting, state.links, state.pages, blocked, link.connected, stopped.at]);
   if (key !== drawn) {
     drawn = key;
     drawStep(part('step'), state, actions, blocked);
     drawLog(state.log);
   }
   drawPeople(part('people'), state, actions);
+  drawScored(part('scored'), state, actions, blocked);
   part('undo').disabled = blocked || !state.now?.undoable;
   part('enrol').disabled = !link.connected;
   tick();
@@ -134,7 +189,8 @@ function drawHead({ study, now, teleop, pages }) {
   show('hand', teleop && ['refused', 'gone'].includes(teleop.state),
     teleop?.state === 'gone' ? `The teleoperation does not answer. ${teleop.detail}` : `The teleoperation was not switched: ${teleop?.detail}`);
   if (teleop) {
-    chip.textContent = { ready: `hand: ${teleop.running ?? 'ready'}`, switching: 'hand: switching …', refused: 'hand: not switched',
+    const scene = teleop.scene ? ` · ${teleop.scene}` : '';
+    chip.textContent = { ready: `hand: ${teleop.running ?? 'ready'}${scene}`, switching: 'hand: switching …', refused: 'hand: not switched',
       gone: 'hand: gone', unknown: 'hand: …' }[teleop.state];
     chip.dataset.kind = { ready: 'good', refused: 'bad', gone: 'bad' }[teleop.state] ?? 'idle';
   }

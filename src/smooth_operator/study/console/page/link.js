@@ -6,7 +6,7 @@
 const SILENCE = 5000; // ms without a word: the server says something every second
 const AGAIN = 2500; // ms until a command is tried again that could not be written
 const STALE = 120000; // ms after which a page that is opened again starts nothing of before
-const LASTING = new Set(['score', 'answer', 'weigh', 'void', 'note']); // what has happened, however late it arrives
+const LASTING = new Set(['score', 'answer', 'weigh', 'void', 'note', 'form', 'amend']); // what has happened, however late it arrives
 const BACKOFF = [150, 300, 600, 1000, 2000]; // ms
 
 /** This machine's time of day, ms, as of the page's beginning: it goes on if that clock is set. */
@@ -71,6 +71,13 @@ export class Link extends EventTarget {
     this.flush();
     this.changed();
     return entry.token;
+  }
+
+  /** Says something that must not wait for what is under way, and is lost if nobody hears it. */
+  urge(what, operator) {
+    if (!this.connected) return;
+    const command = { token: token(), do: what, operator, fields: {}, after: null, waited_s: 0 };
+    this.socket.send(JSON.stringify({ type: 'command', ...command }));
   }
 
   /** Something is asked for and not yet answered. */

@@ -1,6 +1,7 @@
 // The operator's page: waits, and shows a questionnaire when the protocol comes to one.
 
 import { fill, h, part } from './dom.js';
+import { form } from './form.js';
 import { keep, Link } from './link.js';
 import { pairs } from './pairs.js';
 import { scales } from './scales.js';
@@ -23,7 +24,7 @@ function draw() {
   if (!state?.what) return;
   part('study').textContent = state.study;
   part('who').textContent = state.operator ? `Participant ${state.operator}` : '';
-  const asked = ['questionnaire', 'weights'].includes(state.what);
+  const asked = ['form', 'questionnaire', 'weights'].includes(state.what);
   const sending = link.pending;
   const key = asked ? `${state.key}/${sending}` : `${state.what}/${state.step}/${performance.now() < thanked}`;
   if (key === shown) return;
@@ -32,15 +33,19 @@ function draw() {
   const name = `${link.name}:draft`;
   const send = (what, fields) => {
     refusal = '';
-    link.command(what, state.operator, { task: state.task, block: state.block, ...fields });
+    link.command(what, state.operator, fields);
   };
+  const at = { task: state.task, block: state.block };
   const place = part('main');
   if (state.what === 'questionnaire') {
     thanked = 0;
-    scales(place, state, { name, sending, send: (ratings) => send('answer', { point: state.point, ratings }) });
+    scales(place, state, { name, sending, send: (ratings) => send('answer', { ...at, point: state.point, ratings }) });
   } else if (state.what === 'weights') {
     thanked = 0;
-    pairs(place, state, { name, sending, send: (winners) => send('weigh', { winners }) });
+    pairs(place, state, { name, sending, send: (winners) => send('weigh', { ...at, winners }) });
+  } else if (state.what === 'form') {
+    thanked = 0;
+    form(place, state, { name, sending, send: (answers) => send('form', { form: state.form, answers }) });
   } else {
     fill(place, waiting(state));
   }
@@ -51,10 +56,11 @@ function draw() {
 }
 
 function waiting(state) {
-  const [title, text] = performance.now() < thanked ? ['Thank you', 'Your answers are saved.']
-    : state.what === 'done' ? ['That was all', 'Thank you for taking part.']
-      : state.what === 'break' ? ['Break', 'Rest your hand. The experimenter goes on when you are ready.']
-        : ['Please follow the experimenter', 'The next questions appear here by themselves.'];
+  const { texts } = state;
+  const [title, text] = performance.now() < thanked ? [texts.thanks, texts.saved]
+    : state.what === 'done' ? [texts.done, texts.done_text]
+      : state.what === 'break' ? [texts.break, texts.break_text]
+        : [texts.wait, texts.wait_text];
   return h('section', { class: 'card wait' }, h('h2', {}, title), h('p', {}, text));
 }
 

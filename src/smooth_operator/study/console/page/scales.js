@@ -3,18 +3,16 @@
 import { fill, h } from './dom.js';
 import { keep, kept } from './link.js';
 
-const POINTS = { initial: 'You have done the first trial.', midpoint: 'You have done half of the trials.', final: 'You have done all trials of this block.' };
-
 /** Draws the six scales; what is filled in is kept on the device until it is sent. */
 export function scales(place, state, { name, sending, send }) {
   const known = kept(name);
   const ratings = known?.key === state.key ? known.ratings : {};
-  const count = state.scales.length;
+  const { texts } = state;
   const left = h('p', { class: 'soft', role: 'status' });
-  const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? 'Sending …' : 'Send my answers');
+  const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? texts.sending : texts.send);
   const show = () => {
     const missing = state.scales.filter((scale) => !(scale.name in ratings));
-    left.textContent = missing.length ? `Still to mark: ${missing.map((scale) => scale.title).join(', ')}` : 'All six are marked.';
+    left.textContent = missing.length ? `${texts.missing} ${missing.map((scale) => scale.title).join(', ')}` : texts.complete;
     submit.disabled = sending || missing.length > 0;
   };
   fill(place, h('form', {
@@ -24,8 +22,8 @@ export function scales(place, state, { name, sending, send }) {
       if (!submit.disabled) send(Object.fromEntries(state.scales.map((scale) => [scale.name, ratings[scale.name]])));
     },
   },
-  h('section', { class: 'card intro' }, h('h2', {}, 'How was it?'),
-    h('p', {}, `${POINTS[state.point] ?? ''} Mark each of the ${count} scales where it fits what you have just done. There is no right or wrong.`)),
+  h('section', { class: 'card intro' }, h('h2', {}, texts.heading),
+    h('p', {}, `${texts[state.point] ?? ''} ${texts.instruction}`)),
   state.scales.map((scale, k) => oneScale(scale, k, state, ratings, sending, () => {
     keep(name, { key: state.key, ratings });
     show();

@@ -15,7 +15,7 @@ export function drawStep(card, state, actions, blocked) {
     return;
   }
   card.dataset.what = now.what;
-  fill(card, where(now), ...(STEPS[now.what] ?? (() => []))(now, state, actions, blocked), results(now), aside(now, actions, blocked));
+  fill(card, where(now), rest(now, state), ...(STEPS[now.what] ?? (() => []))(now, state, actions, blocked), aside(now, actions, blocked));
 }
 
 const STEPS = {
@@ -68,8 +68,11 @@ const STEPS = {
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
       now.instruction && h('p', {}, now.instruction),
+      state.teleop?.waiting && h('p', { class: 'notice', role: 'status' }, 'Waiting for the hand to be clear of the object; then the clock starts.'),
       h('div', { class: 'row' }, main(`Start trial ${now.trial}`, 'Space', blocked,
-        () => actions.send('start_trial', actions.place('task', 'block', 'trial')))),
+        () => actions.send('start_trial', actions.place('task', 'block', 'trial'))),
+      state.teleop?.waiting && button('Do not start', { key: 'E', id: 'cancel-start', kind: 'quiet',
+        onclick: () => actions.link.urge('cancel_start', now.operator) })),
       rubric(now, actions, true),
     ];
   },
@@ -83,7 +86,7 @@ const STEPS = {
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}`),
       h('p', { class: `clock ${stopped || fixed !== null ? 'stopped' : ''}`, role: 'timer', 'aria-live': 'off',
-        ...(fixed !== null ? {} : { 'data-since': String(now.since), 'data-tenths': '', 'data-stoppable': '', 'data-limit': String(limit ?? 0) }) },
+        ...(fixed !== null ? {} : { 'data-since': String(now.since + now.paused_ms), 'data-tenths': '', 'data-stoppable': '', 'data-limit': String(limit ?? 0) }) },
       fixed === null ? '' : clock(fixed, true)),
       h('p', { class: 'soft' }, now.undone_time_s !== null ? 'The time stays as it was measured; score the trial again.'
         : stopped ? 'The clock is stopped. Choose a line of the rubric.'
@@ -94,9 +97,37 @@ const STEPS = {
         fixed === null && button(stopped ? 'Clock goes on' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: actions.stop }),
         button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !actions.link.connected || now.resets_left === 0,
           onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
+        button('Pause', { key: 'P', id: 'pause', kind: 'quiet', disabled: waiting || !actions.link.connected, onclick: actions.pause }),
         button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: waiting || !actions.link.connected, onclick: actions.voidTrial })),
       rubric(now, actions, waiting),
     ];
+  },
+  paused(now, state, actions, blocked) {
+    return [
+      h('h2', {}, `Trial ${now.trial} of ${now.trials}: paused`),
+      h('p', { class: 'clock stopped', role: 'timer' }, clock((now.since - now.started - now.paused_ms) / 1000, true)),
+      h('p', { class: 'soft' }, 'Paused for ', h('span', { role: 'timer', 'data-since': String(now.since) }), '. That does not count.'),
+      h('div', { class: 'row' },
+        main('Clock goes on', 'Space', blocked, () => actions.send('resume', actions.place('task', 'block', 'trial'))),
+        button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: blocked || now.resets_left === 0,
+          onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
+        button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: blocked, onclick: actions.voidTrial })),
+    ];
+  },
+  form(now, state) {
+    return [h('h2', {}, `Form: ${now.form}`),
+      h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state)];
+  },
+  refused(now) {
+    return [h('h2', {}, 'Consent refused'),
+      h('p', {}, `Operator ${now.operator} did not agree to take part, so nothing can start. If it was a slip, undo it; the form is asked once more.`)];
+  },
+  withdrawn(now, state, actions, blocked) {
+    const by = state.overview.find((one) => one.replaces === now.operator);
+    return [h('h2', {}, 'Withdrawn'),
+      h('p', {}, `Operator ${now.operator} takes no further part; the data is ${now.withdrawn.keep ? 'kept' : 'left out of the analysis'}. ${now.withdrawn.reason}`),
+      by ? h('p', {}, `${by.operator} has the rows now.`)
+        : h('div', { class: 'row' }, button('Replace', { id: 'replace', disabled: blocked, onclick: actions.replace }))];
   },
   questionnaire(now, state) {
     return [h('h2', {}, 'Questionnaire'),
@@ -133,9 +164,11 @@ function main(text, key, disabled, onclick) {
 /** What the simulation makes of the trial; the experimenter has the last word. */
 function proposal(now, sim, actions, waiting) {
   if (sim.phase !== 'done') return h('p', { class: 'soft' }, `In the simulation: ${sim.reason}.`);
-  const possible = now.rubric.filter((line) => line.possible);
-  const line = possible.find(({ name }) => name === sim.line) ?? possible.find(({ score }) => score === sim.score);
-  return h('p', { class: 'notice good proposal' }, h('span', {}, `The simulation says: ${sim.line}, ${sim.score} (${sim.reason})`),
+  const known = now.rubric.find(({ name }) => name === sim.line);
+  const line = known?.possible ? known : null;
+  const says = `The simulation says: ${sim.line}, ${sim.score} (${sim.reason})`;
+  return h('p', { class: 'notice good proposal' }, h('span', {}, line ? says
+    : `${says}. ${known ? 'That line is not possible now' : 'The rubric of the plan has no such line'}; choose one.`),
     line && button(`Score it ${line.name}`, { key: 'Enter', id: 'take', kind: 'main', disabled: waiting, onclick: () => actions.score(line.name) }));
 }
 
@@ -148,16 +181,20 @@ function rubric(now, actions, off) {
     h('span', {}, h('strong', {}, line.name), h('span', {}, line.text)))));
 }
 
-function results(now) {
-  if (!now.results?.length) return false;
-  return h('ol', { class: 'results', 'aria-label': 'Trials of this block' }, now.results.map((trial) =>
-    h('li', { class: SCORES[trial.score], title: `Trial ${trial.trial}: ${trial.line}` },
-      h('b', {}, String(trial.score)), h('span', {}, `${trial.time_s.toFixed(1)} s`))));
+/** A break is offered where the plan has one. */
+function rest(now, state) {
+  return now.break_due && h('p', { class: 'notice' }, `Offer a break of ${seconds(state.study.break_s)} (B).`);
 }
 
 function aside(now, actions, blocked) {
-  return now.break_possible && h('div', { class: 'row foot' },
-    button('Break', { key: 'B', id: 'break', kind: 'quiet', disabled: blocked, onclick: () => actions.send('start_break') }));
+  const quiet = (text, id, onclick, key) => button(text, { key, id, kind: 'quiet', disabled: blocked, onclick });
+  const minutes = Math.round(now.left_s / 60);
+  return h('div', { class: 'row foot' },
+    now.break_possible && quiet('Break', 'break', () => actions.send('start_break'), 'B'),
+    now.can_calibrate && quiet('Calibrate again', 'recalibrate', actions.recalibrate),
+    now.can_end_block && quiet('End block', 'end-block', actions.endBlock),
+    !now.withdrawn && quiet('Withdraw', 'withdraw', actions.withdraw),
+    minutes > 0 && h('span', { class: 'soft left' }, `About ${minutes} min left`));
 }
 
 function tablet({ links, pages }) {

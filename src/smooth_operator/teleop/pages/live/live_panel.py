@@ -10,7 +10,7 @@ import viser
 from smooth_operator.hands.hand import Hand
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.teleop.pages.callbacks import asked
-from smooth_operator.teleop.pages.live import live_texts
+from smooth_operator.teleop.pages.live import live_texts, trial_texts
 from smooth_operator.teleop.pages.live.camera import OLD_S, camera
 from smooth_operator.teleop.pages.live.config_controls import ConfigControls
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
@@ -108,6 +108,10 @@ class LivePanel:
         self._released = any(wrist is not None and wrist["released"] for wrist in wrists)
         self._show_calibration(seen["calibration"])
         self._show_camera(seen.get("camera"))
+        shown = trial_texts.trial(seen.get("trial"))
+        if shown != self._trial.content:
+            self._trial.content = shown
+            self._trial.visible = bool(shown)
         if "status" in seen:
             self._summary.content = live_texts.summary(seen["status"])
             self._timing.content = live_texts.timing(seen["status"])
@@ -131,7 +135,8 @@ class LivePanel:
         self._release = gui.add_button(
             "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
         )
-        gui.add_html(_STYLE)
+        gui.add_html(_STYLE + trial_texts.STYLE)
+        self._trial = gui.add_html("", visible=False)
         self._modes = gui.add_html(live_texts.modes({}))
         self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
         self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
@@ -213,6 +218,8 @@ class LivePanel:
         )
         self._meshes_box.on_update(asked(lambda event: scene.set_meshes(event.target.value)))
         if scene.simulated:
+            own = gui.add_checkbox("Own hand at a task", False, hint="as tracked")
+            own.on_update(asked(lambda event: scene.set_own(event.target.value)))
             simulated = gui.add_checkbox("Simulated hand", True, hint="see-through, where it is")
             simulated.on_update(asked(lambda event: scene.set_simulated(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)

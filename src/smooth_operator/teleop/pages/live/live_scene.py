@@ -68,6 +68,7 @@ class LiveScene:
     ) -> None:
         self.simulated = simulated
         self.scenery_number = 0
+        self._own = False  # the operator's own hand is shown at a task, too
         sides: tuple[Side, ...] = ("left", "right")
         order = [side for side in sides if side in hands]
         self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
@@ -90,7 +91,11 @@ class LiveScene:
         low[1] -= max(view.wrists.height for view in self._sides.values())
         size = high - low
         # One hand: human next to robot. Two: each human above its robot.
+        # At a task: the robots alone, large.
+        alone = self.has_task and not self._own
         columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
+        if alone:
+            columns, rows = len(self._sides), 1
         for column, view in enumerate(self._sides.values()):
             right = (size[0] + GAP) * column
             up = (size[1] + 2 * GAP) * (rows - 1)
@@ -100,6 +105,9 @@ class LiveScene:
                 if rows == 1
                 else (np.array([right, up]), np.array([right, 0.0]))
             )
+            if alone:
+                places = (np.array([right - step[0], 0.0]), np.array([right, 0.0]))
+            view.show_human(not alone)
             view.put(*places)
         spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
         middle = (low + high + np.array([*spread, 0.0])) / 2
@@ -160,6 +168,7 @@ class LiveScene:
         for side, view in self._sides.items():
             pose, fixture = seen["poses"].get(side), seen["fixtures"].get(side)
             view.scenery.draw(pose)
+            view.scenery.hide_object(side in seen.get("away", ()))
             if self._room is not None:
                 there = self._room.draw_scenery(side, pose, fixture)
                 if there is not None:  # what stands in the room goes past a hand that moves
@@ -175,6 +184,11 @@ class LiveScene:
         """Each human hand inside its robot, or side by side."""
         for view in self._sides.values():
             view.set_overlay(overlay)
+
+    def set_own(self, visible: bool) -> None:
+        """Show or hide the operator's own hand while the robot works on a task."""
+        self._own = visible
+        self._aim()
 
     def set_keyvectors(self, visible: bool) -> None:
         """Show or hide the thumb-to-tip lines."""
@@ -248,7 +262,7 @@ class _SideView:
             for name in self._roots
         ]
         self._places = (np.zeros(3), np.zeros(3))
-        self._overlaid = False
+        self._overlaid, self._with_human = False, True
         self.face(None, None)
         self.draw_lines(self._state)
         self.draw_bodies(self._state)
@@ -273,6 +287,9 @@ class _SideView:
         self._robot.draw(*self._poses(self._state))
         for bodies in filter(None, (self._simple, self._meshes)):
             bodies.show(bodies is self._robot, self._show_simulated, self._overlaid)
+
+    def show_human(self, visible: bool) -> None:
+        self._with_human = self._roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
         """Where the two stand when they don't stand in each other: right and up [m]."""
@@ -315,7 +332,7 @@ class _SideView:
         human, robot = self._places
         self._roots["human"].position = robot if overlay else human
         self._roots["robot"].position = robot
-        self._labels[0].visible = not overlay
+        self._labels[0].visible = self._with_human and not overlay
         self._show()
 
     def set_keyvectors(self, visible: bool) -> None:

@@ -50,6 +50,7 @@ class LiveSession:
             what it works on.
         folder: where recordings and calibrations go.
         switcher: builds methods; a new one if left out.
+        trial: what is to be shown of the trial of a task; None for nothing.
         blind: nothing on the page shows which method drives the hands, and none can be chosen.
     """
 
@@ -62,8 +63,10 @@ class LiveSession:
         *,
         switcher: MethodSwitcher | None = None,
         blind: bool = False,
+        trial: Callable[[], Mapping[str, Any] | None] = lambda: None,
     ) -> None:
         self.loop = loop
+        self._trial = trial
         self.wizard = CalibrationWizard()
         self.switcher = MethodSwitcher(loop, asked) if switcher is None else switcher
         self.blind = blind
@@ -138,6 +141,8 @@ class LiveSession:
             "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
             "calibration": self.wizard.look(now),
         }
+        if (trial := self._trial()) is not None:
+            shown["trial"] = dict(trial)
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
         if picture is not None and (camera := self._camera.look(picture, now)) is not None:

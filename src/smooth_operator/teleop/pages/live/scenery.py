@@ -36,18 +36,21 @@ class Scenery:
 
         Returns:
             ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (w x y z) of
-            the object; ``fixtures``: side -> that of the frame that they are in, in the base of an
-            arm that carries the hand; ``parts``: side -> shapes, if others than the known ones are
+            the object; ``away``: sides where there is none now; ``fixtures``: side -> that of the
+            frame that they are in, in the base of an arm that carries the hand; ``parts``: side ->
+            shapes, if others than the known ones are
             there, and ``views``: side -> rows right, up, toward of who looks at the scene.
         """
         simulation, number = self._simulation, self._simulation.world_number
-        shown: dict[str, Any] = {"number": number, "poses": {}, "fixtures": {}}
+        shown: dict[str, Any] = {"number": number, "poses": {}, "away": [], "fixtures": {}}
         try:
             mounts = {side: simulation.scene_of(side).mount for side in sides}
             for side, mount in mounts.items():
                 state = simulation.scene_state(side)
                 if state is not None:
                     shown["poses"][side] = _pose(mount, state)
+                    if state.away:
+                        shown["away"].append(side)
                 if (base := simulation.arm_base(side)) is not None:
                     shown["fixtures"][side] = _fixture(mount, base)
             if number != known:

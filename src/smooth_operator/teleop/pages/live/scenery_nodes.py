@@ -83,6 +83,11 @@ class SceneryNodes:
             self._object.position = self._scale * np.array(pose[:3])
             self._object.wxyz = np.array(pose[3:])
 
+    def hide_object(self, hidden: bool) -> None:
+        """Whether there is no object now."""
+        if self._object is not None and self._object.visible is hidden:
+            self._object.visible = not hidden
+
     def place(self, position: Float[np.ndarray, "3"], wxyz: Float[np.ndarray, "4"]) -> None:
         """Where the frame of the scene is, in that of the node's parent."""
         self._frame.position, self._frame.wxyz = position, wxyz

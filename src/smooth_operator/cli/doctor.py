@@ -1,0 +1,124 @@
+"""``smooth-operator doctor``: the machine, the start, a frame's time, and what to change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from smooth_operator.cli.console import Progressing, output_console, plain_table
+from smooth_operator.cli.doctor_options import Doctor
+from smooth_operator.compilation.diagnosis import FrameTimes, StartTimes, frame_times, start_times
+from smooth_operator.compilation.environment import environment
+from smooth_operator.errors import ConfigError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.methods.presets import method_config
+from smooth_operator.teleop.runtime.priority import going_first
+
+_BUDGET_MS: Final = 10.0
+"""A frame of a loop at 100 Hz [ms]."""
+
+_START_S: Final = 2.0
+"""A start that takes longer is worth a word [s]."""
+
+
+def doctor(options: Doctor) -> None:
+    """Prints what was found and measured, as tables or JSON, and what to change.
+
+    Raises:
+        ConfigError: fewer than 10 frames, or the preset needs a whole recording.
+        UnknownNameError: there is no such hand, method or preset.
+    """
+    if options.frames < 10:
+        raise ConfigError(f"--frames must be at least 10, not {options.frames}")
+    hand = load_hand(options.hand, options.side)  # whatever is wrong is said now
+    method_config(options.method, options.preset).build(hand)
+    progress = Progressing(options.quiet)
+    chosen = (options.hand, options.side, options.method, options.preset)
+    with going_first() as priority:
+        pass
+    found = environment() | {"priority": priority}
+    with progress.waiting("a fresh process, twice: the first may compile"):
+        starts = [start_times(*chosen) for _ in range(2)]
+    with progress.waiting("frames"):
+        frames = frame_times(*chosen, options.frames)
+    advice = _advice(found, starts, frames)
+    if options.json:
+        print(
+            to_json(
+                {"environment": found, "starts": starts, "frames": frames, "advice": advice},
+                indent=2,
+            )
+        )
+        return
+    _print(options, found, starts, frames, advice)
+
+
+def _advice(found: Mapping[str, object], starts: list[StartTimes], frames: FrameTimes) -> list[str]:
+    """What to change; empty if nothing."""
+    said = []
+    if str(found["programs"]).startswith("not kept"):
+        said.append(
+            f"compiled programs are {found['programs']}, so each start compiles; give "
+            "SMOOTH_OPERATOR_CACHE a folder that you can write, or unset it"
+        )
+    elif starts[1].total > _START_S and starts[1].first_frame > starts[1].total / 2:
+        said.append(
+            "the second start did not find the program of the first: see the log of "
+            "smooth_operator.programs"
+        )
+    load, cores = found["load"], found["cores"]
+    if isinstance(load, float) and isinstance(cores, int) and load > cores:
+        said.append(
+            f"the load is {load:.1f} on {cores} cores: what else runs here takes the loop's time, "
+            "and these figures are of a busy machine"
+        )
+    if cores == 1:
+        said.append("one core serves loop, page and tracker: give the process two")
+    if found["priority"] != "real-time" and found["system"] == "Linux":
+        said.append(
+            "real-time priority is not granted, so `teleop --priority high` has no effect: add "
+            "'USER - rtprio 20' to /etc/security/limits.conf and log in again"
+        )
+    if found["governor"] == "powersave":
+        said.append("the processor saves power: sudo cpupower frequency-set -g performance")
+    if found["device"] not in ("cpu", None):
+        said.append(
+            f"frames run on {found['device']}, which suits many hands; for one, try "
+            "JAX_PLATFORMS=cpu"
+        )
+    if frames.p99_ms > _BUDGET_MS:
+        said.append(
+            f"a frame takes {frames.p99_ms:.1f} ms (p99), more than 100 Hz leaves: try another "
+            "preset or method"
+        )
+    return said
+
+
+def _print(
+    options: Doctor,
+    found: Mapping[str, object],
+    starts: list[StartTimes],
+    frames: FrameTimes,
+    advice: list[str],
+) -> None:
+    console = output_console()
+    table = plain_table("Machine")
+    table.add_column("")
+    table.add_column("found")
+    for name, value in found.items():
+        table.add_row(name.replace("_", " "), "-" if value is None else str(value))
+    console.print(table)
+    table = plain_table(f"{options.hand}, {options.method}: a fresh process to its first command")
+    for title in ("[s]", "first", "second"):
+        table.add_column(title, justify="left" if title == "[s]" else "right")
+    for name in starts[0].__dataclass_fields__:
+        table.add_row(name.replace("_", " "), *(f"{getattr(each, name):.2f}" for each in starts))
+    console.print(table)
+    console.print(
+        f"A frame: {frames.p50_ms:.2f} ms (p50), {frames.p99_ms:.2f} ms (p99), "
+        f"{frames.worst_ms:.2f} ms (worst of {frames.count}).",
+        markup=False,
+    )
+    for line in advice or ["Nothing to change."]:
+        console.print(f"{'! ' if advice else ''}{line}", markup=False, soft_wrap=True)

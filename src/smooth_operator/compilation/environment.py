@@ -1,0 +1,81 @@
+"""What of a machine and an installation decides how fast frames are."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import re
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.compilation.program_cache import program_cache
+from smooth_operator.errors import DISTRIBUTION
+from smooth_operator.result_cache.user_cache import OFF, SWITCH, user_cache
+
+_LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy", "nlopt")
+_WINGS: Final = ("teleop", "lab", "study")
+
+
+def environment() -> dict[str, Any]:
+    """Machine, versions, extras, and where compiled programs are kept."""
+    import jax
+
+    cache = program_cache()
+    off = os.environ.get(SWITCH, "").strip().lower() in OFF
+    reason = f"{SWITCH} is off" if off else f"{str(user_cache())!r} can't be written"
+    count, size = (0, 0) if cache is None else cache.size()
+    return {
+        "system": platform.system(),
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+        "governor": _line(Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")),
+        "python": platform.python_version(),
+        **{name: _version(name) for name in (DISTRIBUTION, *_LIBRARIES)},
+        "extras": ", ".join(wing for wing in _WINGS if not _missing(wing)) or None,
+        "device": jax.default_backend(),
+        "programs": f"not kept: {reason}" if cache is None else str(cache.folder),
+        "programs_kept": count,
+        "programs_mb": round(size / 1e6),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _missing(extra: str) -> list[str]:
+    """Libraries of an extra that are not installed."""
+    try:
+        wanted = requires(DISTRIBUTION) or []
+    except PackageNotFoundError:
+        return [DISTRIBUTION]
+    names = [
+        re.split(r"[^\w.-]", each)[0]
+        for each in wanted
+        if re.search(rf"extra == ['\"]{extra}['\"]", each)
+    ]
+    return [name for name in names if name != DISTRIBUTION and _version(name) is None]
+
+
+def _processor() -> str | None:
+    with contextlib.suppress(OSError), Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
+        for line in lines:
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or None
+
+
+def _line(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except OSError:
+        return None

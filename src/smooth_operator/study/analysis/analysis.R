@@ -1,0 +1,233 @@
+# The same analysis in R: means, comparisons and coefficients of success, time and workload, each
+# in both modes and all scopes, from the rows that smooth-operator analysed.
+#
+#     Rscript analysis.R [FOLDER]        # in the folder of the results, or with its name
+#
+# Packages: lme4, lmerTest, emmeans (time, workload), geepack (success), mvtnorm (Dunnett).
+# It reads rows_trials.csv and rows_tlx.csv, fits what emm.csv lists (parts that were refused have
+# no figures there), writes R_emm.csv, R_dunnett.csv, R_pairs.csv and R_coefficients.csv, and prints
+# the largest difference from smooth-operator's tables of the same names without "R_".
+
+suppressMessages({
+  library(lme4); library(lmerTest); library(geepack); library(emmeans); library(mvtnorm)
+})
+folder <- c(commandArgs(TRUE), ".")[1]
+baseline <- @BASELINE@
+
+# Spreadsheets would read some texts as formulas: those have an apostrophe in front.
+plain <- function(x) if (is.character(x)) sub("^'([=+@\t\r-])", "\\1", x) else x
+table_of <- function(name) {
+  path <- file.path(folder, name)
+  if (!file.exists(path)) return(NULL)
+  d <- read.csv(path, stringsAsFactors = FALSE, na.strings = "", check.names = FALSE,
+                encoding = "UTF-8", colClasses = "character")
+  as.data.frame(lapply(d, plain), check.names = FALSE)
+}
+numeric_columns <- function(d, names) {
+  for (name in intersect(names, colnames(d))) d[[name]] <- as.numeric(d[[name]])
+  d
+}
+trials <- numeric_columns(table_of("rows_trials.csv"), c("success", "time_s", "trial_global"))
+tlx <- table_of("rows_tlx.csv")
+if (!is.null(tlx)) tlx <- numeric_columns(tlx, c("workload", "index"))
+fitted_parts <- table_of("emm.csv")
+
+# Rows of one part: y, and t, the z-score of the trial's (questionnaire's) count.
+rows_of <- function(outcome, scope, retargeters) {
+  d <- if (outcome == "tlx") tlx else trials
+  d$y <- switch(outcome, success = d$success, time = d$time_s, tlx = d$workload)
+  d$index <- if (outcome == "tlx") d$index else d$trial_global
+  if (outcome == "time") d <- d[d$success == 1, ]
+  if (scope != "pooled") d <- d[d$task == scope, ]
+  d <- d[!is.na(d$y) & d$retargeter %in% retargeters, ]
+  levels_of <- function(x) sort(unique(x), method = "radix")
+  first <- intersect(baseline, d$retargeter)
+  d$retargeter <- factor(d$retargeter, c(first, setdiff(levels_of(d$retargeter), first)))
+  d$task <- factor(d$task, levels_of(d$task))
+  d$operator <- factor(d$operator, levels_of(d$operator))
+  d$t <- d$index - mean(d$index)
+  if (sd(d$index) > 0) d$t <- d$t / sd(d$index)
+  d[order(d$operator), ]  # geeglm wants the rows of an operator together
+}
+terms_of <- function(d) {
+  c("retargeter", if (nlevels(d$task) > 1) "task", if (sd(d$t) > 0) "t")
+}
+
+# Time and workload. Mode paper: a random intercept for each operator, tests by the normal
+# distribution. Mode small-sample: also one for each operator with each retargeter and, over
+# several tasks, for each block; Satterthwaite's degrees of freedom.
+linear <- function(d, mode) {
+  random <- "(1 | operator)"
+  if (mode == "small-sample") random <- c(random, "(1 | operator:retargeter)",
+    if (nlevels(d$task) > 1) "(1 | operator:retargeter:task)")
+  f <- as.formula(paste("y ~", paste(c(terms_of(d), random), collapse = " + ")))
+  m <- lmer(f, d, REML = TRUE, control = lmerControl(optimizer = "bobyqa",
+    optCtrl = list(rhoend = 1e-12, maxfun = 1e5), check.conv.singular = "ignore",
+    calc.derivs = FALSE))
+  small <- mode == "small-sample"
+  s <- coef(summary(m, ddf = if (small) "Satterthwaite" else "lme4"))
+  at <- if (sd(d$t) > 0) list(t = 0) else list()
+  e <- emmeans(m, "retargeter", at = at, weights = "equal", lmerTest.limit = 1e6,
+    lmer.df = if (small) "satterthwaite" else "asymptotic")
+  pairs_of <- as.data.frame(pairs(e, adjust = "none"))
+  v <- as.data.frame(VarCorr(m))$vcov
+  list(
+    names = rownames(s), beta = s[, "Estimate"], beta_se = s[, "Std. Error"],
+    beta_df = if (small) s[, "df"] else rep(Inf, nrow(s)),
+    means = as.data.frame(e)$emmean, covariance = vcov(e), mean_df = as.data.frame(e)$df,
+    pair_df = pairs_of$df, effect = function(a, b) (a - b) / sqrt(sum(v)))
+}
+
+# Success: population-averaged logistic regression. Mode paper: the sandwich covariance, normal
+# distribution. Mode small-sample: Mancl and DeRouen (2001), t with operators - 1.
+binary <- function(d, mode) {
+  f <- as.formula(paste("y ~", paste(terms_of(d), collapse = " + ")))
+  d$id <- as.integer(d$operator)
+  m <- geeglm(f, id = id, data = d, family = binomial, corstr = "exchangeable",
+              control = geese.control(epsilon = 1e-12, maxit = 500))
+  b <- coef(m)
+  x <- model.matrix(m)
+  covariance <- if (mode == "paper") m$geese$vbeta else mancl_derouen(m, x, d)
+  df <- if (mode == "paper") Inf else nlevels(d$operator) - 1
+  # Means of probabilities over the tasks, with the delta method.
+  of_retargeter <- function(name) {
+    grid <- expand.grid(retargeter = name, task = levels(d$task))
+    g <- matrix(0, nrow(grid), length(b), dimnames = list(NULL, names(b)))
+    g[, "(Intercept)"] <- 1
+    own <- paste0("retargeter", name)
+    if (own %in% names(b)) g[, own] <- 1
+    for (k in seq_len(nrow(grid))) {
+      task <- paste0("task", grid$task[k])
+      if (task %in% names(b)) g[k, task] <- 1
+    }
+    p <- as.vector(plogis(g %*% b))
+    list(mean = mean(p), gradient = colMeans(p * (1 - p) * g))
+  }
+  found <- lapply(levels(d$retargeter), of_retargeter)
+  gradient <- do.call(rbind, lapply(found, `[[`, "gradient"))
+  count <- length(found)
+  list(
+    names = names(b), beta = unname(b), beta_se = sqrt(diag(covariance)),
+    beta_df = rep(df, length(b)), means = sapply(found, `[[`, "mean"),
+    covariance = gradient %*% covariance %*% t(gradient), mean_df = rep(df, count),
+    pair_df = rep(df, choose(count, 2)),
+    effect = function(a, b) 2 * asin(sqrt(a)) - 2 * asin(sqrt(b)))
+}
+mancl_derouen <- function(m, x, d) {
+  mu <- as.vector(fitted(m))
+  alpha <- m$geese$alpha
+  groups <- split(seq_along(mu), d$id)
+  parts <- lapply(groups, function(i) {
+    a <- mu[i] * (1 - mu[i])
+    r <- matrix(alpha, length(i), length(i)); diag(r) <- 1
+    v <- solve(outer(sqrt(a), sqrt(a)) * r)  # but for the scale, which cancels
+    list(dv = t(a * x[i, , drop = FALSE]) %*% v, d = a * x[i, , drop = FALSE], e = d$y[i] - mu[i])
+  })
+  bread <- solve(Reduce(`+`, lapply(parts, function(one) one$dv %*% one$d)))
+  meat <- Reduce(`+`, lapply(parts, function(one) {
+    h <- one$d %*% bread %*% one$dv  # leverage of the operator on the own residuals
+    u <- one$dv %*% solve(diag(length(one$e)) - h, one$e)
+    u %*% t(u)
+  }))
+  bread %*% meat %*% bread
+}
+
+# P(|T_j| < x for all j): multivariate normal given the common chi, integrated over the chi.
+legendre <- local({
+  n <- 40; k <- seq_len(n - 1); off <- k / sqrt(4 * k^2 - 1)
+  m <- matrix(0, n, n); m[cbind(k, k + 1)] <- off; m[cbind(k + 1, k)] <- off
+  e <- eigen(m, symmetric = TRUE)
+  list(x = e$values, w = 2 * e$vectors[1, ]^2)
+})
+within <- function(x, correlation, df) {
+  if (nrow(correlation) == 1) return(if (is.finite(df)) 1 - 2 * pt(-x, df) else 1 - 2 * pnorm(-x))
+  normal <- function(z) {
+    how <- if (nrow(correlation) <= 4) Miwa(steps = 128) else GenzBretz(1e5, 1e-6, 0)
+    if (z > 12) 1 else pmvnorm(rep(-z, nrow(correlation)), rep(z, nrow(correlation)),
+                               corr = correlation, algorithm = how)[1]
+  }
+  if (!is.finite(df)) return(normal(x))
+  ends <- sqrt(qchisq(c(1e-10, 1 - 1e-10), df) / df)
+  s <- mean(ends) + diff(ends) / 2 * legendre$x
+  density <- 2 * s * df * dchisq(df * s^2, df)
+  sum(legendre$w * diff(ends) / 2 * density * sapply(x * s, normal))
+}
+critical <- function(correlation, df) {
+  m <- nrow(correlation)
+  ends <- if (is.finite(df)) qt(c(0.975, 1 - 0.024 / m), df) else qnorm(c(0.975, 1 - 0.024 / m))
+  if (m == 1) return(ends[1])
+  uniroot(function(x) within(x, correlation, df) - 0.95, ends, tol = 1e-7)$root
+}
+two_sided <- function(x, df) ifelse(is.finite(df), 2 * pt(-abs(x), df), 2 * pnorm(-abs(x)))
+
+parts <- unique(fitted_parts[, c("mode", "outcome", "scope")])
+tables <- list(emm = NULL, dunnett = NULL, pairs = NULL, coefficients = NULL)
+add <- function(.into, .part, ...) {
+  rows <- data.frame(.part, ..., row.names = NULL, check.names = FALSE)
+  tables[[.into]] <<- rbind(tables[[.into]], rows)
+}
+for (k in seq_len(nrow(parts))) {
+  where <- parts[k, ]
+  own <- merge(fitted_parts, where)
+  d <- rows_of(where$outcome, where$scope, own$retargeter)
+  m <- if (where$outcome == "success") binary(d, where$mode) else linear(d, where$mode)
+  add("coefficients", where, name = m$names, estimate = m$beta, se = m$beta_se, df = m$beta_df,
+      p = two_sided(m$beta / m$beta_se, m$beta_df))
+  names <- levels(d$retargeter)
+  se <- sqrt(diag(m$covariance))
+  reach <- se * ifelse(is.finite(m$mean_df), qt(0.975, m$mean_df), qnorm(0.975))
+  add("emm", where, retargeter = names, estimate = m$means, se = se, df = m$mean_df,
+      lower = m$means - reach, upper = m$means + reach)
+  if (length(names) < 2) next
+  two <- combn(length(names), 2)
+  i <- two[1, ]; j <- two[2, ]
+  v <- m$covariance
+  difference <- m$means[i] - m$means[j]
+  se <- sqrt(v[cbind(i, i)] + v[cbind(j, j)] - 2 * v[cbind(i, j)])
+  raw <- two_sided(difference / se, m$pair_df)
+  add("pairs", where, pair = paste(names[i], names[j], sep = "-"), difference = difference, se = se,
+      df = m$pair_df, statistic = difference / se, p_raw = raw, p_holm = p.adjust(raw, "holm"),
+      effect = m$effect(m$means[i], m$means[j]))
+  if (names[1] != baseline) next
+  of <- which(i == 1)  # baseline - other; Dunnett's are other - baseline
+  l <- cbind(-1, diag(length(of)))
+  correlation <- cov2cor(l %*% v %*% t(l))
+  x <- -difference[of] / se[of]
+  df <- m$pair_df[of]
+  p <- mapply(function(one, f) 1 - within(abs(one), correlation, f), x, df)
+  half <- se[of] * sapply(df, function(f) critical(correlation, f))
+  add("dunnett", where, retargeter = names[-1], difference = -difference[of], se = se[of], df = df,
+      statistic = x, p_raw = raw[of], p_dunnett = pmax(p, raw[of]),
+      lower = -difference[of] - half, upper = -difference[of] + half,
+      effect = m$effect(m$means[-1], m$means[1]))
+}
+
+for (name in names(tables)) {
+  found <- tables[[name]]
+  if (is.null(found)) next
+  write.csv(found, file.path(folder, paste0("R_", name, ".csv")), row.names = FALSE, na = "")
+  key <- intersect(c("mode", "outcome", "scope", "retargeter", "pair", "name"), colnames(found))
+  ours <- table_of(paste0(name, ".csv"))
+  if (is.null(ours)) next
+  both <- merge(found, ours, by = key, suffixes = c("", ".ours"))
+  far <- sapply(setdiff(colnames(found), key), function(column) {
+    a <- both[[column]]; b <- as.numeric(both[[paste0(column, ".ours")]])
+    apart <- abs(a - b)
+    scale <- if (grepl("^p", column)) 1 else if (grepl("lower|upper", column)) both$se else abs(b)
+    max(c(0, (apart / scale)[is.finite(b) & apart > 0]))
+  })
+  cat(sprintf("%s: %d of %d rows; largest difference (p: absolute, limits: of the standard error)\n",
+              name, nrow(both), nrow(ours)))
+  print(signif(far, 2))
+}
+
+# A Bayesian reading, if you want one (package brms, minutes): the probability that a retargeter is
+# better, and partial pooling of operators.
+#
+# library(brms)
+# d <- rows_of("time", "pooled", unique(trials$retargeter))
+# m <- brm(y ~ retargeter + task + t + (1 | operator) + (1 | operator:retargeter) +
+#            (1 | operator:retargeter:task), d, family = lognormal())
+# hypothesis(m, paste0("retargeter", levels(d$retargeter)[2], " < 0"))
+# b <- brm(y ~ retargeter + task + t + (1 | operator) + (1 | operator:retargeter),
+#          rows_of("success", "pooled", unique(trials$retargeter)), family = bernoulli())

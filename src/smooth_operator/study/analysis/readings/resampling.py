@@ -1,0 +1,26 @@
+"""Bootstrap over operators: whole operators are drawn, with all of their rows."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+DRAWS: Final = 2000
+
+
+def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:
+    """How often each operator is in each sample; the first sample has everybody once.
+
+    Args:
+        operators: how many there are.
+        seed: of the draws.
+        draws: samples after the first.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = rng.integers(operators, size=(draws, operators))
+    counts = np.zeros((draws + 1, operators))
+    counts[0] = 1
+    np.add.at(counts, (np.arange(1, draws + 1)[:, None], chosen), 1)
+    return counts

@@ -1,0 +1,307 @@
+"""Tables of the further readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from smooth_operator.reporting.html import Html, details, element, escape, join, paragraph
+from smooth_operator.reporting.html import text_table as _table
+from smooth_operator.study.analysis.analyze import Analysis
+from smooth_operator.study.analysis.readings.clusters import WaldTest
+from smooth_operator.study.analysis.readings.log_time import LogTime
+from smooth_operator.study.analysis.readings.order_effects import OrderEffects
+from smooth_operator.study.analysis.readings.parts import Drawn, Estimate, Refused
+from smooth_operator.study.analysis.readings.score_levels import OrdinalReading
+from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess
+from smooth_operator.study.analysis.report.number_text import number, p_text, signed, span
+from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
+from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
+
+_OUTCOMES: Mapping[Outcome, str] = {
+    "success": "success [%]", "time": "time [s]", "tlx": "workload [points]",
+}  # fmt: skip
+
+
+def by_scope(analysis: Analysis, write: Any) -> Html:
+    """The same for all scopes, all tasks together open."""
+    return join(
+        details(scope_name(scope), write(analysis, scope), opened=scope == POOLED)
+        for scope in analysis.scopes
+    )
+
+
+def score_table(analysis: Analysis, scope: str) -> Html:
+    """Success at both cuts of the score, and the ordinal model."""
+    half = analysis.results[MODES[0]]["success"][scope]
+    full = analysis.readings.full_success[scope]
+    ordinal = analysis.readings.ordinal[scope]
+    rows = []
+    for name in analysis.retargeters:
+        row = [name]
+        for result in (half, full):
+            mean, test = result.emm.get(name), result.dunnett.get(name)
+            row.append(number(100 * mean.estimate, 1) if mean else "–")
+            row.append(_difference(test, 100.0, 1) if test else "")
+        odds = ordinal.odds_ratios.get(name) if isinstance(ordinal, OrdinalReading) else None
+        if isinstance(ordinal, OrdinalReading) and name in ordinal.mean_score:
+            row.append(number(ordinal.mean_score[name].estimate))
+        else:
+            row.append("–")
+        row.append(
+            f"{number(odds.odds_ratio)} [{span(odds.lower, odds.upper)}], {p_text(odds.p_dunnett)}"
+            if odds
+            else ""
+        )
+        rows.append(row)
+    headers = (
+        "retargeter", "score ≥ 0.5 [%]", f"against {analysis.baseline}", "score = 1 [%]",
+        f"against {analysis.baseline}", "mean score", "odds ratio of a higher score",
+    )  # fmt: skip
+    parts = [_table(headers, rows)]
+    parts += [
+        paragraph(f"Score = 1: {full.refused}", "warning") if full.refused else Html(""),
+        paragraph(f"Ordinal: {ordinal.refused}", "warning")
+        if isinstance(ordinal, Refused)
+        else Html(""),
+    ]
+    if isinstance(ordinal, OrdinalReading) and ordinal.left_out:
+        gone = ", ".join(ordinal.left_out)
+        parts.append(
+            paragraph(f"Ordinal: without {gone}, whose trials all have one score.", "soft")
+        )
+    if isinstance(ordinal, OrdinalReading) and ordinal.proportional is not None:
+        alike = _wald(ordinal.proportional)
+        parts.append(paragraph(f"Same odds ratios at both cuts: {alike}.", "soft"))
+    return join(parts)
+
+
+def time_table(analysis: Analysis, scope: str) -> Html:
+    """Time with failures."""
+    reading = analysis.readings.time_to_success[scope]
+    if isinstance(reading, Refused):
+        return paragraph(reading.refused, "warning")
+    against = f"against {analysis.baseline}"
+    columns: list[tuple[str, Mapping[str, Drawn], float, bool]] = [
+        ("restricted mean time [s]", reading.restricted_mean, 1.0, False),
+        (against, reading.difference, 1.0, True),
+        ("succeeded by 30 s [%]", reading.by_30_s, 100.0, False),
+        (against, reading.by_30_s_difference, 100.0, True),
+        ("by the limit [%]", reading.by_limit, 100.0, False),
+    ]
+    if reading.if_gone_on:
+        header = f"{against}, had the given up gone on [s]"
+        columns.append((header, reading.if_gone_on_difference, 1.0, True))
+    rows = [
+        [name, *(_drawn(found.get(name), 1, scale, sign=sign) for _, found, scale, sign in columns)]
+        for name in analysis.retargeters
+    ]
+    headers = ("retargeter", *(header for header, *_ in columns))
+    return join([_table(headers, rows), paragraph(_limits(reading), "soft")])
+
+
+def _limits(reading: TimeToSuccess) -> str:
+    limits = ", ".join(f"{task} {number(value, 0)} s" for task, value in reading.limits.items())
+    source = "of the plan" if reading.planned else "the longest time of the task, no limit planned"
+    left = (
+        f"; {reading.left_out} success(es) without a time are left out" if reading.left_out else ""
+    )
+    return f"Limits ({source}): {limits}; {reading.operators} operators drawn 2,000 times{left}."
+
+
+def equivalence_table(analysis: Analysis, outcome: Outcome, scope: str) -> Html:
+    """Two one-sided tests of every pair."""
+    tests = analysis.readings.equivalence[outcome][scope]
+    if not tests:
+        return paragraph("The model is refused.", "warning")
+    scale, digits, unit = DIGITS[outcome]
+    rows = []
+    for one in tests.values():
+        if one.margin is None:
+            verdict = f"± {number(scale * one.smallest_margin, digits)} {unit}, post hoc"
+        else:
+            verdict = "equivalent" if one.equivalent else "not shown"
+        rows.append(
+            [
+                f"{one.a} − {one.b}",
+                signed(scale * one.difference, digits),
+                span(scale * one.lower, scale * one.upper, digits, sign=True),
+                "–" if one.margin is None else f"± {number(scale * one.margin, digits)} {unit}",
+                p_text(one.p),
+                p_text(one.p_holm),
+                verdict,
+            ]
+        )
+    last = "smallest margin" if next(iter(tests.values())).margin is None else "within the margin"
+    headers = ("pair", f"difference [{unit}]", "90 % interval", "margin", "p", "p Holm", last)
+    return _table(headers, rows)
+
+
+def interaction_table(analysis: Analysis) -> Html:
+    """Retargeter x task."""
+    rows = [
+        [_OUTCOMES[outcome], test.refused if isinstance(test, Refused) else _wald(test.test)]
+        for outcome, test in analysis.readings.interaction.items()
+    ]
+    return _table(("outcome", "retargeter × task"), rows)
+
+
+def order_table(analysis: Analysis) -> Html:
+    """Differences without and with terms of the order."""
+    parts = []
+    for outcome, reading in analysis.readings.order.items():
+        parts.append(element("h4", escape(_OUTCOMES[outcome])))
+        if isinstance(reading, Refused):
+            parts.append(paragraph(reading.refused, "warning"))
+            continue
+        parts.append(_adjusted(outcome, _order_columns(reading), analysis.baseline))
+        said = [
+            f"{name}: {test.refused if isinstance(test, Refused) else _wald(test)}"
+            for name, test in (
+                ("block number", reading.period),
+                ("retargeter before", reading.carry_over),
+            )
+        ]
+        parts.append(paragraph("; ".join(said) + ".", "soft"))
+    return join(parts)
+
+
+def _order_columns(reading: OrderEffects) -> dict[str, Mapping[str, Estimate]]:
+    columns = {"as reported": reading.without, "with block number": reading.with_period}
+    if not isinstance(reading.with_carry_over, Refused):
+        columns["and retargeter before"] = reading.with_carry_over
+    return columns
+
+
+def covariate_table(analysis: Analysis) -> Html:
+    """Differences without and with each field of the forms."""
+    parts = []
+    for field, outcomes in analysis.readings.covariates.items():
+        parts.append(element("h4", escape(field)))
+        for outcome, reading in outcomes.items():
+            if isinstance(reading, Refused):
+                parts.append(paragraph(f"{_OUTCOMES[outcome]}: {reading.refused}", "warning"))
+                continue
+            columns = {"without": reading.without, "with": reading.adjusted}
+            parts.append(_adjusted(outcome, columns, analysis.baseline))
+            said = f"{_OUTCOMES[outcome]}: {_wald(reading.test)}; {reading.operators} operators."
+            parts.append(paragraph(said, "soft"))
+    return join(parts)
+
+
+def log_time_table(analysis: Analysis, scope: str) -> Html:
+    """Ratios of geometric means."""
+    reading = analysis.readings.log_time[scope]
+    if not isinstance(reading, LogTime):
+        return paragraph(reading.refused, "warning")
+    rows = []
+    for name, mean in reading.geometric_mean.items():
+        ratio = reading.ratios.get(name)
+        rows.append(
+            [
+                name,
+                number(mean, 1),
+                f"{number(ratio.ratio)} [{span(ratio.lower, ratio.upper)}]" if ratio else "",
+                p_text(ratio.p_dunnett) if ratio else "",
+            ]
+        )
+    headers = ("retargeter", "geometric mean [s]", f"over {analysis.baseline}", "p Dunnett")
+    said = (
+        f"Skewness of the residuals: {number(reading.skewness)} on the log scale, "
+        f"{number(reading.skewness_of_seconds)} in seconds."
+    )
+    return join([_table(headers, rows), paragraph(said, "soft")])
+
+
+def rater_table(analysis: Analysis) -> Html:
+    """Agreement of two raters."""
+    found = analysis.readings.second_rater
+    if found is None or isinstance(found, Refused):
+        return paragraph(found.refused, "warning") if found else Html("")
+    rows = [
+        ["weighted κ", _drawn(found.kappa, 2)],
+        ["κ of equal scores", _drawn(found.kappa_unweighted, 2)],
+        ["κ of success", _drawn(found.kappa_success, 2)],
+        ["equal scores", f"{number(100 * found.agreed, 1)} % of {found.n} trials"],
+    ]
+    counts = [[score, *map(str, row.values())] for score, row in found.table.items()]
+    return join(
+        [
+            _table(("measure", f"[95 %, {found.operators} operators drawn]"), rows),
+            _table(("first rater, second:", *found.table), counts),
+        ]
+    )
+
+
+def preference_table(analysis: Analysis) -> Html:
+    """Final rankings."""
+    found = analysis.readings.preference
+    if found is None or isinstance(found, Refused):
+        return paragraph(found.refused, "warning") if found else Html("")
+    rows = [
+        [name, _drawn(found.mean_rank[name], 2), _drawn(found.strength[name], 2)]
+        for name in sorted(found.mean_rank, key=lambda one: found.mean_rank[one].estimate)
+    ]
+    said = (
+        f"Friedman's χ² = {number(found.friedman)}, p {_equals(found.p)} (permutation), Kendall's "
+        f"W = {number(found.kendall_w)}; {found.operators} operators"
+        + (f", {found.left_out} without a whole ranking left out." if found.left_out else ".")
+    )
+    headers = ("retargeter", "mean rank (1 is best)", "Bradley–Terry strength")
+    return join([_table(headers, rows), paragraph(said, "soft")])
+
+
+def balance_tables(analysis: Analysis) -> Html:
+    """How many blocks each retargeter had in each place, and after each other."""
+    found = analysis.readings.balance
+    places = list(next(iter(found.places.values())))
+    rows = [[name, *map(str, row.values())] for name, row in found.places.items()]
+    after = [[name, *map(str, row.values())] for name, row in found.after.items()]
+    headers = ["retargeter", *(f"block {place}" for place in places)]
+    before = ["retargeter", "first", *(f"after {name}" for name in analysis.retargeters)]
+    return join([_table(headers, rows), _table(before, after)])
+
+
+def _adjusted(
+    outcome: Outcome, columns: Mapping[str, Mapping[str, Estimate]], baseline: str
+) -> Html:
+    scale, digits, unit = DIGITS[outcome]
+    names: Iterable[str] = next(iter(columns.values()))
+    rows = []
+    for name in names:
+        cells = (
+            f"{signed(scale * one.estimate, digits)} "
+            f"[{span(scale * one.lower, scale * one.upper, digits, sign=True)}]"
+            for one in (column[name] for column in columns.values())
+        )
+        rows.append([f"{name} − {baseline}", *cells])
+    return _table((f"difference [{unit}]", *columns), rows)
+
+
+def _difference(test: Any, scale: float, digits: int) -> str:
+    low, high = scale * test.lower, scale * test.upper
+    return (
+        f"{signed(scale * test.difference, digits)} [{span(low, high, digits, sign=True)}], "
+        f"{p_text(test.p_dunnett)}"
+    )
+
+
+def _drawn(one: Drawn | None, digits: int, scale: float = 1.0, *, sign: bool = False) -> str:
+    if one is None:
+        return ""
+    shown = signed if sign else number
+    return (
+        f"{shown(scale * one.estimate, digits)} "
+        f"[{span(scale * one.lower, scale * one.upper, digits, sign=sign)}]"
+    )
+
+
+def _wald(test: WaldTest) -> str:
+    return (
+        f"F({number(test.df1, 0)}, {number(test.df2, 1)}) = {number(test.f)}, p {_equals(test.p)}"
+    )
+
+
+def _equals(p: float) -> str:
+    text = p_text(p)
+    return text if text.startswith("<") else f"= {text}"

@@ -1,0 +1,119 @@
+"""Retargeters that never or always succeed: exact bounds and exact tests in place of a model.
+
+Their odds are zero or infinite, so no logistic model can hold them. What holds without one:
+
+- Bound. Each operator is one observation, however alike their trials are. If none of G operators
+  ever succeeds, the share of operators who do is at most 1 - 0.05^(1/G), and so is the success
+  rate, since an operator's rate is no higher than the chance of one success or more.
+- Test. If two retargeters are equally good, then swapping them in all that one operator did is as
+  likely as not. Of a retargeter that never succeeds every swap that changes anything makes the sum
+  of the operators' differences less extreme, so the exact two-sided p over all 2^G swaps is
+  2^(1-k), where k operators differ at all (the sign test).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.study.analysis.frame import Frame, keep_rows
+from smooth_operator.study.analysis.results import ExactTest, Separated
+
+_TAIL: Final = 0.05
+
+
+def split(frame: Frame) -> tuple[Frame | None, dict[str, Separated]]:
+    """The rows without retargeters that never or always succeed, and what is known of those.
+
+    Args:
+        frame: success of each trial, 0 or 1.
+
+    Returns:
+        (rows of the others, None if there are none; separated retargeters by name). Where all
+        trials have one outcome, nothing is separated.
+    """
+    count = len(frame.retargeters)
+    trials = np.bincount(frame.retargeter, minlength=count)
+    wins = np.bincount(frame.retargeter, frame.outcome, minlength=count)
+    out = (wins == 0) | (wins == trials)
+    if not out.any() or np.ptp(frame.outcome) == 0:
+        return frame, {}
+    found = {
+        name: _separated(frame, j, count) for j, name in enumerate(frame.retargeters) if out[j]
+    }
+    kept = ~out[frame.retargeter]
+    if not kept.any():
+        return None, found
+    return keep_rows(frame, kept), found
+
+
+def _separated(frame: Frame, which: int, count: int) -> Separated:
+    rows = frame.retargeter == which
+    trials, operators = int(rows.sum()), len(np.unique(frame.group[rows]))
+    always = bool(frame.outcome[rows].all())
+
+    def bound(units: int) -> float:
+        edge = float(_TAIL ** (1 / units))
+        return edge if always else 1 - edge
+
+    against = {}
+    others = [j for j in range(count) if j != which]
+    for other in others:
+        test = _swapped(frame, which, other)
+        pairs = count * (count - 1) // 2
+        name = frame.retargeters[other]
+        with_baseline = frame.baseline in (name, frame.retargeters[which])
+        against[name] = replace(
+            test,
+            p_holm=min(1.0, pairs * test.p_raw),
+            p_dunnett=min(1.0, len(others) * test.p_raw) if with_baseline else None,
+        )
+    return Separated(
+        rate=float(always),
+        trials=trials,
+        operators=operators,
+        bound=bound(operators),
+        bound_if_independent=bound(trials),
+        against=against,
+    )
+
+
+def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
+    """Both retargeters swapped within operators; tasks that an operator did with both count."""
+    shape = (len(frame.operators), len(frame.tasks), len(frame.retargeters))
+    trials, wins = np.zeros(shape), np.zeros(shape)
+    np.add.at(trials, (frame.group, frame.task, frame.retargeter), 1)
+    np.add.at(wins, (frame.group, frame.task, frame.retargeter), frame.outcome)
+    both = (trials[:, :, which] > 0) & (trials[:, :, other] > 0)
+    rates = wins / np.maximum(trials, 1)
+    apart = np.where(both, rates[:, :, which] - rates[:, :, other], 0.0)
+    tasks = both.sum(axis=1)
+    of_operators = apart.sum(axis=1)[tasks > 0] / tasks[tasks > 0]
+    differing = int(np.count_nonzero(of_operators))
+    return ExactTest(
+        difference=float(of_operators.mean()) if len(of_operators) else float("nan"),
+        operators=len(of_operators),
+        differing=differing,
+        p_raw=min(1.0, 2.0 ** (1 - differing)),
+    )
+
+
+def in_words(name: str, found: Separated) -> str:
+    """What is known of a separated retargeter, for the warnings."""
+    share, side = ("all", "at least") if found.rate else ("none", "at most")
+    return (
+        f"{name} succeeded in {share} of {found.trials} trials of {found.operators} operators: it "
+        f"is left out of the model; its success rate is {side} {100 * found.bound:.1f} % (exact "
+        f"95 % bound with operators as units; {100 * found.bound_if_independent:.1f} % if all "
+        "trials were independent). It is compared by an exact test that swaps retargeters within "
+        f"operators: {_tests(found)}"
+    )
+
+
+def _tests(found: Separated) -> str:
+    return ", ".join(
+        f"{other} p {'=' if test.p_holm >= 1e-4 else '<'} {max(test.p_holm, 1e-4):.2g}"
+        for other, test in found.against.items()
+    ) + " (times the number of all pairs)"  # fmt: skip

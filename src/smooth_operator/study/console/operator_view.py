@@ -1,0 +1,122 @@
+"""What the operator's page shows, as plain values for JSON. It never holds a condition."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from smooth_operator.study.design.forms import FormField
+from smooth_operator.study.design.plan import Block, Plan
+from smooth_operator.study.store.events import Undone
+from smooth_operator.study.store.nasa_tlx import HIGHEST, PAIRS, STEP
+from smooth_operator.study.store.operator_state import Step
+from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords, shown_pairs
+
+
+def operator_view(
+    plan: Plan, current: Progress | None, words: TlxWords = ENGLISH
+) -> dict[str, Any]:
+    """All of the operator's page."""
+    view: dict[str, Any] = {
+        "study": plan.protocol.name,
+        "what": "wait",
+        "operator": None,
+        "texts": dict(words.texts),
+    }
+    if current is None:
+        return view
+    step = current.step
+    view |= {"operator": current.operator, "after": current.number, "step": step.what}
+    if step.what == "break" or _nothing_follows(step):
+        view["what"] = "break" if step.what == "break" else "done"
+    view["key"] = asked_key(current, step)
+    if step.what == "form":
+        return {**view, **_form(current, step)}
+    if step.block is None:
+        return view
+    view |= place(step.block, None, current)
+    if step.what == "questionnaire":
+        view |= {
+            "what": "questionnaire",
+            "point": step.point,
+            "trial": step.trial,
+            "scales": [asdict(scale) for scale in words.scales],
+            "step_of_scale": STEP,
+            "highest": HIGHEST,
+        }
+    elif step.what == "weights":
+        scales = {scale.name: asdict(scale) for scale in words.scales}
+        view |= {
+            "what": "weights",
+            "pairs": [
+                {
+                    "place": PAIRS.index(
+                        (left, right) if (left, right) in PAIRS else (right, left)
+                    ),
+                    "scales": [scales[left], scales[right]],
+                }
+                for left, right in shown_pairs(plan.protocol.seed, current.operator)
+            ],
+        }
+    return view
+
+
+def _nothing_follows(step: Step) -> bool:
+    """Whether nothing more is asked of the operator."""
+    return step.what in ("done", "withdrawn", "refused")
+
+
+def _form(progress: Progress, step: Step) -> dict[str, Any]:
+    form = next(form for form in progress.plan.protocol.forms if form.name == step.form)
+    return {
+        "what": "form",
+        "form": form.name,
+        "title": form.title or form.name,
+        "text": form.text,
+        "fields": [_field(field, progress) for field in form.fields],
+    }
+
+
+def _field(field: FormField, progress: Progress) -> dict[str, Any]:
+    made = asdict(field)
+    if field.kind == "ranking":
+        made["ranked"] = [
+            {"label": label, "where": _met(label, progress)} for label in progress.ranked_labels()
+        ]
+    return made
+
+
+def _met(label: str, progress: Progress) -> str:
+    """In which blocks an operator has met a label: what they remember it by."""
+    blocks = {(t.block.task.name, t.block.number): t.block for t in progress.trials}
+    return ", ".join(
+        f"{block.task.title or block.task.name}, block {block.number}"
+        for block in blocks.values()
+        if block.condition.label == label
+    )
+
+
+def asked_key(progress: Progress, step: Step) -> str:
+    """Identifies one questionnaire, one that is asked again after an undo included."""
+    undone = sum(isinstance(record.event, Undone) for record in progress.records)
+    block = step.block
+    where = "" if block is None else f"{block.task.name}/{block.number}"
+    asked = step.point or step.form or ""
+    return f"{progress.operator}/{where}/{step.what}/{asked}/{undone}"
+
+
+def place(block: Block, condition: str | None, progress: Progress) -> dict[str, Any]:
+    """Where in the study something is."""
+    place = {
+        "task": block.task.name,
+        "title": block.task.title or block.task.name,
+        "instruction": block.task.instruction,
+        "block": block.number,
+        "blocks": sum(b.task.name == block.task.name for b in progress.blocks),
+        "session": block.session,
+        "sessions": len({b.task.name for b in progress.blocks}),
+        "trials": block.task.trials,
+        "limit_s": block.task.time_limit_s,
+    }
+    return place if condition is None else {**place, "condition": condition}

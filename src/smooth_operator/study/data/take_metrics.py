@@ -1,0 +1,176 @@
+"""Simulation metrics of each operator with each retargeter, from the study's own recordings.
+
+A recording holds the operator's landmarks and the commands that answered them. It is cut to the
+trials that count; metrics are means over their frames, of each trial by itself, so that what was
+done between trials is not measured. Workspace utilisation is that of all trials together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import StudyError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.metrics.assemble import assemble_trace, sample_reach
+from smooth_operator.metrics.registry import find_metric
+from smooth_operator.metrics.trace import Trace
+from smooth_operator.study.store.progress import Progress
+from smooth_operator.types import CommandTrajectory, HandRecording
+
+METRIC_NAMES: Final = (
+    "cosine_similarity", "scale_ratio", "motion_preservation", "flatness",
+    "workspace_utilisation", "latency_ms",
+)  # fmt: skip
+"""Columns of the table; units as in ``smooth_operator.metrics``, latency as its mean [ms]."""
+
+_POOLED: Final = "workspace_utilisation"
+_FEWEST: Final = 3  # frames of a trial, or there is no motion to measure
+_APART_S: Final = 1.0  # between trials that are put together
+
+
+@dataclass(frozen=True)
+class TrialSpan:
+    """When a trial that counts was done.
+
+    Attributes:
+        operator: pseudonym.
+        retargeter: name of the condition.
+        begin: UTC.
+        seconds: until it was scored, pauses included [s].
+    """
+
+    operator: str
+    retargeter: str
+    begin: datetime
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A recording of teleoperation, its frames those that were answered.
+
+    Attributes:
+        name: of the file.
+        recording: the human hand, T frames.
+        commands: the T commands that answer them.
+        hand: the robot hand.
+        begin: UTC of stamp 0.
+        alignments: from which stamp on which alignment was in use, in order.
+    """
+
+    name: str
+    recording: HandRecording
+    commands: CommandTrajectory
+    hand: Hand
+    begin: datetime
+    alignments: Sequence[tuple[float, AlignmentConfig]] = ()
+
+    def cut(self, span: TrialSpan) -> Trace | None:
+        """The frames of a trial; None where the recording has (nearly) none of it."""
+        stamps = self.recording.stamps
+        start = (span.begin - self.begin).total_seconds()
+        first, last = np.searchsorted(stamps, (start, start + span.seconds))
+        if last - first < _FEWEST:
+            return None
+        commands = replace(
+            self.commands,
+            **{
+                name: getattr(self.commands, name)[first:last]
+                for name in ("joint_positions", "stamps", "latency_ms", "status")
+            },
+        )
+        used = [alignment for since, alignment in self.alignments if since <= stamps[first]]
+        alignment = used[-1] if used else None
+        recording = self.recording[int(first) : int(last)]
+        return assemble_trace(recording, commands, self.hand, alignment, reach_samples=0)
+
+
+def trial_spans(progress: Progress) -> Iterator[TrialSpan]:
+    """The trials of an operator that count."""
+    for trial in progress.trials:
+        if trial.score is None or trial.void is not None or trial.time_s is None:
+            continue
+        paused = sum(length or 0.0 for _, length, _ in trial.pauses)
+        yield TrialSpan(
+            progress.operator, trial.block.condition.name, trial.started, trial.time_s + paused
+        )
+
+
+def take_metrics(pieces: Sequence[tuple[TrialSpan, Trace]], hand: Hand) -> list[dict[str, object]]:
+    """A row for each operator and retargeter.
+
+    Args:
+        pieces: trials and their frames.
+        hand: the robot hand of all.
+
+    Raises:
+        StudyError: there is no trial.
+    """
+    if not pieces:
+        raise StudyError("no trial of the study is in these recordings")
+    reach = sample_reach(hand)
+    of: dict[tuple[str, str], list[Trace]] = {}
+    for span, trace in pieces:
+        of.setdefault((span.operator, span.retargeter), []).append(trace)
+    return [
+        {"operator": operator, "retargeter": retargeter, **_row(traces, reach)}
+        for (operator, retargeter), traces in sorted(of.items())
+    ]
+
+
+def _row(traces: Sequence[Trace], reach: np.ndarray) -> Mapping[str, float | None]:
+    found: dict[str, float | None] = {}
+    for name in METRIC_NAMES:
+        if name == _POOLED:
+            found[name] = _measured(name, replace(_together(traces), reach=reach))
+            continue
+        known = [(len(trace), _measured(name, trace)) for trace in traces]
+        frames = sum(count for count, value in known if value is not None)
+        total = sum(count * value for count, value in known if value is not None)
+        found[name] = total / frames if frames else None
+    return found
+
+
+def _measured(name: str, trace: Trace) -> float | None:
+    compute = find_metric("latency_ms.mean" if name == "latency_ms" else name).compute
+    assert compute is not None  # it is built in
+    value = compute(trace)
+    value = value.get("mean") if isinstance(value, Mapping) else value
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _together(traces: Sequence[Trace]) -> Trace:
+    """Trials one after the other."""
+    stamps, now = [], 0.0
+    for trace in traces:
+        stamps.append(trace.stamps - trace.stamps[0] + now)
+        now = float(stamps[-1][-1]) + _APART_S
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(trace, name) for trace in traces])
+        for name in ("human", "robot_tips", "joint_positions", "status", "latency_ms")
+    }
+    return replace(
+        traces[0], **joined, stamps=np.concatenate(stamps), penetration=None, robot_landmarks=None
+    )
+
+
+def utc_of_zero(started: str, clock: float) -> datetime:
+    """UTC of stamp 0 of a recording.
+
+    Args:
+        started: ISO time of day at some moment.
+        clock: the recording's clock at that moment [s].
+
+    Raises:
+        ValueError: that is no time with a zone.
+    """
+    moment = datetime.fromisoformat(started)
+    if moment.tzinfo is None:
+        raise ValueError(f"{started!r} has no time zone")
+    return moment - timedelta(seconds=clock)

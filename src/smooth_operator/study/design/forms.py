@@ -1,0 +1,243 @@
+"""Forms of a study: what operators are asked before the first block and after the last one."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias, get_args
+
+from smooth_operator.errors import StudyError
+from smooth_operator.io.entries import Entries
+from smooth_operator.simulation.tasks.checks import check_name, distinct, whole
+
+When: TypeAlias = Literal["before", "after"]
+Kind: TypeAlias = Literal["text", "number", "choice", "scale", "consent", "ranking"]
+
+_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+_LONGEST: Final = 4000
+
+
+@dataclass(frozen=True)
+class FormField:
+    """One question.
+
+    Attributes:
+        name: in the data.
+        label: what the operator reads, in any language.
+        kind: ``text``; ``number``; ``choice``, one of ``choices``; ``scale``, 1 to ``steps``;
+            ``consent``, yes or no; ``ranking``, the blind labels from the best to the worst.
+        required: whether it must be answered; without a required consent nothing starts.
+        choices: of a choice.
+        low: end label of a scale.
+        high: the other one.
+        steps: of a scale.
+        least: smallest number; None for any.
+        most: largest number; None for any.
+    """
+
+    name: str
+    label: str
+    kind: Kind = "text"
+    required: bool = False
+    choices: tuple[str, ...] = ()
+    low: str = ""
+    high: str = ""
+    steps: int = 7
+    least: float | None = None
+    most: float | None = None
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "field of a form")
+        if not self.label.strip():
+            raise StudyError(f"field {self.name!r} of a form needs a label")
+        if self.kind not in _KINDS:
+            raise StudyError(
+                f"field {self.name!r}: its kind must be one of {', '.join(_KINDS)}, not "
+                f"{self.kind!r}"
+            )
+        if (self.kind == "choice") != bool(self.choices) or len(self.choices) == 1:
+            raise StudyError(
+                f"field {self.name!r}: a choice needs two choices or more, and nothing else has any"
+            )
+        distinct(list(self.choices), f"choices of {self.name!r}")
+        if self.least is not None and self.most is not None and self.least > self.most:
+            raise StudyError(f"field {self.name!r}: least is {self.least:g}, most {self.most:g}")
+        whole(self.steps, 2, 101, f"field {self.name!r}: steps of a scale")
+
+
+@dataclass(frozen=True)
+class Form:
+    """A page of questions.
+
+    Attributes:
+        name: in the data.
+        when: ``before`` the first block or ``after`` the last one.
+        fields: one or more.
+        title: on the page.
+        text: above the questions.
+    """
+
+    name: str
+    when: When
+    fields: tuple[FormField, ...]
+    title: str = ""
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "form")
+        if self.when not in get_args(When):
+            raise StudyError(f"form {self.name!r}: when must be before or after, not {self.when!r}")
+        if not self.fields:
+            raise StudyError(f"form {self.name!r} needs a field")
+        distinct([field.name for field in self.fields], f"fields of form {self.name!r}")
+        for field in self.fields:
+            if field.kind == "ranking" and self.when == "before":
+                raise StudyError(f"form {self.name!r}: a ranking is only asked after the blocks")
+
+    def check(self, answers: Mapping[str, Any], ranked: Sequence[str]) -> None:
+        """Refuses what does not answer this form.
+
+        Args:
+            answers: field -> answer; those that are not required may be missing.
+            ranked: labels that a ranking has to hold.
+
+        Raises:
+            StudyError: names the field and what is expected there.
+        """
+        by_name = {field.name: field for field in self.fields}
+        for name in answers:
+            if name not in by_name:
+                raise StudyError(f"form {self.name!r} has no field {name!r}")
+        for field in self.fields:
+            if field.name in answers:
+                expected = _expected(field, answers[field.name], ranked)
+                if expected:
+                    raise StudyError(
+                        f"form {self.name!r}, field {field.name!r}: expected {expected}"
+                    )
+            elif field.required and (field.kind != "ranking" or len(ranked) > 1):
+                raise StudyError(f"form {self.name!r}: field {field.name!r} is not answered")
+
+    def refused(self, answers: Mapping[str, Any]) -> bool:
+        """Whether a consent that is required was refused."""
+        return any(
+            field.kind == "consent" and field.required and answers.get(field.name) is not True
+            for field in self.fields
+        )
+
+
+def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
+    """What should be there instead; empty if the value is right."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    match field.kind:
+        case "text":
+            right = isinstance(value, str) and len(value) <= _LONGEST
+            return "" if right and (value.strip() or not field.required) else "a text"
+        case "number":
+            least = -math.inf if field.least is None else field.least
+            most = math.inf if field.most is None else field.most
+            right = number and math.isfinite(value) and least <= value <= most
+            return "" if right else f"a number from {least:g} to {most:g}"
+        case "choice":
+            return "" if value in field.choices else f"one of {', '.join(field.choices)}"
+        case "scale":
+            right = number and value == int(value) and 1 <= value <= field.steps
+            return "" if right else f"a whole number from 1 to {field.steps}"
+        case "consent":
+            return "" if isinstance(value, bool) else "true or false"
+    listed = isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
+    right = listed and sorted(value) == sorted(ranked)
+    return "" if right else f"each of these once: {', '.join(ranked)}"
+
+
+def read_forms(entries: Entries) -> tuple[Form, ...]:
+    """Forms from the entry ``forms`` of a plan; none where there is none.
+
+    Raises:
+        StudyError: an entry is wrong; the message names it.
+    """
+    if "forms" not in entries.names:
+        return ()
+    return tuple(_form(one) for one in entries.tables("forms"))
+
+
+def check_forms(forms: Sequence[Form]) -> None:
+    """Refuses forms of one name.
+
+    Raises:
+        StudyError: two forms have the same name.
+    """
+    distinct([form.name for form in forms], "forms")
+
+
+def _form(entries: Entries) -> Form:
+    entries.only("name", "when", "title", "text", "fields")
+    return Form(
+        entries.text("name"),
+        entries.choice("when", get_args(When)),
+        tuple(_field(one) for one in entries.tables("fields")),
+        entries.text("title", ""),
+        entries.text("text", "", lines=True),
+    )
+
+
+def _field(entries: Entries) -> FormField:
+    entries.only("name", "label", "kind", "required", "choices", "low", "high", "steps", "least",
+                 "most")  # fmt: skip
+    kind = entries.choice("kind", _KINDS, "text")
+    return FormField(
+        entries.text("name"),
+        entries.text("label"),
+        kind,
+        entries.flag("required", kind == "consent"),
+        tuple(entries.texts("choices", ())),
+        entries.text("low", ""),
+        entries.text("high", ""),
+        entries.whole("steps", 7),
+        entries.number("least") if "least" in entries.names else None,
+        entries.number("most") if "most" in entries.names else None,
+    )
+
+
+def form_lines(forms: Sequence[Form]) -> Iterator[str]:
+    """The forms as lines of TOML."""
+    if forms:
+        yield "# Forms on the operator's page, before the first block or after the last. Kinds of"
+        yield f"# fields: {', '.join(_KINDS)}."
+    for form in forms:
+        yield "[[forms]]"
+        yield f"name = {_text(form.name)}"
+        yield f"when = {_text(form.when)}"
+        if form.title:
+            yield f"title = {_text(form.title)}"
+        if form.text:
+            yield f"text = {_text(form.text)}"
+        yield "fields = ["
+        for field in form.fields:
+            yield f"  {{ {', '.join(_entries(field))} }},"
+        yield "]"
+        yield ""
+
+
+def _entries(field: FormField) -> Iterator[str]:
+    yield f"name = {_text(field.name)}"
+    yield f"label = {_text(field.label)}"
+    yield f"kind = {_text(field.kind)}"
+    if field.required != (field.kind == "consent"):
+        yield f"required = {'true' if field.required else 'false'}"
+    if field.choices:
+        yield f"choices = [{', '.join(map(_text, field.choices))}]"
+    for name in ("low", "high"):
+        if getattr(field, name):
+            yield f"{name} = {_text(getattr(field, name))}"
+    if field.kind == "scale":
+        yield f"steps = {field.steps}"
+    for name in ("least", "most"):
+        if getattr(field, name) is not None:
+            yield f"{name} = {float(getattr(field, name))!r}"
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")

@@ -1,0 +1,444 @@
+"""What departs from the plan on a day: corrections, pauses, withdrawals, stray clicks."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fake_teleop import FakeSimulation, FakeTeleop
+from study_console import command, console_plan, due_command
+from test_study_console import walk
+
+from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.study.console.commands import Command
+from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.design.plan import make_plan
+from smooth_operator.study.design.protocol import RubricLine
+from smooth_operator.study.store.clock import Clock
+from smooth_operator.study.store.events import Chosen, Noted, Replaces, TrialScored, Withdrawn
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import StudyStore
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[StudyStore]:
+    with open_study(tmp_path, console_plan()) as made:
+        yield made
+
+
+def give(service: SessionService, store: StudyStore, do: str, **fields: object) -> int:
+    operator = service.operator
+    assert operator is not None
+    asked = command(store.progress(operator), do, **fields)
+    return service.carry_out(asked, "experimenter")
+
+
+def choose(service: SessionService, operator: str, **fields: object) -> None:
+    asked = Command(f"choose-{operator}", "choose", operator, None, fields)
+    service.carry_out(asked, "experimenter")
+
+
+class Hours:
+    """A machine whose clocks are moved by hand."""
+
+    def __init__(self) -> None:
+        self.at = 1000.0
+
+    def clock(self) -> Clock:
+        return Clock(lambda: self.at, lambda: self.at, "boot")
+
+
+# Amendments.
+
+
+def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "questionnaire")
+    walk(service, store, "trial")  # the second one; the questionnaire is answered
+    before = store.progress("P01")
+    place = {"task": "card", "block": 1, "trial": 1}
+    give(service, store, "amend", **place, line="nearly", reason="saw the film", who="AB")
+    progress = store.progress("P01")
+    first = progress.trials[0]
+    assert (first.line, first.score, first.time_s) == ("nearly", 0.5, before.trials[0].time_s)
+    assert first.amended
+    assert not progress.trials[1].amended
+    assert progress.step == before.step
+    assert progress.questionnaires == before.questionnaires
+    (made,) = progress.amendments
+    assert (made.before[:2], made.after[:2]) == (("done", 1.0), ("nearly", 0.5))
+    assert (made.reason, made.who) == ("saw the film", "AB")
+    scored = [r.event for r in progress.records if isinstance(r.event, TrialScored)]
+    assert [event.line for event in scored] == ["done"]  # the log keeps what was given first
+    give(service, store, "amend", **place, time_s=4.25, reason="stopped too late")
+    assert store.progress("P01").trials[0].time_s == 4.25
+    assert store.progress("P01").trials[0].line == "nearly"
+    last = store.progress("P01").undoable
+    assert last is not None
+    give(service, store, "undo", number=last.number)
+    assert store.progress("P01").trials[0].time_s == before.trials[0].time_s
+    assert store.progress("P01").running is not None
+
+
+def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
+    give(service, store, "reset")
+    walk(service, store, "done")
+    place = {"task": "card", "block": 1, "trial": 1}
+    give(service, store, "amend", **place, line="failed", reason="it fell")
+    give(service, store, "amend", **place, line="done", reason="it did not")
+    assert store.progress("P01").trials[0].score == 0.5  # there was a reset
+    for fields, why in (
+        ({**place, "line": "done", "reason": "again"}, "already"),
+        ({**place, "line": "failed", "reason": " "}, "for a reason"),
+        ({**place, "line": "faild", "reason": "x"}, "failed"),
+        ({**place, "trial": 9, "line": "failed", "reason": "x"}, "was not scored"),
+        ({**place, "time_s": -1.0, "reason": "x"}, "0 or more"),
+    ):
+        with pytest.raises((StudyError, UnknownNameError), match=why):
+            give(service, store, "amend", **fields)
+    assert len(store.progress("P01").amendments) == 2
+
+
+def test_no_trial_is_amended_to_a_reset_that_it_did_not_have(tmp_path: Path) -> None:
+    plan = console_plan()
+    line = RubricLine("done-after-reset", 0.5, "after all")
+    task = replace(plan.protocol.tasks[0], rubric=(*plan.protocol.tasks[0].rubric, line))
+    with open_study(tmp_path, make_plan(replace(plan.protocol, tasks=(task,)))) as store:
+        service = SessionService(store, operator="P01")
+        walk(service, store, "questionnaire")
+        place = {"task": "card", "block": 1, "trial": 1, "reason": "x"}
+        with pytest.raises(StudyError, match="needs a reset"):
+            give(service, store, "amend", **place, line=line.name)
+
+
+def test_a_page_that_has_not_seen_an_amendment_still_scores(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "start_trial")
+    walk(service, store, "questionnaire")
+    walk(service, store, "trial")
+    old = store.progress("P01")
+    give(service, store, "amend", task="card", block=1, trial=1, line="failed", reason="x")
+    service.carry_out(command(old, "score", line="done"), "experimenter")
+    stale = command(old, "amend", task="card", block=1, trial=1, line="nearly", reason="y")
+    with pytest.raises(StudyError, match="meanwhile"):
+        service.carry_out(stale, "experimenter")
+
+
+# Pauses, blocks that end early, calibration.
+
+
+def test_a_pause_does_not_count_in_the_time_of_a_trial(tmp_path: Path) -> None:
+    hours = Hours()
+    with open_study(tmp_path, console_plan()) as store:
+        store.clock = hours.clock()
+        service = SessionService(store, operator="P01")
+        walk(service, store, "trial")
+        hours.at += 5
+        give(service, store, "pause", reason="the robot tripped")
+        assert store.progress("P01").step.what == "paused"
+        with pytest.raises(StudyError, match="paused"):
+            give(service, store, "score", line="done")
+        hours.at += 100
+        with open_study(tmp_path) as again:  # the console is killed and started meanwhile
+            again.clock = hours.clock()
+            restarted = SessionService(again)
+            give(restarted, again, "resume")
+            hours.at += 2
+            give(restarted, again, "score", line="done")
+        trial = store.progress("P01").trials[0]
+        assert trial.time_s == 7.0
+        assert [(length, why) for _, length, why in trial.pauses] == [(100.0, "the robot tripped")]
+
+
+def test_a_simulation_that_ended_in_a_pause_keeps_the_time_before_it(tmp_path: Path) -> None:
+    hours, simulation = Hours(), FakeSimulation()
+    with open_study(tmp_path, console_plan()) as store:
+        store.clock = hours.clock()
+        service = SessionService(store, operator="P01", teleop=simulation)
+        walk(service, store, "trial")
+        hours.at += 5
+        give(service, store, "pause", reason="the glove slipped")
+        hours.at += 100
+        simulation.done("not-done", 0.0, 60.0)  # its clock goes on
+        give(service, store, "resume")
+        service.watch()
+        give(service, store, "score", line="failed")
+        assert store.progress("P01").trials[0].time_s == 5.0
+
+
+def test_a_block_that_ends_early_leaves_the_next_one_due(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
+    with pytest.raises(StudyError, match="score or void"):
+        give(service, store, "end_block", reason="no time")
+    walk(service, store, "questionnaire")
+    with pytest.raises(StudyError, match="for a reason"):
+        give(service, store, "end_block", reason="")
+    give(service, store, "end_block", reason="the glove broke")
+    progress = store.progress("P01")
+    assert progress.step.block == progress.blocks[1]
+    assert progress.ended_early["card", 1][1] == "the glove broke"
+    blocks = service.look()[0]["overview"][0]["blocks"]
+    assert [block["state"] for block in blocks] == ["left", "on"]
+    last = progress.undoable
+    assert last is not None
+    give(service, store, "undo", number=last.number)
+    assert store.progress("P01").step.what == "questionnaire"
+
+
+def test_the_hand_is_calibrated_again_between_trials_only(
+    store: StudyStore, tmp_path: Path
+) -> None:
+    teleop = FakeTeleop()
+    service = SessionService(store, operator="P01", teleop=teleop)
+    walk(service, store, "trial")
+    with pytest.raises(StudyError, match="trial 1"):
+        give(service, store, "recalibrate", detail="new.json")
+    walk(service, store, "questionnaire")
+    file = tmp_path / "new.json"
+    file.write_text("{}")
+    give(service, store, "recalibrate", detail=str(file))
+    asked = [fields for do, fields in teleop.asked if do == "calibration"]
+    assert asked == [{"path": str(file)}]
+    assert [detail for _, _, detail in store.progress("P01").recalibrations] == [str(file)]
+    assert store.progress("P01").step.what == "questionnaire"
+
+
+# Who takes part.
+
+
+def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store: StudyStore) -> None:
+    kept = []
+    service = SessionService(store, operator="P01", enrolled=kept.append)
+    walk(service, store, "questionnaire")
+    walk(service, store, "trial")
+    give(service, store, "withdraw", keep=False, reason="felt dizzy")
+    shown, tablet = service.look()
+    assert [block["state"] for block in shown["overview"][0]["blocks"]] == ["next", "next"]
+    assert tablet["what"] == "done"
+    progress = store.progress("P01")
+    assert (progress.step.what, progress.busy, progress.begun) == ("withdrawn", False, None)
+    assert progress.withdrawn is not None
+    assert (progress.withdrawn.keep, progress.withdrawn.reason) == (False, "felt dizzy")
+    assert [trial.void is not None for trial in progress.trials] == [False, True]
+    with pytest.raises(StudyError, match="already"):
+        give(service, store, "withdraw", keep=True, reason="")
+    asked = Command("replace-1", "replace", "P01", None, {"by": "P09"})
+    service.carry_out(asked, "experimenter")
+    service.carry_out(asked, "experimenter")  # the answer was lost
+    assert service.operator == "P09"
+    assert store.plan.enrolment("P09").rows == store.plan.enrolment("P01").rows
+    assert store.progress("P09").replaces == "P01"
+    assert kept[-1] == store.plan
+    walk(service, store, "done", "P09")
+    with pytest.raises(StudyError, match="P09 has replaced P01"):
+        store.replace("P01", "P10")
+    choose(service, "P01")
+    last = store.progress("P01").undoable
+    assert last is not None
+    with pytest.raises(StudyError, match="P09 has replaced P01"):
+        give(service, store, "undo", number=last.number)
+
+
+def test_a_withdrawal_is_undone_with_the_trial_that_ran(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "trial")
+    give(service, store, "withdraw", keep=True, reason="")
+    last = store.progress("P01").undoable
+    assert last is not None
+    give(service, store, "undo", number=last.number)
+    assert store.progress("P01").step.what == "trial"
+    with pytest.raises(StudyError, match="has not withdrawn"):
+        store.replace("P01", "P10")
+    with pytest.raises(StudyError, match="begun already"):
+        store.append("P01", Replaces("P02"))
+
+
+def test_a_replacement_is_written_whole_or_not_at_all(
+    store: StudyStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.append("P01", Withdrawn(True))
+    plan = store.plan
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(store, "_insert", killed)  # the plan is written, the event is not
+        with pytest.raises(KeyboardInterrupt):
+            store.replace("P01", "P09")
+    with open_study(tmp_path) as again:
+        assert again.plan == plan
+        again.replace("P01", "P09")
+        assert again.plan.codes == (*plan.codes, "P09")
+        again.append("P02", Withdrawn(True))
+        with pytest.raises(StudyError, match="needs a new code"):
+            again.replace("P02", "P01")
+
+
+def test_who_comes_later_gets_the_row_of_who_was_left_out(store: StudyStore) -> None:
+    for code in ("P03", "P04", "P05"):
+        service = SessionService(store, operator="P01")
+        service.carry_out(Command(f"enrol-{code}", "enrol", code, None, {}), "experimenter")
+    rows = {code: dict(store.plan.enrolment(code).rows) for code in store.plan.codes}
+    other = next(code for code in rows if rows[code] != rows["P05"])
+    for gone in (other, next(c for c in rows if c != other and rows[c] == rows[other])):
+        store.append(gone, Withdrawn(False))
+    for code in ("P06", "P07", "P08"):
+        service.carry_out(Command(f"enrol-{code}", "enrol", code, None, {}), "experimenter")
+        assert store.plan.enrolment(code).rows == rows[other]
+
+
+# Who is on.
+
+
+def test_nobody_is_put_on_in_the_middle_of_a_trial_by_a_click(store: StudyStore) -> None:
+    teleop = FakeTeleop()
+    service = SessionService(store, operator="P02", teleop=teleop)
+    walk(service, store, "start_trial", "P02")  # the other method than that of P01
+    choose(service, "P01")
+    walk(service, store, "trial", "P01")
+    switched = len(teleop.switched)
+    with pytest.raises(StudyError, match="trial 1, card, block 1 of operator P01 is on"):
+        choose(service, "P02")
+    assert service.operator == "P01"
+    choose(service, "P02", confirm=True)
+    service.watch()
+    assert len(teleop.switched) == switched  # the hand stays with the trial that runs
+    for do in ("start_trial", "switch"):
+        with pytest.raises(StudyError, match="P01 was left in a trial"):
+            give(service, store, do)
+    assert len(teleop.switched) == switched
+    restarted = SessionService(store, teleop=teleop)  # knows it from the log
+    assert restarted.operator == "P02"
+    restarted.watch()
+    assert len(teleop.switched) == switched
+    choose(service, "P01")
+    give(service, store, "score", line="done")
+    choose(service, "P02")
+    give(service, store, "start_trial")
+    chosen = [(r.author, r.event) for r in store.records("P01") if isinstance(r.event, Chosen)]
+    assert chosen == [("experimenter", Chosen("P02", "P01"))] * 2
+    assert SessionService(store).operator == "P02"
+
+
+def test_a_console_that_comes_back_is_not_talked_out_of_a_trial(store: StudyStore) -> None:
+    walk(SessionService(store, operator="P01"), store, "trial")
+    restarted = SessionService(store)
+    restarted.propose("P02")
+    assert restarted.operator == "P01"
+
+
+def test_free_movement_of_who_was_left_ends_by_itself(tmp_path: Path) -> None:
+    hours = Hours()
+    with open_study(tmp_path, console_plan(seconds=60.0)) as store:
+        store.clock = hours.clock()
+        service = SessionService(store, operator="P01")
+        walk(service, store, "familiarise")
+        choose(service, "P02", confirm=True)
+        hours.at += 61
+        assert service.tick()
+        assert store.progress("P01").step.what == "start_trial"
+
+
+# What the scorer knows, and what the log keeps.
+
+
+def test_the_workload_is_not_shown_before_its_block_is_over(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "questionnaire")
+    walk(service, store, "trial")
+    view, _ = service.look()
+    assert [e["text"] for e in view["log"] if e["kind"] == "questionnaire_answered"] == [
+        "Questionnaire (initial) answered"
+    ]
+    while store.progress("P01").step.block == store.progress("P01").blocks[0]:
+        asked = due_command(store.progress("P01"))
+        assert asked is not None
+        service.carry_out(asked, "experimenter")
+    view, _ = service.look()
+    texts = [e["text"] for e in view["log"] if e["kind"] == "questionnaire_answered"]
+    assert all("workload" in text for text in texts)
+    assert "workload" in view["now"]["undoable"]["text"]
+
+
+def test_a_block_keeps_what_the_hand_said_it_runs(store: StudyStore) -> None:
+    teleop = FakeTeleop()
+    service = SessionService(store, operator="P01", teleop=teleop)
+    walk(service, store, "trial")
+    assert store.progress("P01").begun_with == (teleop.method, teleop.preset)
+
+
+def test_a_restarted_console_knows_what_the_hand_answered(store: StudyStore) -> None:
+    """Also where the plan leaves the preset to the method, and the hand calls it otherwise."""
+    first = {code: store.plan.blocks(code)[0].condition for code in store.plan.codes}
+    operator = next(code for code, condition in first.items() if condition.preset is None)
+
+    class Renamed(FakeTeleop):
+        def request(self, do: str, **fields: Any) -> dict[str, Any]:
+            answer = super().request(do, **fields)
+            if do == "method" and "preset" not in fields:
+                self.preset = "house"
+            return {**answer, "preset": self.preset}
+
+    teleop = Renamed()
+    walk(SessionService(store, operator=operator, teleop=teleop), store, "trial", operator)
+    switched, written = len(teleop.switched), store.progress(operator).number
+    restarted = SessionService(store, teleop=teleop)
+    restarted.watch()
+    assert len(teleop.switched) == switched
+    assert store.progress(operator).number == written
+    walk(restarted, store, "questionnaire", operator)
+    walk(restarted, store, "trial", operator)
+    assert len(teleop.switched) == switched
+
+
+def test_what_the_simulation_proposed_stays_when_it_is_overruled(store: StudyStore) -> None:
+    simulation = FakeSimulation()
+    service = SessionService(store, operator="P01", teleop=simulation)
+    walk(service, store, "trial")
+    simulation.done("done", 1.0, 12.25)
+    service.watch()
+    give(service, store, "score", line="failed")
+    trial = store.progress("P01").trials[-1]
+    assert (trial.line, trial.score) == ("failed", 0.0)
+    assert (trial.proposed_line, trial.proposed_score) == ("done", 1.0)
+
+
+def test_undone_events_are_counted_by_condition(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    walk(service, store, "questionnaire")
+    for _ in range(2):
+        last = store.progress("P01").undoable
+        assert last is not None
+        give(service, store, "undo", number=last.number)
+    condition = store.progress("P01").blocks[0].condition.name
+    assert store.progress("P01").undone() == {condition: 2}
+
+
+def test_a_study_of_before_still_opens(tmp_path: Path) -> None:
+    plan = replace(console_plan())
+    with open_study(tmp_path, plan) as store:
+        walk(SessionService(store, operator="P01"), store, "questionnaire")
+        store.append("P01", Noted("x"))
+    with sqlite3.connect(tmp_path / "study.db") as database:
+        database.execute("DROP TRIGGER events_never_change")
+        for number, kind, text in database.execute("SELECT id, kind, payload FROM events"):
+            values = json.loads(text)
+            new = {"block_started": ("method", "preset"),
+                   "trial_scored": ("proposed_line", "proposed_score")}  # fmt: skip
+            for name in new.get(kind, ()):
+                del values[name]
+            database.execute(
+                "UPDATE events SET payload = ? WHERE id = ?", (json.dumps(values), number)
+            )
+    with open_study(tmp_path) as again:
+        assert again.progress("P01").step.what == "questionnaire"
+        assert again.progress("P01").begun_with is None

@@ -1,0 +1,233 @@
+"""Forms on the operator's page, and NASA-TLX in its published words or another language's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from study_console import command, console_plan, due_command, served
+from test_study_console import kinds, walk
+from test_study_console_browser import Pages
+
+from smooth_operator.cli import main
+from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.design.default_forms import DEFAULT_FORMS
+from smooth_operator.study.design.forms import Form, FormField
+from smooth_operator.study.design.plan import Plan
+from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
+from smooth_operator.study.store.events import Weighed
+from smooth_operator.study.store.nasa_tlx import PAIRS, SCALES
+from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.study_store import StudyStore
+from smooth_operator.study.store.tlx_words import read_words, shown_pairs
+
+SURVEY = Form(
+    "survey",
+    "after",
+    (
+        FormField("liked", "Did you like it?", "scale", low="no", high="yes", steps=5),
+        FormField("ranking", "Which was best?", "ranking", required=True),
+        FormField("said", 'Say "more"'),
+    ),
+)
+
+
+def form_plan(*forms: Form, **more: Any) -> Plan:
+    plan = console_plan(**more)
+    return replace(plan, protocol=replace(plan.protocol, forms=forms))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[StudyStore]:
+    with open_study(tmp_path, form_plan(*DEFAULT_FORMS[:2], SURVEY)) as made:
+        yield made
+
+
+def answer(service: SessionService, store: StudyStore, form: str, **answers: object) -> None:
+    asked = command(store.progress("P01"), "form", form=form, answers=answers)
+    service.carry_out(asked, "operator")
+
+
+def test_forms_come_before_and_after_and_a_plan_keeps_them(store: StudyStore) -> None:
+    assert plan_of(plan_table(store.plan), "x") == store.plan
+    service = SessionService(store, operator="P01")
+    assert store.progress("P01").step.form == "consent"
+    answer(service, store, "consent", agreed=True, recordings=False)
+    answer(service, store, "about-you", age=31, writes_with="left")
+    walk(service, store, "form")
+    progress = store.progress("P01")
+    assert progress.step.form == "survey"
+    assert not progress.over
+    labels = [condition.label for condition in store.plan.protocol.conditions]
+    answer(service, store, "survey", ranking=labels[::-1], liked=4)
+    progress = store.progress("P01")
+    assert progress.step.what == "done"
+    assert progress.ranking() == ("secrettwo", "secretone")
+    assert progress.forms["about-you"][1] == {"age": 31, "writes_with": "left"}
+
+
+def test_nothing_starts_without_consent_and_a_slip_is_undone(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    answer(service, store, "consent", agreed=False, recordings=True)
+    assert store.progress("P01").step.what == "refused"
+    for do in ("calibrated", "start_break", "form"):
+        fields = {"task": "card", "detail": ""} if do == "calibrated" else {}
+        fields = {"form": "about-you", "answers": {}} if do == "form" else fields
+        with pytest.raises(StudyError, match="refused"):
+            service.carry_out(command(store.progress("P01"), do, **fields), "experimenter")
+    service.carry_out(command(store.progress("P01"), "undo", number=1), "experimenter")
+    assert store.progress("P01").step.form == "consent"
+
+
+@pytest.mark.parametrize(
+    ("answers", "why"),
+    [
+        ({"ranking": ["Oak"]}, "each of these once"),
+        ({"ranking": [], "liked": 6}, "from 1 to 5"),
+        ({"ranking": [], "liked": "4"}, "from 1 to 5"),
+        ({"ranking": [], "said": 3}, "expected a text"),
+        ({"ranking": [], "other": 3}, "no field 'other'"),
+    ],
+)
+def test_what_does_not_answer_a_form_is_refused(answers: dict[str, Any], why: str) -> None:
+    with pytest.raises(StudyError, match="'ranking' is not answered"):
+        SURVEY.check({}, ["Oak", "Elm"])
+    SURVEY.check({}, ["Oak"])  # nothing to rank
+    with pytest.raises(StudyError, match=why):
+        SURVEY.check(answers, [])
+
+
+@pytest.mark.parametrize(
+    ("made", "why"),
+    [
+        ({"kind": "choice"}, "two choices or more"),
+        ({"kind": "text", "choices": ("a", "b")}, "nothing else"),
+        ({"kind": "tick"}, "kind must be one of text"),
+        ({"label": " "}, "needs a label"),
+        ({"kind": "number", "least": 2, "most": 1}, "least is 2, most 1"),
+    ],
+)
+def test_what_is_no_field_is_refused(made: dict[str, Any], why: str) -> None:
+    with pytest.raises(StudyError, match=why):
+        FormField(**{"name": "x", "label": "y", **made})
+
+
+def test_study_new_writes_forms_unless_asked_not_to(tmp_path: Path) -> None:
+    options = ["--conditions", "sbr", "dexpilot", "--tasks", "A:3", "--operators", "4"]
+    assert main(["study", "new", str(tmp_path / "a"), *options]) == 0
+    assert read_plan(tmp_path / "a").protocol.forms == DEFAULT_FORMS
+    assert main(["study", "new", str(tmp_path / "b"), *options, "--no-forms"]) == 0
+    assert read_plan(tmp_path / "b").protocol.forms == ()
+
+
+# NASA-TLX.
+
+
+def test_the_words_are_the_published_ones() -> None:
+    by = {scale.name: scale for scale in SCALES}
+    effort = "How hard did you have to work to accomplish your level of performance?"
+    assert by["effort"].question == effort
+    done = "How successful were you in accomplishing what you were asked to do?"
+    assert by["performance"].question == done
+    assert (by["performance"].low, by["performance"].high) == ("Perfect", "Failure")
+    felt = "How insecure, discouraged, irritated, stressed, and annoyed were you?"
+    assert by["frustration"].question == felt
+
+
+def test_order_and_side_of_the_pairs_are_drawn_for_each_person(tmp_path: Path) -> None:
+    drawn = [shown_pairs(0, f"P{k:02d}") for k in range(40)]
+    assert all({frozenset(pair) for pair in pairs} == set(map(frozenset, PAIRS)) for pairs in drawn)
+    assert len({tuple(map(frozenset, pairs)) for pairs in drawn}) == 40
+    turned = sum(pair not in PAIRS for pairs in drawn for pair in pairs) / 600
+    assert 0.4 < turned < 0.6
+    with open_study(tmp_path, console_plan(weights=True)) as store:
+        service = SessionService(store, operator="P01")
+        walk(service, store, "weights")
+        asked = due_command(store.progress("P01"))
+        assert asked is not None
+        service.carry_out(asked, "operator")
+        (event,) = [r.event for r in store.records("P01") if isinstance(r.event, Weighed)]
+        assert event.shown == tuple("-".join(pair) for pair in shown_pairs(0, "P01"))
+
+
+def german(folder: Path, name: str, scales: dict[str, Any]) -> Path:
+    path = folder / name
+    if name.endswith(".json"):
+        path.write_text(json.dumps({"scales": scales, "texts": {"send": "Absenden"}}))
+    else:
+        lines = ["[texts]", 'send = "Absenden"']
+        for scale, parts in scales.items():
+            lines += [f"[scales.{scale}]", *(f"{n} = {json.dumps(v)}" for n, v in parts.items())]
+        path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("name", ["tlx-de.toml", "tlx-de.json"])
+def test_another_language_is_read_from_a_file(tmp_path: Path, name: str) -> None:
+    part = {"title": "T", "question": "F?", "low": "gering", "high": "hoch"}
+    scales = {scale.name: {**part, "title": scale.name.upper()} for scale in SCALES}
+    words = read_words(german(tmp_path, name, scales))
+    assert [scale.title for scale in words.scales] == [s.name.upper() for s in SCALES]
+    assert (words.texts["send"], words.texts["back"]) == ("Absenden", "Back")
+    plan = console_plan()
+    with open_study(tmp_path, plan) as store:
+        service = SessionService(store, operator="P01", words=words)
+        walk(service, store, "questionnaire")
+        assert service.look()[1]["scales"][0]["low"] == "gering"
+    del scales["effort"]
+    with pytest.raises(StudyError, match=r"scales\.effort: is missing"):
+        read_words(german(tmp_path, name, scales))
+    scales["effort"] = {**part, "low": ""}
+    with pytest.raises(StudyError, match=r"scales\.effort\.low: expected a text"):
+        read_words(german(tmp_path, name, scales))
+    with pytest.raises(SmoothOperatorError, match="no words of NASA-TLX at"):
+        read_words(tmp_path / name.replace("de", "fr"))
+
+
+@pytest.mark.browser
+def test_an_operator_fills_in_forms_and_ranks(chromium: Any, tmp_path: Path) -> None:
+    forms = (DEFAULT_FORMS[0], SURVEY)
+    with open_study(tmp_path, form_plan(*forms, weights=True)) as store:
+        service = SessionService(store, operator="P01")
+        with served(service) as port:
+            pages = Pages(chromium, port)
+            page, operator = pages.experimenter, pages.operator
+            pages.step("Form: consent")
+            send = operator.get_by_role("button", name="Send my answers")
+            operator.get_by_role("heading", name="Consent").wait_for()
+            assert send.is_disabled()
+            for question in operator.locator("fieldset").all():
+                question.get_by_label("Yes").check()
+            send.click()
+            pages.step("Calibration")
+            walk(service, store, "weights")
+            pages.step("Pairs of scales")
+            for left, _ in shown_pairs(0, "P01"):  # the left one of each pair
+                title = next(scale.title for scale in SCALES if scale.name == left)
+                operator.locator('[data-key="pair-0"]', has_text=title).click()
+            operator.get_by_role("button", name="Send my choices").click()
+            pages.step("Block 2 of 2")
+            wanted = [next(a for a, b in shown_pairs(0, "P01") if {a, b} == {*p}) for p in PAIRS]
+            assert store.progress("P01").winners["card", 1] == tuple(wanted)
+            walk(service, store, "form")
+            pages.step("Form: survey")
+            labels = [condition.label for condition in store.plan.protocol.conditions]
+            for label in labels[::-1]:
+                assert send.is_disabled()
+                operator.locator(f'[data-key="rank-{label}"]').click()
+            operator.get_by_label('Say "more"').fill("<b>fine</b>")
+            send.click()
+            pages.step("Done")
+            assert "secret" not in operator.content()
+            assert not pages.problems
+            pages.context.close()
+            assert page is not None
+        progress = store.progress("P01")
+        assert progress.ranking() == ("secrettwo", "secretone")
+        assert progress.forms["survey"][1]["said"] == "<b>fine</b>"
+        assert kinds(store)[0] == "form_answered"

@@ -1,0 +1,103 @@
+"""``analysis.R`` in the folder of results gives the report's figures in R, to its own precision."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from study_cases import simulate, write_rows
+
+from smooth_operator.study.analysis import analyze_study
+from smooth_operator.study.analysis.output import write_analysis
+from smooth_operator.study.data import read_study
+
+PACKAGES = ("lme4", "lmerTest", "geepack", "emmeans", "mvtnorm")
+KEYS = ("mode", "outcome", "scope", "retargeter", "pair", "name")
+ABSOLUTE = {"p": 1e-6, "p_raw": 1e-6, "p_holm": 1e-6, "p_dunnett": 1e-5}
+"""Probabilities; all else is compared relative to its size, limits to the standard error."""
+RELATIVE = {"df": 1e-4, "lower": 1e-4, "upper": 1e-4}
+
+
+def needs_r() -> None:
+    if shutil.which("Rscript") is None:
+        pytest.skip("R is not installed")
+    wanted = ", ".join(f"'{name}'" for name in PACKAGES)
+    asked = f"for (n in c({wanted})) if (!nzchar(system.file(package = n))) cat(n, '')"
+    done = subprocess.run(
+        ["Rscript", "-e", asked], capture_output=True, text=True, check=True, timeout=300
+    )
+    if done.stdout.strip():
+        pytest.skip(f"R has no package {done.stdout.strip()}")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a small study: a baseline that is not the first by name, one retargeter fails."""
+    made = tmp_path_factory.mktemp("r")
+    names = ("ako", "hybrid", "sbr")
+    case = simulate(
+        5, operators=range(7), retargeters=names, spread=0.9, keep=lambda i, t, r, n: t != "C"
+    )
+    never = [
+        {**row, "retargeter": "=never", "block": 4, "score": 0, "time_s": "",
+         "trial_global": int(str(row["trial_global"])) + 100}
+        for row in case.trials
+        if row["retargeter"] == "sbr"
+    ]  # fmt: skip
+    write_rows(made / "trials.csv", [*case.trials, *never])
+    write_rows(made / "tlx.csv", case.tlx)
+    out = made / "out"
+    out.mkdir()
+    write_analysis(analyze_study(read_study([made]), "sbr"), out, report=False)
+    return out
+
+
+def rows(path: Path) -> dict[tuple[str, ...], dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return {tuple(row.get(key, "") for key in KEYS): row for row in csv.DictReader(file)}
+
+
+def test_the_script_and_its_rows_are_written(folder: Path) -> None:
+    script = (folder / "analysis.R").read_text(encoding="utf-8")
+    assert 'baseline <- "sbr"' in script
+    assert "@" not in script.split("suppressMessages")[0]
+    with (folder / "rows_trials.csv").open(encoding="utf-8") as file:
+        trials = list(csv.DictReader(file))
+    assert {row["success"] for row in trials} == {"0", "1"}
+    assert all((row["time_s"] == "") == (row["success"] == "0") for row in trials)
+    assert {row["retargeter"] for row in trials} == {"ako", "hybrid", "sbr", "'=never"}
+
+
+def test_r_finds_the_same(folder: Path) -> None:
+    needs_r()
+    done = subprocess.run(
+        ["Rscript", str(folder / "analysis.R"), str(folder)],
+        capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for name in ("emm", "dunnett", "pairs", "coefficients"):
+        ours, theirs = rows(folder / f"{name}.csv"), rows(folder / f"R_{name}.csv")
+        assert ours.keys() == theirs.keys()
+        scopes = {key[:3] for key in ours}
+        assert {(m, o) for m, o, _ in scopes} == {
+            (mode, outcome)
+            for mode in ("small-sample", "paper")
+            for outcome in ("success", "time", "tlx")
+        }
+        for key, found in theirs.items():
+            for column in set(found) - set(KEYS):
+                mine, other = ours[key][column], found[column]
+                if column == "df" and key[0] == "paper":
+                    assert (mine, other) == ("", "Inf")
+                    continue
+                apart = abs(float(mine) - float(other))
+                if column not in ABSOLUTE:
+                    edge = column in ("lower", "upper")
+                    apart /= float(ours[key]["se"]) if edge else max(abs(float(mine)), 1e-9)
+                limit = ABSOLUTE.get(column, RELATIVE.get(column, 1e-5))
+                assert not math.isnan(apart)
+                assert apart < limit, (name, key, column, mine, other)

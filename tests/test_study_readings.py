@@ -1,0 +1,392 @@
+"""Further readings of a study: their arithmetic against R, plain loops and worked examples."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from study_cases import Row, simulate, write_rows
+
+from smooth_operator.errors import StudyError
+from smooth_operator.study.analysis import Analysis, analyze_study
+from smooth_operator.study.analysis.frame import make_frame
+from smooth_operator.study.analysis.readings import reading_rows
+from smooth_operator.study.analysis.readings.clusters import clustered_wald, model_wald
+from smooth_operator.study.analysis.readings.covariates import usable_fields
+from smooth_operator.study.analysis.readings.cumulative_logit import fit_cumulative_logit
+from smooth_operator.study.analysis.readings.equivalence import equivalences
+from smooth_operator.study.analysis.readings.order_effects import OrderEffects, balance
+from smooth_operator.study.analysis.readings.parts import Refused
+from smooth_operator.study.analysis.readings.preference import Preference, preference
+from smooth_operator.study.analysis.readings.rater_agreement import Agreement, agreement
+from smooth_operator.study.analysis.readings.resampling import operator_weights
+from smooth_operator.study.analysis.readings.survival import (
+    CENSORED,
+    COMPETING,
+    SUCCESS,
+    incidence,
+)
+from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess
+from smooth_operator.study.analysis.results import Pair, ScopeResult
+from smooth_operator.study.analysis.spearman import correlation_within
+from smooth_operator.study.data import read_study
+from smooth_operator.study.data.participants import SecondRatings
+from smooth_operator.study.design.forms import Form, FormField
+from smooth_operator.study.design.protocol import Condition, Protocol, Task
+
+# ordinal::clm of R 4.2.2 on simulate(5, operators=range(9), effect=0.6).
+CLM = (
+    -0.729436330769084, 0.507446021116941, 0.474247028082150, 0.861804695575139,
+    1.111666577090065, -0.458428353390803, -0.516206474223755, -0.101537921355185,
+)  # fmt: skip
+CLM_LOG_LIKELIHOOD = -567.060753135052
+
+
+@pytest.fixture(scope="module")
+def nine() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Design, level of the score, and operator of each trial."""
+    rows = simulate(5, operators=range(9), effect=0.6).trials
+    column = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    frame = make_frame(
+        column["score"].astype(float), column["retargeter"], column["task"], column["operator"],
+        column["trial_global"].astype(float), "dexpilot",
+    )  # fmt: skip
+    return frame.design()[0], np.unique(frame.outcome, return_inverse=True)[1], frame.group
+
+
+def test_the_ordinal_model_is_that_of_r(
+    nine: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    design, level, group = nine
+    fit = fit_cumulative_logit(design[:, 1:], level, group)
+    np.testing.assert_allclose(fit.parameters, CLM, rtol=1e-9)
+    assert fit.log_likelihood == pytest.approx(CLM_LOG_LIKELIHOOD, rel=1e-12)
+
+
+def test_its_covariance_is_mancl_and_derouens_where_the_outcome_has_two_levels(
+    nine: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    sm = pytest.importorskip("statsmodels.api")
+    design, level, group = nine
+    success = (level >= 1).astype(int)
+    fit = fit_cumulative_logit(design[:, 1:], success, group)
+    gee = sm.GEE(
+        success, design, groups=group, family=sm.families.Binomial(),
+        cov_struct=sm.cov_struct.Independence(),
+    ).fit(cov_type="bias_reduced", ddof_scale=0, ctol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(fit.beta, gee.params[1:], rtol=1e-9)
+    np.testing.assert_allclose(np.diag(fit.covariance), np.diag(gee.cov_robust_bc), rtol=1e-9)
+
+
+def test_an_ordinal_model_with_infinite_odds_is_refused() -> None:
+    level = np.repeat([0, 1, 2, 2], 10)
+    design = (level == 2).astype(float)[:, None]
+    with pytest.raises(StudyError, match="separation"):
+        fit_cumulative_logit(design, level, np.arange(40) % 5)
+
+
+def slow_incidence(times: list[float], events: list[int], until: float) -> float:
+    """Aalen and Johansen's estimate, one row after another."""
+    left, reached = 1.0, 0.0
+    for time in sorted(set(times)):
+        if time > until:
+            break
+        at_risk = sum(t >= time for t in times)
+        ended = [e for t, e in zip(times, events, strict=True) if t == time and e != CENSORED]
+        reached += left * ended.count(SUCCESS) / at_risk
+        left *= 1 - len(ended) / at_risk
+    return reached
+
+
+def test_the_incidence_of_weighted_samples_is_that_of_repeated_rows() -> None:
+    rng = np.random.default_rng(4)
+    times = rng.integers(1, 15, 60).astype(float)  # with ties
+    events = rng.choice([CENSORED, SUCCESS, COMPETING], 60)
+    weights = rng.integers(0, 3, (5, 60)).astype(float)
+    weights[4] = 0
+    found = incidence(times, events, weights)
+    for k in range(4):
+        repeated = np.repeat(np.arange(60), weights[k].astype(int))
+        rows = times[repeated].tolist(), events[repeated].tolist()
+        for until in (0.5, 3.0, 7.5, 40.0):
+            assert found.at(until)[k] == pytest.approx(slow_incidence(*rows, until), abs=1e-12)
+        steps = np.arange(0, 10, 0.5)  # times are whole: the curve is constant in between
+        waited = sum(0.5 * (1 - slow_incidence(*rows, t)) for t in steps)
+        assert found.restricted_mean(10.0)[k] == pytest.approx(waited, abs=1e-12)
+    assert np.isnan(found.at(3.0)[4])
+    assert np.isnan(found.restricted_mean(10.0)[4])
+
+
+def test_a_failure_counts_with_the_limit_and_never_as_a_quick_end() -> None:
+    times, events = np.array([10.0, 2.0]), np.array([SUCCESS, COMPETING])
+    found = incidence(times, events, np.ones((1, 2)))
+    assert found.restricted_mean(60.0)[0] == pytest.approx((10 + 60) / 2)
+    assert found.at(30.0)[0] == 0.5
+    censored = incidence(times, np.array([SUCCESS, CENSORED]), np.ones((1, 2)))
+    assert censored.restricted_mean(60.0)[0] == pytest.approx(10)
+
+
+def test_operators_are_drawn_whole_and_the_first_sample_is_everybody() -> None:
+    weights = operator_weights(7, seed=3, draws=50)
+    assert weights.shape == (51, 7)
+    assert (weights[0] == 1).all()
+    assert (weights.sum(axis=1) == 7).all()
+    assert len(np.unique(weights, axis=0)) > 40
+    np.testing.assert_array_equal(weights, operator_weights(7, seed=3, draws=50))
+
+
+def pair(a: str, b: str, difference: float, se: float, df: float) -> Pair:
+    return Pair(a, b, difference, se, df, difference / se, 0.5, 0.5, 0.1, "small")
+
+
+def test_equivalence_is_two_one_sided_tests() -> None:
+    result = ScopeResult(
+        pairs={
+            "base-one": pair("base", "one", -0.02, 0.04, 17.0),
+            "base-two": pair("base", "two", -0.02, 0.03, 17.0),
+            "one-two": pair("one", "two", 0.0, 0.2, 17.0),
+        }
+    )
+    found = equivalences(result, "base", 0.1)
+    assert list(found) == ["one-base", "two-base", "one-two"]
+    one = found["one-base"]
+    # qt(0.95, 17) and pt(-2, 17) of R
+    assert one.difference == 0.02
+    assert one.upper == pytest.approx(0.02 + 1.739606726 * 0.04)
+    assert one.p == pytest.approx(0.0308693032651, rel=1e-9)
+    assert one.p_holm == pytest.approx(one.p)
+    assert found["two-base"].p_holm == pytest.approx(2 * found["two-base"].p)
+    for test in found.values():
+        inside = test.lower > -0.1 and test.upper < 0.1
+        assert test.equivalent == inside == (test.smallest_margin < 0.1)
+    assert found["one-two"].equivalent is False
+    assert found["one-two"].p_holm is None
+    without = equivalences(result, "base", None)["one-base"]
+    assert (without.p, without.equivalent) == (None, None)
+    assert without.smallest_margin == one.smallest_margin
+
+
+def test_joint_tests_are_those_of_one_difference_where_there_is_one() -> None:
+    test = clustered_wald(np.array([0.6]), np.array([[0.04]]), 12)
+    assert (test.f, test.df1, test.df2) == (pytest.approx(9.0), 1, 11)
+    assert test.p == pytest.approx(0.0120798394719, rel=1e-9)  # 2 * pt(-3, 11)
+    same = model_wald(np.array([0.6]), np.array([[0.04]]), np.eye(1), lambda _: 11.0)
+    assert (same.f, same.p) == (pytest.approx(test.f), pytest.approx(test.p))
+    with pytest.raises(StudyError, match="too few"):
+        clustered_wald(np.ones(5), np.eye(5), 5)
+
+
+def test_kappa_is_cohens() -> None:
+    # Cohen 1968 with three categories: 1 - sum(w o) / sum(w e), here by hand.
+    first = np.array([0, 0, 0.5, 0.5, 1, 1, 1, 0, np.nan])
+    second = np.array([0, 0.5, 0.5, 1, 1, 1, 0, 0, 1])
+    found = agreement(first, second, np.array(list("aabbccddd")))
+    assert isinstance(found, Agreement)
+    assert (found.n, found.operators) == (8, 4)
+    assert found.agreed == pytest.approx(5 / 8)
+    chance = (3 * 3 + 2 * 2 + 3 * 3) / 64
+    assert found.kappa_unweighted.estimate == pytest.approx((5 / 8 - chance) / (1 - chance))
+    apart = (0.5 + 0.5 + 1) / 8
+    by_chance = (0.5 * (3 * 2 + 2 * 3 + 2 * 3 + 3 * 2) + 1.0 * (3 * 3 + 3 * 3)) / 64
+    assert found.kappa.estimate == pytest.approx(1 - apart / by_chance)
+    assert found.table["1"] == {"0": 1, "0.5": 0, "1": 2}
+    alike = agreement(np.ones(4), np.ones(4), np.array(list("aabb")))
+    assert isinstance(alike, Refused)
+
+
+def test_rankings_become_strengths() -> None:
+    rankings = {f"P{i}": ("b", "a", "c") for i in range(7)}
+    rankings |= {"P7": ("a", "b", "c"), "P8": ("b", "a")}
+    found = preference(rankings, ("a", "b", "c"))
+    assert isinstance(found, Preference)
+    assert (found.operators, found.left_out) == (8, 1)
+    assert found.mean_rank["a"].estimate == pytest.approx(15 / 8)
+    assert found.wins["b"] == {"a": 7, "c": 8}
+    # friedman.test of R: 12 / (8 * 3 * 4) * sum((R - 16)^2) with R = 15, 9, 24
+    assert found.friedman == pytest.approx(12 / 96 * (1 + 49 + 64))
+    assert found.kendall_w == pytest.approx(found.friedman / 16)
+    assert found.p < 0.001
+    shares = {name: one.estimate for name, one in found.strength.items()}
+    assert sum(shares.values()) == pytest.approx(1)
+    # At the maximum of the likelihood expected wins are the counted ones (half a win each added).
+    expected = sum(9 * shares["b"] / (shares["b"] + shares[other]) for other in "ac")
+    assert expected == pytest.approx(16, rel=1e-6)
+    assert isinstance(preference({"P1": ("a", "b")}, ("a", "b")), Refused)
+
+
+def test_two_operators_who_disagree_prefer_nothing() -> None:
+    found = preference({"P1": ("a", "b"), "P2": ("b", "a")}, ("a", "b"))
+    assert isinstance(found, Preference)
+    assert (found.friedman, found.p, found.kendall_w) == (0, 1, 0)
+
+
+def test_the_realised_order_is_counted() -> None:
+    blocks = {
+        ("P1", "A", 1): "a", ("P1", "A", 2): "b", ("P2", "A", 1): "b", ("P2", "A", 2): "a",
+        ("P3", "A", 1): "a", ("P1", "B", 1): "b", ("P1", "B", 2): "a",
+    }  # fmt: skip
+    found = balance(blocks, ("a", "b"))
+    assert found.places == {"a": {"1": 2, "2": 2}, "b": {"1": 2, "2": 1}}
+    assert found.after == {"a": {"": 2, "a": 0, "b": 2}, "b": {"": 2, "a": 1, "b": 0}}
+
+
+@pytest.fixture(scope="module")
+def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
+    """A study with everything that a reading can use."""
+    case = simulate(2, operators=range(12), retargeters=("dexpilot", "sbr", "hybrid"))
+    lines = {1: "done", 0.5: "nearly", 0: "dropped"}
+    trials: list[Row] = [
+        row
+        | {
+            "duration_s": row["time_s"] or 20 + int(str(row["trial_global"])),
+            "line": "not-done" if row["score"] == 0 and i % 2 else lines[row["score"]],  # type: ignore[index]
+        }
+        for i, row in enumerate(case.trials)
+    ]
+    folder = tmp_path_factory.mktemp("study")
+    files = [write_rows(folder / "trials.csv", trials), write_rows(folder / "tlx.csv", case.tlx)]
+    data = read_study(files)
+    names = [f"P{i:02d}" for i in range(12)]
+    plan = Protocol(
+        name="x",
+        conditions=tuple(Condition(name) for name in ("sbr", "dexpilot", "hybrid")),
+        baseline="dexpilot",
+        tasks=tuple(Task(name, trials=6, time_limit_s=60.0) for name in "ABC"),
+        operators=12,
+        margins={"success": 0.15, "tlx": 10.0},
+    )
+    seconds = SecondRatings(
+        data.trials.operator[::3], data.trials.task[::3], data.trials.block[::3],
+        data.trials.trial_in_block[::3], np.roll(data.trials.score[::3], 1),
+    )  # fmt: skip
+    return analyze_study(
+        replace(
+            data,
+            plan=plan,
+            forms={who: {"years": i % 5, "glove": "SML"[i % 3]} for i, who in enumerate(names)},
+            ranking=dict.fromkeys(names, ("sbr", "hybrid", "dexpilot")),
+            second_ratings=seconds,
+        )
+    )
+
+
+def test_correlations_within_operators_leave_out_what_operators_differ_in() -> None:
+    # Operators who score high have a high metric, but each ranks retargeters against it.
+    points = [
+        (f"P{i}", name, 10.0 * i + j, 10.0 * i - j)
+        for i in range(6)
+        for j, name in enumerate("abc")
+    ]
+    found = correlation_within(points, seed=1, draws=500)
+    assert found["rho"] == pytest.approx(-1)
+    assert (found["n"], found["operators"]) == (18, 6)
+    assert found["p"] == pytest.approx(2 / 64, abs=0.025)  # two of 2^6 changes of signs
+    flat = [(who, name, 1.0, y) for who, name, _, y in points]
+    assert "refused" in correlation_within(flat, seed=1, draws=10)
+
+
+def test_a_difference_that_depends_on_the_task_is_warned_of() -> None:
+    case = simulate(8, operators=range(8), retargeters=("dexpilot", "sbr"))
+    rows = [
+        row | {"time_s": f"{float(str(row['time_s'])) + 25:.2f}"}
+        if row["time_s"] and row["task"] == "A" and row["retargeter"] == "sbr"
+        else row
+        for row in case.trials
+    ]
+    study = read_study([], texts=[("made up", json.dumps({"trials": rows}))])
+    small = analyze_study(study).results["small-sample"]
+    assert any("depend on the task" in text for text in small["time"]["pooled"].warnings)
+    assert not any("depend on the task" in text for text in small["success"]["pooled"].warnings)
+
+
+def test_what_one_retargeter_leaves_is_refused_and_never_an_error() -> None:
+    """The other never succeeds, so sensitivity fits of success have one retargeter."""
+    rows = [
+        row | {"score": 0, "time_s": ""} if row["retargeter"] == "sbr" else row
+        for row in simulate(8, operators=range(6), retargeters=("dexpilot", "sbr")).trials
+    ]
+    study = read_study([], texts=[("made up", json.dumps({"trials": rows}))])
+    readings = analyze_study(study).readings
+    assert isinstance(readings.interaction["success"], Refused)
+    assert isinstance(readings.order["success"], Refused)
+    assert isinstance(readings.ordinal["pooled"], Refused)
+    assert readings.full_success["pooled"].separated["sbr"].rate == 0
+    found = readings.time_to_success["pooled"]
+    assert isinstance(found, TimeToSuccess)
+    assert found.by_limit["sbr"].estimate == 0
+
+
+def test_only_what_was_asked_before_is_a_covariate() -> None:
+    answers = {
+        f"P{i}": {"years": i, "hand": "LR"[i % 2], "why": f"text {i}", "liked": i, "order": ["a"]}
+        for i in range(6)
+    }
+    assert usable_fields(answers) == ["years", "hand", "liked"]
+    before = Form("you", "before", (
+        FormField("years", "Years", kind="number"),
+        FormField("hand", "Hand", kind="choice", choices=("L", "R")),
+        FormField("why", "Why"),
+    ))  # fmt: skip
+    after = Form("end", "after", (FormField("liked", "Liked", kind="number"),))
+    assert usable_fields(answers, (before, after)) == ["years", "hand"]
+
+
+def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
+    content = analysis.to_json()["readings"]
+    json.dumps(content, allow_nan=False)
+
+    def refused(entry: object) -> bool:
+        if isinstance(entry, dict):
+            return bool(entry.get("refused")) or any(map(refused, entry.values()))
+        return False
+
+    assert [name for name, entry in content.items() if refused(entry)] == []
+    assert all(content.values())
+    time = content["time_to_success"]["pooled"]
+    assert time["planned"]
+    assert set(time["limits"].values()) == {60.0}
+    for name, one in time["restricted_mean"].items():
+        # Those who were still at it might have succeeded later, never earlier than they gave up.
+        assert one["estimate"] > time["if_gone_on"][name]["estimate"]
+        assert one["lower"] < one["estimate"] < one["upper"]
+    assert content["equivalence"]["success"]["A"]["sbr-dexpilot"]["margin"] == 0.15
+    assert content["equivalence"]["time"]["A"]["sbr-dexpilot"]["margin"] is None
+    assert set(content["covariates"]) == {"years", "glove"}
+    assert content["covariates"]["glove"]["time"]["test"]["df1"] == 2
+    assert content["covariates"]["years"]["tlx"]["slope"]["df"] < 12
+    assert content["second_rater"]["n"] == len(analysis.data.trials.score[::3])
+    assert content["preference"]["mean_rank"]["sbr"]["estimate"] == 1
+
+
+def test_readings_agree_with_the_models_where_they_are_the_same(analysis: Analysis) -> None:
+    readings, small = analysis.readings, analysis.results["small-sample"]
+    for outcome in ("success", "time", "tlx"):
+        order = readings.order[outcome]
+        assert isinstance(order, OrderEffects)
+        for name, test in small[outcome]["pooled"].dunnett.items():
+            assert order.without[name].estimate == pytest.approx(test.difference, rel=1e-6)
+            assert order.without[name].se == pytest.approx(test.se, rel=1e-5)
+    trials = analysis.data.trials
+    rows = (trials.task == "A") & (trials.retargeter == "sbr")
+    followed = np.where(trials.success[rows], trials.time[rows], 60.0)
+    found = readings.time_to_success["A"]
+    assert isinstance(found, TimeToSuccess)
+    assert found.restricted_mean["sbr"].estimate == pytest.approx(followed.mean())
+    observed = readings.full_success["pooled"].observed["sbr"]["mean"]
+    assert observed == np.mean(trials.score[trials.retargeter == "sbr"] == 1)
+
+
+def test_the_table_of_readings_names_every_figure(analysis: Analysis) -> None:
+    rows = reading_rows(analysis.readings)
+    assert {row["reading"] for row in rows} == set(vars(analysis.readings))
+    (one,) = [
+        row
+        for row in rows
+        if (row["reading"], row["where"], row["term"])
+        == ("time_to_success", "pooled/difference", "sbr")
+    ]
+    found = analysis.readings.time_to_success["pooled"]
+    assert isinstance(found, TimeToSuccess)
+    assert one["upper"] == found.difference["sbr"].upper
