@@ -106,16 +106,19 @@ def few_optimisations() -> Iterator[None]:
     """
     import jax
 
+    from smooth_operator.compilation import batching
     from smooth_operator.methods import shared
 
-    option = "jax_disable_most_optimizations"
-    before, programs = jax.config.read(option), dict(shared._known)
-    shared._known.clear()
+    option, made = "jax_disable_most_optimizations", (shared._known, batching._programs)
+    before, programs = jax.config.read(option), [dict(each) for each in made]
+    for known in made:
+        known.clear()
     jax.config.update(option, True)
     yield
     jax.config.update(option, before)
-    shared._known.clear()
-    shared._known.update(programs)
+    for known, each in zip(made, programs, strict=True):
+        known.clear()
+        known.update(each)
 
 
 @pytest.fixture(scope="module")

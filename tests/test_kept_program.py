@@ -151,6 +151,26 @@ def test_what_jax_took_from_its_own_cache_is_not_kept(folder: Path, tmp_path: Pa
         jax.config.update("jax_compilation_cache_dir", before)
 
 
+@pytest.mark.parametrize(
+    ("setting", "other"),
+    [("jax_disable_most_optimizations", False), ("jax_default_matmul_precision", "float32")],
+)
+def test_other_settings_of_jax_are_other_programs(folder: Path, setting: str, other: Any) -> None:
+    """Some settings have an attribute of their own, others are known by `values` alone."""
+    traced: list[int] = []
+    call(program(traced))
+    before = jax.config.values[setting]
+    assert before != other
+    jax.config.update(setting, other)
+    try:
+        call(program(traced))
+    finally:
+        jax.config.update(setting, before)
+    assert len(traced) == len(list(folder.iterdir())) == 2
+    call(program(traced))
+    assert len(traced) == 2
+
+
 def test_only_the_newest_are_kept(tmp_path: Path) -> None:
     cache = ProgramCache(tmp_path, most_bytes=200)
     for number, name in enumerate("abcd"):

@@ -164,8 +164,9 @@ class KeptProgram:
 def _file_name(key: str, signature: _Signature) -> str:
     config: Any = jax.config
     settings = {
-        name: repr(getattr(config, name, None))  # not of config.values: a thread may have its own
-        for name in sorted(config.values)
+        # a thread may have its own value, which is an attribute; some settings have only the process's
+        name: repr(getattr(config, name, value))
+        for name, value in sorted(config.values.items())
         if not any(word in name for word in _ELSEWHERE)
     }
     device = signature.device
