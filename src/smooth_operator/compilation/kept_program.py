@@ -164,7 +164,7 @@ class KeptProgram:
 def _file_name(key: str, signature: _Signature) -> str:
     config: Any = jax.config
     settings = {
-        # a thread may have its own value, which is an attribute; some settings have only the process's
+        # an attribute holds the thread's own value; settings without one have the process's alone
         name: repr(getattr(config, name, value))
         for name, value in sorted(config.values.items())
         if not any(word in name for word in _ELSEWHERE)
