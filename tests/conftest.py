@@ -54,7 +54,8 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as `nohup pytest &` sta
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 LONG_FILES = (
-    "test_paper_quick.py", "test_hand_matrix.py", "test_operator_profile.py", "test_ablations.py",
+    "test_paper_quick.py", "test_hand_matrix.py", "test_lint.py", "test_operator_profile.py",
+    "test_ablations.py",
     "test_retarget_folder.py", "test_smooth_terms.py", "test_slsqp_method.py",
     "test_published_methods.py",
     "test_attainable.py", "test_rest_pose.py", "test_calibration.py", "test_virtual_operator.py",
