@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -353,6 +354,28 @@ def test_two_programs_on_one_bus(
     again = make()
     again.open({"right": hand}, {})  # a process that died has no lock
     again.close()
+
+
+def test_a_bus_is_free_while_its_device_is_lost(
+    make: Callable[..., FakeHandSink], tmp_path: Path, hand: Hand
+) -> None:
+    """The port of a hand that is unplugged may be the next one that is plugged in."""
+    with Driven(make(), hand) as driven:
+        driven.tick = tick_at(hand, 10.0)
+        driven.fake.gone.set()
+        until(lambda: "the cable was pulled" in driven.sink.note)
+        taken: list[BusLock] = []
+
+        def take() -> bool:
+            with contextlib.suppress(SinkError):  # it was just tried again
+                taken.append(BusLock(str(tmp_path / "port")))
+            return bool(taken)
+
+        until(take)
+        driven.fake.gone.clear()
+        until(lambda: "in use by another run" in driven.sink.note)
+        taken[0].release()
+        until(lambda: driven.sink.state("right"))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")

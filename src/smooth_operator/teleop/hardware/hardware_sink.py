@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Literal
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
 from smooth_operator.teleop.hardware.device import HandDevice
 from smooth_operator.teleop.hardware.guard import GuardSettings
@@ -66,7 +65,6 @@ class HardwareSink(Sink):
     _statistics: BusStatistics = field(
         default_factory=BusStatistics, init=False, repr=False, compare=False
     )
-    _lock: BusLock | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         try:
@@ -155,15 +153,10 @@ class HardwareSink(Sink):
         guard = GuardSettings(self.approach, self.speed, self.contact)
         settings = WorkerSettings(1.0 / table.rate, self.silence_s, self.lost_s, guard)
         worker = HandWorker(
-            self.label, device, bound, side, hands[side].name, settings, self._statistics
+            self.label, device, self.bus, bound, side, hands[side].name, settings, self._statistics
         )
-        lock = BusLock(self.bus)
-        try:
-            worker.start()
-        except BaseException:
-            lock.release()
-            raise
-        self._set(_worker=worker, _lock=lock)
+        worker.start()
+        self._set(_worker=worker)
 
     def send(self, tick: Tick) -> None:
         """Leave the command for the thread; takes microseconds, whatever the bus does.
@@ -184,14 +177,10 @@ class HardwareSink(Sink):
 
     def close(self) -> None:
         """Bring the hand to rest as its table says, and give the bus back."""
-        worker, lock = self._worker, self._lock
-        self._set(_worker=None, _lock=None)
-        try:
-            if worker is not None:
-                worker.end()
-        finally:
-            if lock is not None:
-                lock.release()
+        worker = self._worker
+        self._set(_worker=None)
+        if worker is not None:
+            worker.end()
 
     def _side(self, hands: Mapping[Side, Hand]) -> Side:
         if self.side is not None:

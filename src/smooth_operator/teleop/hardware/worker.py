@@ -13,6 +13,7 @@ import numpy as np
 
 from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.actuator_map import BoundMap, Rest
+from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
@@ -69,6 +70,8 @@ class HandWorker:
     Args:
         label: for messages.
         device: the hand; only the thread touches it.
+        bus: what only one program may use at a time (``BusLock``). It is locked while the device is
+            open: a port that is gone may come back as another device's.
         actuators: its map.
         side: of the hand.
         hand: name of the robot hand.
@@ -85,6 +88,7 @@ class HandWorker:
         self,
         label: str,
         device: HandDevice,
+        bus: str,
         actuators: BoundMap,
         side: Side,
         hand: str,
@@ -95,6 +99,8 @@ class HandWorker:
         self.reading: Reading | None = None
         self.statistics = BusStatistics() if statistics is None else statistics
         self._label, self._device, self._map = label, device, actuators
+        self._bus = bus
+        self._lock: BusLock | None = None
         self.side = side
         self._hand, self._settings = hand, settings
         self._guard = CommandGuard(actuators, settings.guard)
@@ -118,6 +124,7 @@ class HandWorker:
         self._thread.start()
         if not self._opened.wait(_OPENING_S):
             self._ending = True  # as soon as it comes back
+            self._release()
             raise SinkError(
                 f"{self._label}: no answer for {_OPENING_S:g} s while it was opened; check its "
                 "power and cable, then start again"
@@ -152,6 +159,7 @@ class HandWorker:
             self._change.notify()
         self._thread.join(_CLOSING_S)
         if self._thread.is_alive():
+            self._release()
             raise SinkError(f"{self._label}: the bus does not answer; the hand was left as it is")
 
     @property
@@ -271,6 +279,8 @@ class HandWorker:
                     raise DeviceLostError(str(error)) from error
 
     def _open(self) -> None:
+        if self._lock is None:
+            self._lock = BusLock(self._bus)
         try:
             self._call(self._device.open)
         except WrongAnswerError:
@@ -306,6 +316,12 @@ class HandWorker:
     def _close(self) -> None:
         with contextlib.suppress(Exception):  # of a device that is gone, and must not raise
             self._device.close()
+        self._release()
+
+    def _release(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.release()
 
     def _rest(self, rest: Rest) -> None:
         self._call(self._device.hold if rest == "hold" else self._device.relax)
