@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError, install_command
-from smooth_operator.parallel import TaskResult, run_tasks, usable_cores
+from smooth_operator.parallel import TaskResult, cluster, run_tasks, usable_cores
 
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 
@@ -329,6 +329,31 @@ def test_ray_is_the_pool(tmp_path: Path) -> None:
     assert [r.attempts for r in results] == [1, 1, 2, 1, 1]
     assert results[1].error == "ValueError: the first line and the second"
     assert (results[3].error or "").startswith("MissingExtraError: this needs")
+
+
+def test_a_local_cluster_that_starts_slowly_is_started_again() -> None:
+    class Ray:
+        """Ray, on a machine that is too slow for it ``slow`` times."""
+
+        def __init__(self, slow: int) -> None:
+            self.slow, self.calls = slow, list[str]()
+
+        def is_initialized(self) -> bool:
+            return False
+
+        def init(self, address: str, **options: object) -> None:
+            self.calls.append(f"init {address}")
+            if self.calls.count(self.calls[-1]) <= self.slow:
+                raise RuntimeError("The current node timed out during startup.")
+
+        def shutdown(self) -> None:
+            self.calls.append("shutdown")
+
+    once, twice = Ray(1), Ray(2)
+    with cluster.connected(once, "local", 2):
+        assert once.calls == ["init local", "shutdown", "init local"]
+    with pytest.raises(WorkerError, match="timed out"), cluster.connected(twice, "local", 2):
+        pass
 
 
 def on_ray(task: Any) -> Any:

@@ -119,12 +119,46 @@ def looped(
     return TeleopLoop(pipelines, source, SinkRunner(sinks, retry_s=retry_s), config)
 
 
+class WakingTime:
+    """How long a thread of this machine waits for a core after another one has woken it."""
+
+    def __enter__(self) -> WakingTime:
+        self._called, self._done = threading.Event(), threading.Event()
+        self._at, self._waits = 0.0, list[float]()
+        self._threads = [threading.Thread(target=f) for f in (self._call, self._answer)]
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def _call(self) -> None:
+        while not self._done.wait(1 / RATE):
+            self._at = time.perf_counter()
+            self._called.set()
+        self._called.set()
+
+    def _answer(self) -> None:
+        while not self._done.is_set():
+            self._called.wait()
+            self._called.clear()
+            self._waits.append(time.perf_counter() - self._at)
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        for thread in self._threads:
+            thread.join()
+
+    @property
+    def median_ms(self) -> float:
+        return 1e3 * float(np.median(self._waits))
+
+
 def test_every_frame_is_answered_soon(
     retargeters: dict[Side, Retargeter], frames: list[HandFrame]
 ) -> None:
     sink, log = Keeper(), Keeper(observes=True)
     loop = looped(retargeters, Player(frames), sink, log)
-    loop.run(duration=1.0)
+    with WakingTime() as machine:
+        loop.run(duration=1.0)
     answered = [tick for tick in sink.ticks if tick.status is not None]
     assert len(answered) >= 0.7 * RATE  # a busy machine may lose some, and says so
     assert loop.mailbox.overwritten + len(answered) >= loop.mailbox.received - 1
@@ -135,8 +169,9 @@ def test_every_frame_is_answered_soon(
     seen = next(tick for tick in log.ticks if tick.status is not None)
     assert list(seen.stages) == ["tracker", "receive", "solve", "limit", "send"]
     assert len(log.ticks) == len(sink.ticks)
+    # Half a period at most, and what threads of a busy machine wait for a core.
     summary = loop.statistics.summary()
-    assert summary["added_latency_ms"]["p50"] < 10
+    assert summary["added_latency_ms"]["p50"] < 10 + 5 * machine.median_ms
     assert (sink.opened, sink.closed) == (1, 1)
 
 

@@ -638,6 +638,13 @@ def palm_side(landmarks: np.ndarray) -> float:
     return float((landmarks[[8, 12, 16, 20]] - landmarks[[5, 9, 13, 17]]).sum(0) @ normal)
 
 
+COUNT_PICTURES = """
+window.pictures = 0;
+const count = () => { window.pictures += 1; window.requestAnimationFrame(count); };
+count();
+"""
+
+
 @pytest.mark.browser
 def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) -> None:
     page = new_headset(chromium, emulator)
@@ -663,16 +670,16 @@ def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) 
     begin = time.perf_counter()
     sides: tuple[Side, ...] = ("left", "right")
 
-    lately = 0
-    while lately < 15 or time.perf_counter() < begin + 1.5:
-        # A low floor, since the machine may be busy; benchmarks/webxr.py has what it reaches.
-        assert time.perf_counter() < begin + 15, f"{lately} frames a second at most"
+    page.evaluate(COUNT_PICTURES)
+    while time.perf_counter() < begin + 1.5 or min(map(len, seen.values())) < 20:
+        assert time.perf_counter() < begin + 60, {side: len(seen[side]) for side in sides}
         host.mailbox.wait(sides, 0.1)
         for side in sides:
             if (arrival := host.mailbox.take(side)) is not None:
                 seen[side].append(arrival)
-        since = time.perf_counter() - 1.0
-        lately = min(sum(a.received > since for a in seen[side]) for side in sides)
+    # Of the pictures that the browser had time for; benchmarks/webxr.py has what it reaches.
+    pictures = page.evaluate("window.pictures")
+    assert min(map(len, seen.values())) >= 0.5 * pictures, pictures
     for side, sign in (("left", -1), ("right", 1)):
         arrivals = seen[side]
         stamps = np.array([a.frame.stamp for a in arrivals])

@@ -135,7 +135,7 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
                 with warnings.catch_warnings():
                     # JAX's, of its threads; what Ray forks becomes another program immediately.
                     warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
-                    ray.init(address=cluster, **options)
+                    _connect(ray, cluster, options)
             except Exception as error:  # ConnectionError, RuntimeError, ...: as Ray likes
                 raise WorkerError(
                     f"can't reach the Ray cluster {cluster!r} ({describe(error)}); expected "
@@ -146,6 +146,21 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
             yield
         finally:
             ray.shutdown()
+
+
+def _connect(ray: Any, cluster: str, options: dict[str, Any]) -> None:
+    """``ray.init``; a local cluster that started too slowly is started a second time.
+
+    Ray gives its own processes 30 seconds, which a busy machine may exceed once, while their files
+    are read for the first time.
+    """
+    try:
+        ray.init(address=cluster, **options)
+    except Exception as error:
+        if cluster != LOCAL or "timed out" not in str(error):
+            raise
+        ray.shutdown()
+        ray.init(address=cluster, **options)
 
 
 @contextlib.contextmanager
