@@ -108,7 +108,8 @@ class ServoBank:
         corrupt: status packets from now on whose checksum is wrong.
         delay: of each answer [s].
         fast: whether they know the fast sync read.
-        goals: (time, id -> goal, how far from the servos) of every write of goals [steps].
+        goals: (time, id -> goal, how far from the servos that take it) of every write of goals
+            [steps].
     """
 
     def __init__(self, numbers: list[int]) -> None:
@@ -189,9 +190,11 @@ class ServoBank:
             for k in range(4, len(data), size + 1):
                 value = data[k + 1 : k + 1 + size]
                 if data[k] in self.servos and data[k] not in self.silent:
-                    self.servos[data[k]].write(address, value)
+                    refused = self.servos[data[k]].write(address, value)
                     goals[data[k]] = int.from_bytes(value, "little", signed=True)
-                    ahead = max(ahead, abs(goals[data[k]] - self.servos[data[k]].position))
+                    if not refused:
+                        way = abs(goals[data[k]] - self.servos[data[k]].position)
+                        ahead = max(ahead, way)
             if address == 116:
                 self.goals.append((time.perf_counter(), goals, ahead))
             return b""

@@ -139,6 +139,19 @@ def _measured(run: Run) -> np.ndarray:
     return state.positions
 
 
+def test_servos_that_stopped_themselves_follow_again(bank: ServoBank, hand: Hand) -> None:
+    """A machine that stood still longer than the servos' watchdog allows: they refuse goals then."""
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.4)
+        run.until(lambda: calm(run.sink) and run.at(0.4))
+        for servo in bank.servos.values():
+            servo.table[98] = 255
+        run.tick = tick_at(hand, 0.6)
+        run.until(lambda: run.sink.figures["device_lost"])
+        assert "stopped themselves" in run.sink.note
+        run.until(lambda: calm(run.sink) and run.at(0.6))
+
+
 def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None:
     with Run(bank, hand) as run:
         beyond = np.full(len(hand.joint_names), 9.0)

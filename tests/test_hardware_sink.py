@@ -24,6 +24,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.worker import HandWorker
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
@@ -216,6 +217,31 @@ def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(
         until(lambda: "tried again" not in sink.note and "approaches" not in sink.note)
         assert not driven.errors
         assert sink.figures["device_lost"] >= 1
+
+
+def test_after_a_stall_of_the_thread_it_begins_where_the_hand_is_by_then(
+    make: Callable[..., FakeHandSink], hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that stands still for a moment: the hand has gone on, or has fallen back."""
+    stall, pace = threading.Event(), HandWorker._pace
+
+    def pacing(worker: HandWorker, cycle: float) -> None:
+        pace(worker, cycle)
+        if stall.is_set():
+            time.sleep(0.3)
+            driven.fake.positions[:] = 180.0
+            stall.clear()
+
+    monkeypatch.setattr(HandWorker, "_pace", pacing)
+    with Driven(make(approach=5.0), hand) as driven:
+        driven.tick = tick_at(hand, 30.0)
+        until(lambda: driven.fake.count("write") and calm(driven.sink))
+        stall.set()
+        until(lambda: not stall.is_set())
+        written = driven.fake.count("write")
+        until(lambda: driven.fake.count("write") > written)
+        first = driven.fake.commands()[written]
+        assert np.abs(first - 180.0).max() <= np.rad2deg(5.0) * 2 * PERIOD + 1e-6
 
 
 def test_wrong_answers_are_counted_and_many_are_a_lost_device(

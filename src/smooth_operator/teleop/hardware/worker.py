@@ -239,7 +239,10 @@ class HandWorker:
                 rest = self._at_rest(newest, cycle)
                 if rest is None and newest is not None:
                     # A bus that stood still as long as a silence is a return, too.
-                    if not moving or cycle - last > self._settings.silence_s:
+                    late = cycle - last > self._settings.silence_s
+                    if late and moving:  # and it has moved on since it was read
+                        reading = self._ask()
+                    if late or not moving:
                         self._guard.start(reading.positions)
                         last = cycle - self._settings.period
                     moving = True

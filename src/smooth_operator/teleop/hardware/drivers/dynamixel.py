@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
@@ -39,7 +40,13 @@ _PER_UNIT: Final = {"step": 1.0, "rad": STEPS / (2 * math.pi), "deg": STEPS / 36
 
 _SETTINGS: Final = ("baud", "current_unit", "watchdog", "kp", "ki", "kd")
 _SLOW_EVERY: Final = 25
-"""Cycles between two looks at temperatures, and at errors."""
+"""Cycles between two looks at what changes slowly."""
+
+_SLOW: Final = (HARDWARE_ERROR, BUS_WATCHDOG, TEMPERATURE)
+"""What is looked at in turns."""
+
+_STRUCK: Final = 255
+"""What a servo's watchdog register holds once it has stopped the servo."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +124,7 @@ class DynamixelHand:
         self._powered = False
         self._held = False
         self._cycle = 0
+        self._written = 0.0  # when goals were written last
         self._temperatures: Float[np.ndarray, " a"] | None = None
         self._errors: tuple[str, ...] = ()
 
@@ -149,10 +157,9 @@ class DynamixelHand:
         self._look(TEMPERATURE)
 
     def read(self) -> Reading:
-        """Positions, velocities and currents; temperatures and errors in turns."""
+        """Positions, velocities and currents; temperatures, errors and watchdogs in turns."""
         if self._cycle % _SLOW_EVERY == _SLOW_EVERY - 1:
-            late = (self._cycle // _SLOW_EVERY) % 2
-            self._look(TEMPERATURE if late else HARDWARE_ERROR)
+            self._look(_SLOW[self._cycle // _SLOW_EVERY % len(_SLOW)])
         self._cycle += 1
         rows = self._bus.get(PRESENT)
         numbers = [
@@ -169,8 +176,16 @@ class DynamixelHand:
         )
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
-        """Goal positions; the first ones switch the torque on."""
+        """Goal positions; the first ones switch the torque on.
+
+        Raises:
+            DeviceLostError: the servos' watchdogs have stopped them, since nothing reached them for
+                too long. They refuse goals until they are opened again.
+        """
         goals = [round(value * self._scale) for value in commands.tolist()]
+        before, self._written = self._written, time.perf_counter()
+        if self._powered and self._written - before > 0.5 * self._watchdog:
+            self._look(BUS_WATCHDOG)
         if not self._powered:
             self._bus.set(BUS_WATCHDOG, 0)  # one that has struck refuses goals
             self._bus.set(TORQUE, 1)
@@ -204,6 +219,12 @@ class DynamixelHand:
         values = self._bus.get_numbers(register)
         if register == TEMPERATURE:
             self._temperatures = np.array(values, float)
+            return
+        if register == BUS_WATCHDOG:
+            if self._powered and _STRUCK in values:
+                raise DeviceLostError(
+                    f"the servos stopped themselves: nothing reached them for {self._watchdog:g} s"
+                )
             return
         self._errors = tuple(
             f"{name}: {errors_of(bits)}; switch its power off and on"
