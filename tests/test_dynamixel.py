@@ -140,7 +140,7 @@ def _measured(run: Run) -> np.ndarray:
 
 
 def test_servos_that_stopped_themselves_follow_again(bank: ServoBank, hand: Hand) -> None:
-    """A machine that stood still longer than the servos' watchdog allows: they refuse goals then."""
+    """A machine stood still longer than the servos' watchdog allows: they refuse goals then."""
     with Run(bank, hand) as run:
         run.tick = tick_at(hand, 0.4)
         run.until(lambda: calm(run.sink) and run.at(0.4))
