@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,24 @@ class Ledger:
     acknowledged: dict[str, int] = field(default_factory=dict)
     refused: Counter[str] = field(default_factory=Counter)
     changed_answers: int = 0
+    intended: Counter[str] = field(default_factory=Counter)
+
+    def mean(self, do: str, operator: str, fields: Mapping[str, Any]) -> None:
+        """What a page is about to be made to ask for."""
+        self.intended[_key(do, operator, fields)] += 1
+
+    def surprises(self) -> list[str]:
+        """What pages asked for and were not made to, or the other way round."""
+        asked = Counter(
+            _key(one["do"], one["operator"], one["fields"]) for one in self.sent.values()
+        )
+        return [f"asked for, and not meant: {key}" for key in (asked - self.intended).elements()] + [
+            f"meant, and not asked for: {key}" for key in (self.intended - asked).elements()
+        ]
+
+    def scores(self) -> list[str]:
+        """Tokens of the scores that were acknowledged."""
+        return [token for token in self.acknowledged if self.sent[token]["do"] == "score"]
 
     def asked(self, said: dict[str, Any]) -> None:
         if said.get("type") == "command":
@@ -48,6 +67,11 @@ class Ledger:
             if said["do"] in EVENTS:
                 found[said["operator"], number] = {**said, "token": token}
         return found
+
+
+def _key(do: str, operator: str, fields: Mapping[str, Any]) -> str:
+    known = {name: fields[name] for name in sorted(fields) if name not in ("number", "confirm", "point")}
+    return f"{do} of {operator}: {json.dumps(known)}"
 
 
 def expected(

@@ -1,0 +1,260 @@
+"""The two pages of a study in headless Chromium, read and used as people do: by sight, keys, clicks.
+
+A page is waited for by what it shows, never by a fixed time. What the scripts mean to do goes into
+``Ledger.intended``, so that a page that asks for something else is found out.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import shutil
+from dataclasses import dataclass
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+from soak_study_ledger import Ledger
+
+FLAGS = (
+    "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync",
+    "--disable-component-update", "--disable-renderer-backgrounding",
+    "--disable-background-timer-throttling", "--disable-backgrounding-occluded-windows",
+)  # fmt: skip
+PATIENCE_MS = 120_000.0
+SHOWN = """() => {
+    const q = (s) => document.querySelector(s);
+    const text = (s) => q(s)?.textContent ?? '';
+    const step = q('#step');
+    if (!step.dataset.what && !text('#step h2')) return null;
+    return {
+        what: step.dataset.what ?? '', where: q('#step .where')?.innerText ?? '',
+        heading: text('#step h2'), link: text('#link'), who: text('#who'),
+        dialog: q('#ask').open ? text('#ask-title') : '',
+        refused: q('#refused').hidden ? '' : text('#refused span'),
+        gone: q('#hand').hidden ? '' : text('#hand span'),
+        stopped: !!q('#step .clock.stopped'),
+        lines: [...document.querySelectorAll('.rubric button')].filter((b) => !b.disabled).map((b) => [b.dataset.press, b.dataset.key]),
+        keys: [...document.querySelectorAll('[data-press]')].filter((b) => !b.disabled).map((b) => b.dataset.press),
+        buttons: [...document.querySelectorAll('[data-key]')].filter((b) => !b.disabled).map((b) => b.dataset.key),
+        log: text('#log li .number'),
+    };
+}"""
+UNTIL = """async ([look, seen]) => {
+    const see = eval(look);
+    const end = performance.now() + 120000;
+    while (performance.now() < end) {
+        const shown = see(seen);
+        if (shown) return shown;
+        await new Promise((go) => setTimeout(go, 5));
+    }
+    throw new Error('it did not come about');
+}"""
+SETTLED = f"""(seen) => {{
+    const shown = ({SHOWN})();
+    if (!shown || !(shown.dialog || shown.link === 'connected')) return null;
+    return seen && JSON.stringify([shown.what, shown.where, shown.heading]) === seen ? null : shown;
+}}"""
+ASKED = """() => {
+    const form = document.querySelector('form.asked, form.tlx');
+    const free = form && [...form.querySelectorAll('input, textarea')].every((one) => !one.disabled);
+    if (!form || !free || document.querySelector('#link').textContent !== 'connected') return null;
+    return {tlx: form.classList.contains('tlx'), title: form.querySelector('h2').textContent};
+}"""
+SLIDERS = """(names) => names.map((name) => {
+    const one = document.querySelector(`#scale-${name}`);
+    one.scrollIntoView({block: 'center'});
+    const box = one.getBoundingClientRect();
+    return {left: box.left, y: box.top + box.height / 2, width: box.width, value: Number(one.value)};
+})"""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the experimenter's page shows."""
+
+    what: str
+    where: str
+    heading: str
+    link: str
+    who: str
+    dialog: str
+    refused: str
+    gone: str
+    stopped: bool
+    lines: list[list[str]]
+    keys: list[str]
+    buttons: list[str]
+    log: str
+
+    @property
+    def operator(self) -> str:
+        found = re.match(r"(?:Operator )?(\S+)", self.where)
+        return found[1] if found else ""
+
+    @property
+    def place(self) -> dict[str, Any]:
+        """Task, block and trial, as far as they can be read."""
+        found = re.search(r"Task (\S+)\s+block (\d+) of", self.where)
+        trial = re.match(r"Trial (\d+) of", self.heading)
+        place: dict[str, Any] = {} if found is None else {"task": found[1], "block": int(found[2])}
+        return place if trial is None else {**place, "trial": int(trial[1])}
+
+    @property
+    def step(self) -> tuple[str, ...]:
+        """Changes with what is due."""
+        return self.what, self.where, self.heading
+
+
+class Browser:
+    """Headless Chromium, with a window for each page."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        names = ("chromium", "chromium-browser", "google-chrome")
+        path = next(found for name in names if (found := shutil.which(name)))
+        self.ledger = ledger
+        self._driver = sync_playwright().start()
+        self._browser = self._driver.chromium.launch(executable_path=path, args=list(FLAGS))
+        self.problems: list[str] = []
+
+    def page(self, url: str, beside: Any = None, *, tall: bool = False) -> Any:
+        """A page that is open and connected.
+
+        Args:
+            url: its address.
+            beside: a page, with whose storage it is opened, as a second tab is.
+            tall: as a tablet.
+        """
+        size = {"width": 820, "height": 1180} if tall else {"width": 1280, "height": 900}
+        context = beside.context if beside else self._browser.new_context(viewport=size)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("websocket", self._listen)
+        page.goto(url)
+        page.locator("#link", has_text="connected").wait_for()
+        return page
+
+    def close(self) -> None:
+        self._browser.close()
+        self._driver.stop()
+
+    def _listen(self, socket: Any) -> None:
+        socket.on("framesent", lambda text: self.ledger.asked(_said(text)))
+        socket.on("framereceived", lambda text: self._hear(_said(text)))
+
+    def _hear(self, said: dict[str, Any]) -> None:
+        if said.get("type") in ("done", "refused"):
+            self.ledger.heard(said)
+
+
+class Desk:
+    """The experimenter's page."""
+
+    def __init__(self, browser: Browser, url: str, beside: Any = None) -> None:
+        self.page, self.ledger = browser.page(url, beside), browser.ledger
+
+    def look(self) -> Shown:
+        """What is there now."""
+        return Shown(**self.page.evaluate(SHOWN))
+
+    def settled(self) -> Shown:
+        """What is there once nothing is under way, or a dialog is open."""
+        return Shown(**self.page.evaluate(UNTIL, [SETTLED, None]))
+
+    def after(self, seen: Shown) -> Shown:
+        """What is there once another step is due."""
+        before = json.dumps(list(seen.step), ensure_ascii=False, separators=(",", ":"))
+        return Shown(**self.page.evaluate(UNTIL, [SETTLED, before]))
+
+    def press(self, key: str, do: str = "", **fields: Any) -> Shown:
+        """A key; says in the ledger what it should ask for."""
+        if do:
+            self.mean(do, **fields)
+        self.page.keyboard.press(key)
+        return self.settled()
+
+    def click(self, key: str, do: str = "", **fields: Any) -> Shown:
+        """A button, by the name that the page has for it."""
+        if do:
+            self.mean(do, **fields)
+        self.page.locator(f'[data-key="{key}"]:enabled').click()
+        return self.settled()
+
+    def answer(self, do: str = "", *, operator: str = "", given: dict[str, str] | None = None, **fields: Any) -> Shown:  # fmt: skip
+        """Fills in the dialog that is open, and confirms it."""
+        for name, value in (given or {}).items():
+            field = self.page.locator(f"#ask-{name}")
+            if field.evaluate("field => field.tagName") == "SELECT":
+                field.select_option(value)
+            else:
+                field.fill(value)
+        if do:
+            self.mean(do, operator=operator, **fields)
+        if given:
+            self.page.locator("#ask-yes").click()
+        else:
+            self.page.keyboard.press("Enter")  # the button has the focus
+        return self.settled()
+
+    def cancel(self) -> Shown:
+        """Leaves the dialog."""
+        self.page.locator("#ask-no").click()
+        return self.settled()
+
+    def mean(self, do: str, *, operator: str = "", **fields: Any) -> None:
+        """What is going to be asked for, of the operator who is on."""
+        self.ledger.mean(do, operator or self.look().operator, fields)
+
+
+class Tablet:
+    """The operator's page."""
+
+    def __init__(self, browser: Browser, url: str, draw: random.Random) -> None:
+        self.page, self.ledger, self._draw = browser.page(url, tall=True), browser.ledger, draw
+
+    def asked(self) -> dict[str, Any]:
+        """What the page asks now, once it does."""
+        found: dict[str, Any] = self.page.evaluate(UNTIL, [ASKED, None])
+        return found
+
+    def mark(self, ratings: dict[str, int]) -> None:
+        """Clicks on the scales, and sees to it that the marks are where they are meant to be."""
+        names = list(ratings)
+        for name in names:
+            [box] = self.page.evaluate(SLIDERS, [name])
+            x = box["left"] + 8.0 + (box["width"] - 16.0) * ratings[name] / 100.0
+            self.page.mouse.click(x, box["y"])
+        for name, box in zip(names, self.page.evaluate(SLIDERS, names), strict=True):
+            off = ratings[name] - int(box["value"])
+            for _ in range(abs(off) // 5):
+                self.page.locator(f"#scale-{name}").press("ArrowRight" if off > 0 else "ArrowLeft")
+
+    def fill(self, form: Any, answers: dict[str, Any]) -> None:
+        """Fills in a form of the plan."""
+        for field in form.fields:
+            if field.name not in answers:
+                continue
+            value = answers[field.name]
+            if field.kind == "ranking":
+                again = self.page.locator('[data-key="again"]')
+                if again.count():
+                    again.click()
+                for label in value:
+                    self.page.locator(f'[data-key="rank-{label}"]').click()
+            elif field.kind in ("consent", "choice", "scale"):
+                wanted = {True: "true", False: "false"}.get(value, str(value))
+                self.page.locator(f'input[name="{field.name}"][value="{wanted}"]').check()
+            else:
+                self.page.locator(f"#field-{field.name}").fill(str(value))
+
+    def send(self) -> None:
+        self.page.locator('button[data-key="submit"]:enabled').click()
+
+
+def _said(text: Any) -> dict[str, Any]:
+    try:
+        said = json.loads(text)
+    except (TypeError, ValueError):
+        return {}
+    return said if isinstance(said, dict) else {}
