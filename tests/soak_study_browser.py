@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from soak_study_pages import Browser, Desk, Shown, Tablet
+from soak_study_pages import Browser, Desk, Shown, Tablet, fill_form
 from soak_study_parts import SoakBase
 from study_console import ConsoleProcess, ratings
 
@@ -30,6 +30,7 @@ class BrowserSoak(SoakBase):
         self.times: dict[tuple[Any, ...], tuple[float, float]] = {}
         self.begun = 0.0
         self.tablet_disturbed = ""
+        self.papers: list[Any] = []
         self.disturbed = False
 
     def begin(self) -> None:
@@ -82,6 +83,8 @@ class BrowserSoak(SoakBase):
                 shown = self.choose(code)
                 continue
             if shown.what in ("done", "withdrawn"):
+                while self.papers:
+                    self.type_in(shown, self.papers.pop())
                 return
             shown = self.step(shown) or self.desk.settled()
         raise AssertionError(f"no end for {code}: {self.desk.look()}")
@@ -119,6 +122,8 @@ class BrowserSoak(SoakBase):
             return self.desk.press("b", "start_break", operator=shown.operator)
         if self.draw.random() < 0.01:
             self.note(shown, f"before {shown.heading}")
+        if self.papers and self.draw.random() < 0.05:
+            self.type_in(shown, self.papers.pop())
         self.disturbed = False
         kind = self.next_disturbance(shown)
         if kind == "kill at start":
@@ -191,7 +196,7 @@ class BrowserSoak(SoakBase):
         form = next(one for one in self.plan.protocol.forms if one.name == name)
         while self.tablet.asked()["title"] != (form.title or form.name):
             pass
-        answers = {one.name: self.answer(one) for one in form.fields}
+        answers = {one.name: self.answer(one, self.tablet.page) for one in form.fields}
         key = (shown.operator, name)
         kind = "" if key in self.seen else self.draw.choice(FORM_KINDS)
         self.seen.add(key)
@@ -199,6 +204,11 @@ class BrowserSoak(SoakBase):
         self.done["form: " + kind] += bool(kind) and (kind != "consent refused" or refused)
         if refused:
             answers["agreed"] = False
+        if kind == "paper":
+            self.desk.click("on-paper")
+            self.desk.answer("paper", operator=shown.operator, given={"who": "AB"}, form=name, who="AB")
+            self.papers.append(form)
+            return
         half = dict(list(answers.items())[: len(answers) // 2])
         if kind in ("reload", "kill before"):
             self.tablet.fill(form, half)
@@ -220,10 +230,26 @@ class BrowserSoak(SoakBase):
             self.take_back("a slip")
         elif kind == "undo":
             self.take_back("a wrong answer")
+        elif kind == "corrected":
+            self.type_in(self.desk.settled(), form, "misread")
 
-    def answer(self, asked: Any) -> Any:
+    def type_in(self, shown: Shown, form: Any, reason: str = "") -> None:
+        """A form from paper, or one that is there already and wrong, on the experimenter's page."""
+        self.desk.click(f"form-{form.name}")
+        page = self.desk.page
+        answers = {one.name: self.answer(one, page) for one in form.fields}
+        fill_form(page.locator("#paper"), form, answers)
+        given = {"who": "CD", **({"reason": reason} if reason else {})}
+        for name, text in given.items():
+            page.locator(f"#paper-{name}").fill(text)
+        self.desk.mean("form", operator=shown.operator, form=form.name, answers=answers, **given)
+        page.locator('#paper button[data-key="submit"]:enabled').click()
+        self.desk.settled()
+
+    def answer(self, asked: Any, page: Any) -> Any:
         if asked.kind == "ranking":
-            return self.tablet.page.evaluate(LABELS)
+            found = page.evaluate(LABELS)
+            return self.draw.sample(found, len(found))
         return {"consent": True, "number": self.draw.randrange(100, 121),
                 "choice": self.draw.choice(asked.choices or ("",))}.get(
             asked.kind, f"something {self.draw.randrange(1000)}"
@@ -376,13 +402,18 @@ class BrowserSoak(SoakBase):
         self.both(shown, desk)
 
     def both(self, shown: Shown, other: Desk) -> None:
+        """Both pages ask for a score before either hears of the other's."""
         before = len(self.ledger.scores())
-        for desk, (number, line) in zip((self.desk, other), (shown.lines[0], shown.lines[-1]),
-                                        strict=True):  # fmt: skip
-            desk.mean("score", operator=shown.operator, **shown.place, line=line)
-            desk.page.keyboard.press(number)
-            if desk.look().dialog:
-                desk.page.locator("#ask-yes").click()
+        (first, line), (second, other_line) = shown.lines[0], shown.lines[-1]
+        self.desk.mean("score", operator=shown.operator, **shown.place, line=line)
+        self.desk.page.keyboard.press(first)
+        asks = self.desk.look().dialog  # a question keeps the score back until it is answered
+        if asks:
+            other.mean("score", operator=shown.operator, **shown.place, line=other_line)
+            other.page.keyboard.press(second)
+            if other.look().dialog:
+                other.page.keyboard.press("Enter")
+            self.desk.page.keyboard.press("Enter")
         self.desk.after(shown)
         other.settled()
         self.desk.settled()
@@ -437,6 +468,7 @@ class BrowserSoak(SoakBase):
         self.tablet_disturbed = "kill"
 
 
-FORM_KINDS = ("", "", "consent refused", "reload", "kill", "kill before", "undo")
-LABELS = """() => [...document.querySelectorAll('[data-key^="rank-"]')].map((b) => b.dataset.key.slice(5)).reverse()"""
+FORM_KINDS = ("", "", "consent refused", "reload", "kill", "kill before", "undo", "paper",
+              "corrected")  # fmt: skip
+LABELS = """() => [...document.querySelectorAll('[data-key^="rank-"]')].map((b) => b.dataset.key.slice(5))"""
 OTHER_LINES = """() => [...document.querySelectorAll('#ask-line option')].filter((o) => !o.selected && !o.value.endsWith('after-reset')).map((o) => o.value)"""

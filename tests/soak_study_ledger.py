@@ -95,6 +95,28 @@ def expected(
     return lines, answers
 
 
+def expected_forms(events: dict[tuple[str, int], dict[str, Any]]) -> dict[Any, Any]:
+    """(operator, form) -> answers, and who typed them in, from what was acknowledged."""
+    undone = {
+        (who, said["fields"]["number"]) for (who, _), said in events.items() if said["do"] == "undo"
+    }
+    found = {}
+    for place, said in sorted(events.items()):
+        given = said["fields"]
+        if place not in undone and said["do"] == "form":
+            found[place[0], given["form"]] = (given["answers"], given.get("who"))
+    return found
+
+
+def _exported_forms(data: Path) -> dict[Any, Any]:
+    operators = json.loads((data / "study.json").read_text("utf-8"))["operators"]
+    return {
+        (one["operator"], name): (form["answers"], form["typed_by"])
+        for one in operators
+        for name, form in one["forms"].items()
+    }
+
+
 def compare(folder: Path, ledger: Ledger) -> list[str]:
     """What is stored or exported and was not acknowledged, or the other way round."""
     wrong: list[str] = []
@@ -128,6 +150,7 @@ def compare(folder: Path, ledger: Ledger) -> list[str]:
                     wrong.append(f"{place}: {name} {value!r} was stored as {kept!r}")
     wrong += [f"{place} is stored and was not acknowledged" for place in stored.keys() - events]
     lines, answers = expected(events)
+    wrong += _differences("forms of study.json", _exported_forms(data), expected_forms(events))
     with (data / "trials.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     exported = {

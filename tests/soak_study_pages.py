@@ -231,25 +231,29 @@ class Tablet:
                 self.page.locator(f"#scale-{name}").press("ArrowRight" if off > 0 else "ArrowLeft")
 
     def fill(self, form: Any, answers: dict[str, Any]) -> None:
-        """Fills in a form of the plan."""
-        for field in form.fields:
-            if field.name not in answers:
-                continue
-            value = answers[field.name]
-            if field.kind == "ranking":
-                again = self.page.locator('[data-key="again"]')
-                if again.count():
-                    again.click()
-                for label in value:
-                    self.page.locator(f'[data-key="rank-{label}"]').click()
-            elif field.kind in ("consent", "choice", "scale"):
-                wanted = {True: "true", False: "false"}.get(value, str(value))
-                self.page.locator(f'input[name="{field.name}"][value="{wanted}"]').check()
-            else:
-                self.page.locator(f"#field-{field.name}").fill(str(value))
+        fill_form(self.page.locator("#main"), form, answers)
 
     def send(self) -> None:
         self.page.locator('button[data-key="submit"]:enabled').click()
+
+
+def fill_form(place: Any, form: Any, answers: dict[str, Any]) -> None:
+    """Fills in a form of the plan, on either page."""
+    for field in form.fields:
+        if field.name not in answers:
+            continue
+        value = answers[field.name]
+        if field.kind == "ranking":
+            again = place.locator('[data-key="again"]')
+            if again.count():
+                again.click()
+            for label in value:
+                place.locator(f'[data-key="rank-{label}"]').click()
+        elif field.kind in ("consent", "choice", "scale"):
+            wanted = {True: "true", False: "false"}.get(value, str(value))
+            place.locator(f'input[name="{field.name}"][value="{wanted}"]').check()
+        else:
+            place.locator(f"#field-{field.name}").fill(str(value))
 
 
 def _said(text: Any) -> dict[str, Any]:

@@ -236,6 +236,15 @@ class Simulation(Sink):
         assert self._world is not None  # it has a scene
         self._world.put_away(side)
 
+    def freeze(self, side: Side, frozen: bool) -> None:
+        """Have hand and scene stand still, their clock included, or go on; raises as ``scene_of``.
+
+        Commands are heard meanwhile; the hand goes to the newest one when it goes on.
+        """
+        self._scene(side)
+        assert self._world is not None  # it has a scene
+        self._world.freeze(side, frozen)
+
     def _built(self, hand: Hand, task: str) -> HandPhysics:
         step, arm = 1.0 / self.rate, self._arms.get(hand.spec.side)
         if task != "none":
@@ -291,6 +300,7 @@ class _World:
         self._watchers: dict[Side, Watcher] = {}
         self._there: dict[Side, bool] = {}  # whether the object is to be put back or away
         self._targets: dict[Side, _Target | None] = {}
+        self._frozen: set[Side] = set()
         self._changed = threading.Lock()
         self._error: Exception | None = None
         self._ending = threading.Event()
@@ -329,6 +339,10 @@ class _World:
         with self._changed:
             self._there[side] = False
 
+    def freeze(self, side: Side, frozen: bool) -> None:
+        with self._changed:
+            (self._frozen.add if frozen else self._frozen.discard)(side)
+
     def end(self) -> None:
         self._ending.set()
         self._thread.join(2.0)
@@ -364,6 +378,13 @@ class _World:
 
     def _step(self, seconds: float, now: float) -> None:
         for side, physics in self.physics.items():
+            with self._changed:
+                frozen, asked = side in self._frozen, side in self._there
+            if frozen:
+                self.seen[side] = _measured(side, physics, now)
+                if asked and isinstance(physics, ScenePhysics):
+                    self._show(side, physics)  # the object may be put back meanwhile
+                continue
             if not physics.advance(seconds):
                 text = f"the physics of the {side} hand came apart and was set back"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
