@@ -39,6 +39,9 @@ def main() -> int:
         try:
             soak.begin()
             soak.run()
+        except BaseException:
+            print(*soak.wrong()[:20], sep="\n", flush=True)
+            raise
         finally:
             soak.close()
             if options.keep is not None:

@@ -153,6 +153,8 @@ class BrowserSoak(SoakBase):
 
     def score(self, shown: Shown) -> Shown:
         """Stops the clock and scores, as the simulation says or otherwise."""
+        if not shown.lines:
+            raise AssertionError(f"a trial that can't be scored: {shown}")
         if "r" in shown.keys and self.draw.random() < 0.1:
             self.disturbed = True
             shown = self.desk.press("r", "reset", operator=shown.operator, **shown.place)
@@ -248,6 +250,8 @@ class BrowserSoak(SoakBase):
 
     def answer(self, asked: Any, page: Any) -> Any:
         if asked.kind == "ranking":
+            if (again := page.locator('[data-key="again"]')).count():
+                again.click()
             found = page.evaluate(LABELS)
             return self.draw.sample(found, len(found))
         return {"consent": True, "number": self.draw.randrange(100, 121),
