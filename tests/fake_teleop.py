@@ -106,4 +106,5 @@ class FakeSimulation(FakeTeleop):
 def _ready(task: str | None) -> dict[str, Any]:
     limit = None if task is None else task_named(task).seconds
     return {"phase": "ready", "line": "not-done", "score": 0.0, "reason": "", "resets": 0,
-            "time_s": None, "limit_s": limit, "about": {}, "paused": False, "pauses": 0}  # fmt: skip
+            "time_s": None, "limit_s": limit, "about": {}, "paused": False,
+            "pauses": 0}  # fmt: skip

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from soak_study_pages import Browser, Desk, Shown, Tablet, fill_form
+from soak_study_pages import Browser, Desk, Shown, Tablet, fill_form, see
 from soak_study_parts import SoakBase
 from study_console import ConsoleProcess, ratings
 
@@ -21,6 +21,12 @@ KINDS = (
 )  # fmt: skip
 
 
+FORM_KINDS = (
+    "", "", "consent refused", "reload", "kill", "kill before", "undo", "paper", "corrected",
+)  # fmt: skip
+"""How a form is disturbed; drawn for each."""
+
+
 class BrowserSoak(SoakBase):
     """The experimenter and all operators, at two windows of Chromium."""
 
@@ -30,6 +36,7 @@ class BrowserSoak(SoakBase):
         self.times: dict[tuple[Any, ...], tuple[float, float]] = {}
         self.begun = 0.0
         self.tablet_disturbed = ""
+        self.odd: list[str] = []
         self.papers: list[Any] = []
         self.disturbed = False
 
@@ -43,7 +50,7 @@ class BrowserSoak(SoakBase):
 
     def wrong(self) -> list[str]:
         """Errors of the pages' scripts, and commands that nobody meant."""
-        return [*self.browser.problems, *self.ledger.surprises()]
+        return [*self.browser.problems, *self.odd, *self.ledger.surprises()]
 
     def close(self) -> None:
         self.browser.close()
@@ -154,7 +161,11 @@ class BrowserSoak(SoakBase):
     def score(self, shown: Shown) -> Shown:
         """Stops the clock and scores, as the simulation says or otherwise."""
         if not shown.lines:
-            raise AssertionError(f"a trial that can't be scored: {shown}")
+            page = self.desk.page
+            self.odd.append(f"can't be scored: {shown} {page.locator('main').inner_text()[:300]}")
+            print(self.odd[-1], self.browser.problems, flush=True)
+            page.locator(".rubric button:enabled").first.wait_for()
+            shown = self.desk.settled()
         if "r" in shown.keys and self.draw.random() < 0.1:
             self.disturbed = True
             shown = self.desk.press("r", "reset", operator=shown.operator, **shown.place)
@@ -208,7 +219,9 @@ class BrowserSoak(SoakBase):
             answers["agreed"] = False
         if kind == "paper":
             self.desk.click("on-paper")
-            self.desk.answer("paper", operator=shown.operator, given={"who": "AB"}, form=name, who="AB")
+            self.desk.answer(
+                "paper", operator=shown.operator, given={"who": "AB"}, form=name, who="AB"
+            )
             self.papers.append(form)
             return
         half = dict(list(answers.items())[: len(answers) // 2])
@@ -252,7 +265,7 @@ class BrowserSoak(SoakBase):
         if asked.kind == "ranking":
             if (again := page.locator('[data-key="again"]')).count():
                 again.click()
-            found = page.evaluate(LABELS)
+            found = see(page, "labels")
             return self.draw.sample(found, len(found))
         return {"consent": True, "number": self.draw.randrange(100, 121),
                 "choice": self.draw.choice(asked.choices or ("",))}.get(
@@ -361,7 +374,7 @@ class BrowserSoak(SoakBase):
         key = self.draw.choice([key for key in shown.buttons if key.startswith("amend-")])
         _, task, block, trial = key.split("-")
         self.desk.click(key)
-        lines = self.desk.page.evaluate(OTHER_LINES)
+        lines = see(self.desk.page, "otherLines")
         given = {"line": self.draw.choice(lines), "reason": "seen on the film", "who": "AB"}
         time_s = {} if self.draw.random() < 0.5 else {"time_s": self.draw.randrange(10, 400) / 8}
         text = {"time": str(time_s["time_s"])} if time_s else {}
@@ -449,9 +462,9 @@ class BrowserSoak(SoakBase):
             self.step(shown)
             shown = self.desk.settled()
         self.desk.click("end-block")
-        reason = "the glove broke"
-        self.desk.answer("end_block", operator=shown.operator, given={"reason": reason},
-                         reason=reason, task=shown.place["task"], block=shown.place["block"])  # fmt: skip
+        given = {"reason": "the glove broke"}
+        place = {name: shown.place[name] for name in ("task", "block")}
+        self.desk.answer("end_block", operator=shown.operator, given=given, **given, **place)
 
     def reload(self, shown: Shown) -> None:
         self.desk.page.keyboard.press(" ")  # the stopped clock is kept on the device
@@ -470,9 +483,3 @@ class BrowserSoak(SoakBase):
 
     def kill_later(self, shown: Shown) -> None:
         self.tablet_disturbed = "kill"
-
-
-FORM_KINDS = ("", "", "consent refused", "reload", "kill", "kill before", "undo", "paper",
-              "corrected")  # fmt: skip
-LABELS = """() => [...document.querySelectorAll('[data-key^="rank-"]')].map((b) => b.dataset.key.slice(5))"""
-OTHER_LINES = """() => [...document.querySelectorAll('#ask-line option')].filter((o) => !o.selected && !o.value.endsWith('after-reset')).map((o) => o.value)"""

@@ -38,9 +38,9 @@ class Ledger:
         asked = Counter(
             _key(one["do"], one["operator"], one["fields"]) for one in self.sent.values()
         )
-        return [f"asked for, and not meant: {key}" for key in (asked - self.intended).elements()] + [
-            f"meant, and not asked for: {key}" for key in (self.intended - asked).elements()
-        ]
+        return [
+            f"asked for, and not meant: {key}" for key in (asked - self.intended).elements()
+        ] + [f"meant, and not asked for: {key}" for key in (self.intended - asked).elements()]
 
     def scores(self) -> list[str]:
         """Tokens of the scores that were acknowledged."""
@@ -70,7 +70,9 @@ class Ledger:
 
 
 def _key(do: str, operator: str, fields: Mapping[str, Any]) -> str:
-    known = {name: fields[name] for name in sorted(fields) if name not in ("number", "confirm", "point")}
+    known = {
+        name: fields[name] for name in sorted(fields) if name not in ("number", "confirm", "point")
+    }
     return f"{do} of {operator}: {json.dumps(known)}"
 
 

@@ -1,4 +1,4 @@
-"""The two pages of a study in headless Chromium, read and used as people do: by sight, keys, clicks.
+"""The two pages of a study in headless Chromium, read and used as people do: by sight and keys.
 
 A page is waited for by what it shows, never by a fixed time. What the scripts mean to do goes into
 ``Ledger.intended``, so that a page that asks for something else is found out.
@@ -11,6 +11,7 @@ import random
 import re
 import shutil
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import sync_playwright
@@ -22,51 +23,22 @@ FLAGS = (
     "--disable-background-timer-throttling", "--disable-backgrounding-occluded-windows",
 )  # fmt: skip
 PATIENCE_MS = 120_000.0
-SHOWN = """() => {
-    const q = (s) => document.querySelector(s);
-    const text = (s) => q(s)?.textContent ?? '';
-    const step = q('#step');
-    if (!step.dataset.what && !text('#step h2')) return null;
-    return {
-        what: step.dataset.what ?? '', where: q('#step .where')?.innerText ?? '',
-        heading: text('#step h2'), link: text('#link'), who: text('#who'),
-        dialog: q('#ask').open ? text('#ask-title') : '',
-        refused: q('#refused').hidden ? '' : text('#refused span'),
-        gone: q('#hand').hidden ? '' : text('#hand span'),
-        stopped: !!q('#step .clock.stopped'),
-        lines: [...document.querySelectorAll('.rubric button')].filter((b) => !b.disabled).map((b) => [b.dataset.press, b.dataset.key]),
-        keys: [...document.querySelectorAll('[data-press]')].filter((b) => !b.disabled).map((b) => b.dataset.press),
-        buttons: [...document.querySelectorAll('[data-key]')].filter((b) => !b.disabled).map((b) => b.dataset.key),
-        log: text('#log li .number'),
-    };
-}"""
-UNTIL = """async ([look, seen]) => {
-    const see = eval(look);
+SEE = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
+UNTIL = """async ([name, given]) => {
+    const see = SEE;
     const end = performance.now() + 120000;
     while (performance.now() < end) {
-        const shown = see(seen);
-        if (shown) return shown;
-        await new Promise((go) => setTimeout(go, 5));
+        const found = see[name](given);
+        if (found) return found;
+        await new Promise((go) => setTimeout(go, 8));
     }
-    throw new Error('it did not come about');
-}"""
-SETTLED = f"""(seen) => {{
-    const shown = ({SHOWN})();
-    if (!shown || !(shown.dialog || shown.link === 'connected')) return null;
-    return seen && JSON.stringify([shown.what, shown.where, shown.heading]) === seen ? null : shown;
-}}"""
-ASKED = """() => {
-    const form = document.querySelector('form.asked, form.tlx');
-    const free = form && [...form.querySelectorAll('input, textarea')].every((one) => !one.disabled);
-    if (!form || !free || document.querySelector('#link').textContent !== 'connected') return null;
-    return {tlx: form.classList.contains('tlx'), title: form.querySelector('h2').textContent};
-}"""
-SLIDERS = """(names) => names.map((name) => {
-    const one = document.querySelector(`#scale-${name}`);
-    one.scrollIntoView({block: 'center'});
-    const box = one.getBoundingClientRect();
-    return {left: box.left, y: box.top + box.height / 2, width: box.width, value: Number(one.value)};
-})"""
+    throw new Error(`${name} did not come about`);
+}""".replace("SEE", SEE)
+
+
+def see(page: Any, what: str, given: Any = None) -> Any:
+    """What a function of ``soak_study_pages.js`` sees on a page, once it sees something."""
+    return page.evaluate(UNTIL, [what, given])
 
 
 @dataclass(frozen=True)
@@ -156,16 +128,16 @@ class Desk:
 
     def look(self) -> Shown:
         """What is there now."""
-        return Shown(**self.page.evaluate(SHOWN))
+        return Shown(**see(self.page, "shown"))
 
     def settled(self) -> Shown:
         """What is there once nothing is under way, or a dialog is open."""
-        return Shown(**self.page.evaluate(UNTIL, [SETTLED, None]))
+        return Shown(**see(self.page, "settled"))
 
     def after(self, seen: Shown) -> Shown:
         """What is there once another step is due."""
         before = json.dumps(list(seen.step), ensure_ascii=False, separators=(",", ":"))
-        return Shown(**self.page.evaluate(UNTIL, [SETTLED, before]))
+        return Shown(**see(self.page, "settled", before))
 
     def press(self, key: str, do: str = "", **fields: Any) -> Shown:
         """A key; says in the ledger what it should ask for."""
@@ -181,7 +153,14 @@ class Desk:
         self.page.locator(f'[data-key="{key}"]:enabled').click()
         return self.settled()
 
-    def answer(self, do: str = "", *, operator: str = "", given: dict[str, str] | None = None, **fields: Any) -> Shown:  # fmt: skip
+    def answer(
+        self,
+        do: str = "",
+        *,
+        operator: str = "",
+        given: dict[str, str] | None = None,
+        **fields: Any,
+    ) -> Shown:
         """Fills in the dialog that is open, and confirms it."""
         for name, value in (given or {}).items():
             field = self.page.locator(f"#ask-{name}")
@@ -215,17 +194,17 @@ class Tablet:
 
     def asked(self) -> dict[str, Any]:
         """What the page asks now, once it does."""
-        found: dict[str, Any] = self.page.evaluate(UNTIL, [ASKED, None])
+        found: dict[str, Any] = see(self.page, "asked")
         return found
 
     def mark(self, ratings: dict[str, int]) -> None:
         """Clicks on the scales, and sees to it that the marks are where they are meant to be."""
         names = list(ratings)
         for name in names:
-            [box] = self.page.evaluate(SLIDERS, [name])
+            [box] = see(self.page, "sliders", [name])
             x = box["left"] + 8.0 + (box["width"] - 16.0) * ratings[name] / 100.0
             self.page.mouse.click(x, box["y"])
-        for name, box in zip(names, self.page.evaluate(SLIDERS, names), strict=True):
+        for name, box in zip(names, see(self.page, "sliders", names), strict=True):
             off = ratings[name] - int(box["value"])
             for _ in range(abs(off) // 5):
                 self.page.locator(f"#scale-{name}").press("ArrowRight" if off > 0 else "ArrowLeft")

@@ -93,7 +93,9 @@ def typed(store: StudyStore, form: str, **fields: Any) -> None:
     """A form from paper, on the experimenter's page."""
     said = {"token": secrets.token_hex(16), "do": "form", "operator": "P01",
             "fields": {"form": form, "who": "AB", **fields}}  # fmt: skip
-    SessionService(store, operator="P01").carry_out(command_of(said, "experimenter"), "experimenter")
+    SessionService(store, operator="P01").carry_out(
+        command_of(said, "experimenter"), "experimenter"
+    )
 
 
 def test_forms_on_paper_are_typed_in_at_any_later_time(store: StudyStore) -> None:

@@ -145,7 +145,9 @@ def test_r_reads_the_rest_the_same(by_r: Path) -> None:
     sorts: dict[str, set[tuple[str, str]]] = {name: set() for name in READ}
     for reading, where, term in rows(by_r / "R_readings.csv", MORE["readings"]):
         sorts[reading].add((where.rpartition("/")[2], term if "/" not in where else ""))
-    assert {name: len(kinds) >= READ[name] for name, kinds in sorts.items()} == dict.fromkeys(READ, True)
+    assert {name: len(kinds) >= READ[name] for name, kinds in sorts.items()} == dict.fromkeys(
+        READ, True
+    )
 
 
 def test_r_finds_the_same(by_r: Path) -> None:

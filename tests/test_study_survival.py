@@ -50,7 +50,9 @@ def test_incidence_and_restricted_mean_are_as_r_has_them(name: str) -> None:
     np.testing.assert_allclose(shares, expected["incidence"], rtol=0, atol=1e-12)
     np.testing.assert_allclose(shares, expected["incidence_cmprsk"], rtol=0, atol=1e-12)
     assert found.restricted_mean(LIMIT)[0] == pytest.approx(expected["restricted_mean"], rel=1e-12)
-    alone = incidence(times, np.where(events == SUCCESS, SUCCESS, CENSORED), np.ones((1, len(rows))))
+    alone = incidence(
+        times, np.where(events == SUCCESS, SUCCESS, CENSORED), np.ones((1, len(rows)))
+    )
     shares = [alone.at(time)[0] for time in expected["at"]]
     np.testing.assert_allclose(shares, expected["kaplan_meier"], rtol=0, atol=1e-12)
     mean = alone.restricted_mean(LIMIT)[0]
@@ -62,7 +64,10 @@ def test_a_study_is_read_so(tmp_path: Path) -> None:
     trials: list[Row] = []
     for block, name in enumerate(EXPECTED, 1):
         for k, row in enumerate(made(name)):
-            won, line = row["event"] == SUCCESS, ("not-done", "done", "dropped")[int(str(row["event"]))]
+            won, line = (
+                row["event"] == SUCCESS,
+                ("not-done", "done", "dropped")[int(str(row["event"]))],
+            )
             trials.append(
                 {"operator": f"P{k % 3}", "task": "A", "retargeter": name, "block": block,
                  "trial_in_block": k + 1, "trial_global": 100 * block + k, "score": int(won),
@@ -85,7 +90,8 @@ def test_a_study_is_read_so(tmp_path: Path) -> None:
 def test_r_itself_says_so(tmp_path: Path) -> None:
     if shutil.which("Rscript") is None:
         pytest.skip("R is not installed")
-    asked = "for (n in c('survival', 'cmprsk', 'jsonlite')) if (!nzchar(system.file(package = n))) cat(n)"
+    names = "c('survival', 'cmprsk', 'jsonlite')"
+    asked = f"for (n in {names}) if (!nzchar(system.file(package = n))) cat(n, '')"
     lacks = subprocess.run(
         ["Rscript", "-e", asked], capture_output=True, text=True, check=True, timeout=300
     ).stdout

@@ -46,15 +46,13 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         "@MARGINS@": _named(data.plan.margins if data.plan else {}),
         "@WORKLOAD@": json.dumps(f"{data.questionnaires.kind}_tlx" if data.questionnaires else ""),
     }
-    texts: dict[str, str | None] = {
-        name: _script(name, filled) for name in (SCRIPT, READINGS)
-    } | {
+    texts: dict[str, str | None] = {name: _script(name, filled) for name in (SCRIPT, READINGS)} | {
         TRIALS: _csv(_trials(analysis)),
         TLX: None if data.questionnaires is None else _csv(_questionnaires(data.questionnaires)),
         METRICS: None if data.metrics is None else _csv(_metrics(data.metrics)),
-        RANKINGS: None if not data.ranking else csv_text(
-            ["operator", "retargeter", "rank"], _rankings(data.ranking)
-        ),
+        RANKINGS: None
+        if not data.ranking
+        else csv_text(["operator", "retargeter", "rank"], _rankings(data.ranking)),
     }
     for name, text in texts.items():
         if text is None:

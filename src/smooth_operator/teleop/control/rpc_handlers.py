@@ -176,7 +176,9 @@ class RpcHandlers:
 
     def _trial(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         runner = self._open_runner()
-        wanted = [word for word in ("begin", "finish", "cancel", "pause", "resume") if fields.get(word)]
+        wanted = [
+            word for word in ("begin", "finish", "cancel", "pause", "resume") if fields.get(word)
+        ]
         if len(wanted) > 1:
             raise ConfigError(f"a trial can't {' and '.join(wanted)} together")
         about = fields.get("about") or {}
