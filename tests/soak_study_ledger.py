@@ -73,7 +73,7 @@ def _key(do: str, operator: str, fields: Mapping[str, Any]) -> str:
     known = {
         name: fields[name] for name in sorted(fields) if name not in ("number", "confirm", "point")
     }
-    return f"{do} of {operator}: {json.dumps(known)}"
+    return f"{do} of {operator}: {json.dumps(known, sort_keys=True)}"
 
 
 def expected(

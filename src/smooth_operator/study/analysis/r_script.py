@@ -39,21 +39,23 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
     Raises:
         OutputError: a file can't be written.
     """
-    data = analysis.data
+    data, asked = analysis.data, analysis.data.questionnaires
     filled = {
         "@BASELINE@": json.dumps(analysis.baseline),
         "@LIMITS@": _named(_limits(analysis)),
         "@MARGINS@": _named(data.plan.margins if data.plan else {}),
-        "@WORKLOAD@": json.dumps(f"{data.questionnaires.kind}_tlx" if data.questionnaires else ""),
+        "@WORKLOAD@": json.dumps(f"{asked.kind}_tlx" if asked else ""),
     }
-    texts: dict[str, str | None] = {name: _script(name, filled) for name in (SCRIPT, READINGS)} | {
+    texts: dict[str, str | None] = {
+        SCRIPT: _script(SCRIPT, filled),
+        READINGS: _script(READINGS, filled),
         TRIALS: _csv(_trials(analysis)),
-        TLX: None if data.questionnaires is None else _csv(_questionnaires(data.questionnaires)),
+        TLX: None if asked is None else _csv(_questionnaires(asked)),
         METRICS: None if data.metrics is None else _csv(_metrics(data.metrics)),
-        RANKINGS: None
-        if not data.ranking
-        else csv_text(["operator", "retargeter", "rank"], _rankings(data.ranking)),
+        RANKINGS: None,
     }
+    if data.ranking:
+        texts[RANKINGS] = csv_text(["operator", "retargeter", "rank"], _rankings(data.ranking))
     for name, text in texts.items():
         if text is None:
             (folder / name).unlink(missing_ok=True)
