@@ -40,6 +40,7 @@ class FakeSimulation(FakeTeleop):
 
     Attributes:
         simulated: whether there is a simulation.
+        pausing: whether a trial can be paused; older versions can't.
         in_the_way: whether the hand is not clear of the object.
         there: whether the scene has its object.
         marked: entries of the records that were marked, with the words.
@@ -48,7 +49,7 @@ class FakeSimulation(FakeTeleop):
     def __init__(self, task: str | None = "cube") -> None:
         super().__init__()
         self.task, self.there = task, True
-        self.simulated, self.in_the_way = True, False
+        self.simulated, self.in_the_way, self.pausing = True, False, True
         self.marked: list[tuple[str, Mapping[str, Any]]] = []
         self.trial = _ready(task)
 
@@ -78,7 +79,8 @@ class FakeSimulation(FakeTeleop):
 
     def done(self, line: str, score: float, seconds: float) -> None:
         """The trial ends."""
-        self.trial |= {"phase": "done", "line": line, "score": score, "time_s": seconds}
+        self.trial |= {"phase": "done", "line": line, "score": score, "time_s": seconds,
+                       "paused": False}  # fmt: skip
 
     def _trial(self, fields: Mapping[str, Any]) -> None:
         phase = self.trial["phase"]
@@ -94,6 +96,9 @@ class FakeSimulation(FakeTeleop):
                 self.trial["phase"] = "ready"
             elif phase == "done" and (word := fields.get("mark")) is not None:
                 self.marked.append((word, self.trial["about"]))
+        elif self.pausing and (fields.get("pause") or fields.get("resume")):
+            self.trial["pauses"] += bool(fields.get("pause")) and not self.trial["paused"]
+            self.trial["paused"] = bool(fields.get("pause"))
         elif fields.get("finish"):
             self.done("not-done", 0.0, 30.0)
 
@@ -101,4 +106,5 @@ class FakeSimulation(FakeTeleop):
 def _ready(task: str | None) -> dict[str, Any]:
     limit = None if task is None else task_named(task).seconds
     return {"phase": "ready", "line": "not-done", "score": 0.0, "reason": "", "resets": 0,
-            "time_s": None, "limit_s": limit, "about": {}}  # fmt: skip
+            "time_s": None, "limit_s": limit, "about": {}, "paused": False,
+            "pauses": 0}  # fmt: skip

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,24 @@ class Ledger:
     acknowledged: dict[str, int] = field(default_factory=dict)
     refused: Counter[str] = field(default_factory=Counter)
     changed_answers: int = 0
+    intended: Counter[str] = field(default_factory=Counter)
+
+    def mean(self, do: str, operator: str, fields: Mapping[str, Any]) -> None:
+        """What a page is about to be made to ask for."""
+        self.intended[_key(do, operator, fields)] += 1
+
+    def surprises(self) -> list[str]:
+        """What pages asked for and were not made to, or the other way round."""
+        asked = Counter(
+            _key(one["do"], one["operator"], one["fields"]) for one in self.sent.values()
+        )
+        return [
+            f"asked for, and not meant: {key}" for key in (asked - self.intended).elements()
+        ] + [f"meant, and not asked for: {key}" for key in (self.intended - asked).elements()]
+
+    def scores(self) -> list[str]:
+        """Tokens of the scores that were acknowledged."""
+        return [token for token in self.acknowledged if self.sent[token]["do"] == "score"]
 
     def asked(self, said: dict[str, Any]) -> None:
         if said.get("type") == "command":
@@ -50,6 +69,13 @@ class Ledger:
         return found
 
 
+def _key(do: str, operator: str, fields: Mapping[str, Any]) -> str:
+    known = {
+        name: fields[name] for name in sorted(fields) if name not in ("number", "confirm", "point")
+    }
+    return f"{do} of {operator}: {json.dumps(known, sort_keys=True)}"
+
+
 def expected(
     events: dict[tuple[str, int], dict[str, Any]],
 ) -> tuple[dict[Any, Any], dict[Any, Any]]:
@@ -69,6 +95,28 @@ def expected(
         elif said["do"] == "answer":
             answers[*place, given["point"]] = given["ratings"]
     return lines, answers
+
+
+def expected_forms(events: dict[tuple[str, int], dict[str, Any]]) -> dict[Any, Any]:
+    """(operator, form) -> answers, and who typed them in, from what was acknowledged."""
+    undone = {
+        (who, said["fields"]["number"]) for (who, _), said in events.items() if said["do"] == "undo"
+    }
+    found = {}
+    for place, said in sorted(events.items()):
+        given = said["fields"]
+        if place not in undone and said["do"] == "form":
+            found[place[0], given["form"]] = (given["answers"], given.get("who"))
+    return found
+
+
+def _exported_forms(data: Path) -> dict[Any, Any]:
+    operators = json.loads((data / "study.json").read_text("utf-8"))["operators"]
+    return {
+        (one["operator"], name): (form["answers"], form["typed_by"])
+        for one in operators
+        for name, form in one["forms"].items()
+    }
 
 
 def compare(folder: Path, ledger: Ledger) -> list[str]:
@@ -104,6 +152,7 @@ def compare(folder: Path, ledger: Ledger) -> list[str]:
                     wrong.append(f"{place}: {name} {value!r} was stored as {kept!r}")
     wrong += [f"{place} is stored and was not acknowledged" for place in stored.keys() - events]
     lines, answers = expected(events)
+    wrong += _differences("forms of study.json", _exported_forms(data), expected_forms(events))
     with (data / "trials.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     exported = {

@@ -5,25 +5,25 @@ from __future__ import annotations
 import random
 import threading
 import time
+from argparse import Namespace
 from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from fake_teleop import FakeSimulation
 from soak_study_ledger import Ledger
-from study_console import Tab, eventually
+from study_console import ConsoleProcess, Tab, eventually
 
 from smooth_operator.errors import RemoteRefusedError
 from smooth_operator.simulation.tasks.rubrics import PAPER_TASKS
 from smooth_operator.study.console.commands import Command
 from smooth_operator.study.design.default_forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import Plan, make_plan, scaled
+from smooth_operator.study.design.plan_folder import write_plan_files
 from smooth_operator.study.design.protocol import Condition, Protocol
 from smooth_operator.web.listening import listen
 
-KINDS = (
-    "kill", "restart", "teleop", "wrong click", "undo", "amend", "void", "pause", "second page",
-    "second console", "withdraw", "end block",
-)  # fmt: skip
 AT_MOST = 2  # withdrawals, and blocks that are ended early: each takes trials away
 
 
@@ -97,6 +97,45 @@ class Page(Tab):
         super().send(asked)
 
 
+class SoakBase:
+    """A study, its console, a stand-in for the teleoperation, and what is to disturb it.
+
+    Args:
+        folder: for the study.
+        options: of the command line.
+        kinds: of disturbances.
+    """
+
+    def __init__(self, folder: Path, options: Namespace, kinds: Sequence[str]) -> None:
+        self.draw = random.Random(options.seed)
+        self.plan = study_plan(options.operators, options.seed)
+        self.folder = folder / "study"
+        self.folder.mkdir()
+        write_plan_files(self.plan, self.folder)
+        self.teleop = StandIn(random.Random(options.seed + 1))
+        self.console = ConsoleProcess(self.folder, "--teleop", self.teleop.address)
+        self.other: ConsoleProcess | None = None
+        self.ledger = Ledger()
+        self.done = Counter[str]()
+        self.refusals = Counter[str]()
+        self.resent = self.replacements = self.count = 0
+        self.waiting = list(self.plan.codes)
+        self.seen: set[Any] = set()
+        trials = sum(block.task.trials for block in self.plan.schedule())
+        self.disturbances = drawn_disturbances(self.draw, kinds, options.disturbances, trials)
+
+    def wrong(self) -> list[str]:
+        """What was seen besides data that differ."""
+        return []
+
+    def close(self) -> None:
+        """Ends everything."""
+        for console in (self.console, self.other):
+            if console is not None:
+                console.end()
+        self.teleop.close()
+
+
 def study_plan(operators: int, seed: int) -> Plan:
     """The paper's design with so many operators."""
     conditions = tuple(map(Condition, ("sbr", "dexpilot", "hybrid", "geort")))
@@ -105,9 +144,11 @@ def study_plan(operators: int, seed: int) -> Plan:
     return make_plan(scaled(protocol, operators))
 
 
-def drawn_disturbances(draw: random.Random, count: int, trials: int) -> dict[int, str]:
+def drawn_disturbances(
+    draw: random.Random, kinds_known: Sequence[str], count: int, trials: int
+) -> dict[int, str]:
     """Which trials are disturbed, by their order, and how."""
-    kinds = [KINDS[k % len(KINDS)] for k in range(count)]
+    kinds = [kinds_known[k % len(kinds_known)] for k in range(count)]
     draw.shuffle(kinds)
     few = Counter[str]()
     for k, kind in enumerate(kinds):

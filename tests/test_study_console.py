@@ -6,6 +6,7 @@ import contextlib
 import http
 import json
 import re
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,6 +19,7 @@ import postgres_server
 import pytest
 from fake_teleop import FakeSimulation, FakeTeleop
 from study_console import (
+    PATIENCE_S,
     ConsoleProcess,
     Tab,
     command,
@@ -823,3 +825,31 @@ def test_what_can_not_be_run_is_told(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "unknown operator" in complaint()
     assert main(["study", "run", str(tmp_path), "--host", "203.0.113.9"]) == 2
     assert "can't listen" in complaint()
+
+
+def test_what_comes_late_does_not_replace_what_is_newer(store: StudyStore) -> None:
+    """A page that went back to an earlier step would take keys for what is over."""
+    service = SessionService(store, operator="P01")
+    look = service.look
+    holding, held, gate = (threading.Event() for _ in range(3))
+
+    def slow() -> tuple[dict[str, Any], dict[str, Any]]:
+        found = look()
+        if holding.is_set() and not held.is_set():
+            held.set()
+            assert gate.wait(PATIENCE_S)
+        return found
+
+    service.look = slow  # type: ignore[method-assign]
+    with served(service) as port:
+        tab = Tab(port)
+        tab.until(lambda state: state["now"])
+        holding.set()
+        service._changed()
+        assert held.wait(PATIENCE_S)
+        assert tab.ask(command(store.progress("P01"), "calibrated"))["type"] == "done"
+        assert tab.state["now"]["what"] == "start_block"
+        gate.set()
+        while tab.hear()["type"] != "alive":  # nothing came for a second
+            assert tab.state["now"]["what"] == "start_block"
+        tab.close()

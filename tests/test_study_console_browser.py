@@ -167,6 +167,44 @@ def test_a_block_while_the_server_is_killed(chromium: Any, tmp_path: Path) -> No
     check_store(folder)
 
 
+@pytest.mark.browser
+def test_two_tabs_keep_what_both_could_not_send(chromium: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    write_plan_files(console_plan(), folder)
+    console = ConsoleProcess(folder, "--operator", "P01")
+    console.start()
+    try:
+        pages = Pages(chromium, console.port)
+        page = pages.experimenter
+        pages.start_first_trial()
+        page.locator('[data-key="stop"]').wait_for()
+        other = pages._page(f"http://127.0.0.1:{console.port}/")
+        console.kill()
+        for tab in (page, other):
+            tab.locator("#lost").wait_for()
+        page.bring_to_front()
+        page.keyboard.press("1")
+        page.get_by_text("What you entered is kept here").wait_for()
+        other.bring_to_front()
+        other.locator("#note").fill("seen from the other tab")
+        other.locator("#noting button").click()
+        other.get_by_text("cut off", exact=True).wait_for()
+        for tab in (page, other):
+            tab.goto("about:blank")
+        console.start()
+        page.bring_to_front()
+        page.goto(f"http://127.0.0.1:{console.port}/")
+        pages.step("Questionnaire")
+        page.get_by_text("seen from the other tab").wait_for()
+        page.get_by_text("connected", exact=True).wait_for()  # nothing is under way
+        left = "Object.keys(localStorage).filter((name) => /[/]link[/]/.test(name))"
+        assert page.evaluate(left) == []
+        pages.context.close()
+    finally:
+        console.end()
+
+
 def check_store(folder: Path) -> None:
     with open_study(folder) as store:
         assert store.records("P01") == []

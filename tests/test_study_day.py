@@ -162,15 +162,49 @@ def test_a_simulation_that_ended_in_a_pause_keeps_the_time_before_it(tmp_path: P
     with open_study(tmp_path, console_plan()) as store:
         store.clock = hours.clock()
         service = SessionService(store, operator="P01", teleop=simulation)
+        simulation.pausing = False  # of an older version, whose clock goes on
         walk(service, store, "trial")
         hours.at += 5
         give(service, store, "pause", reason="the glove slipped")
         hours.at += 100
-        simulation.done("not-done", 0.0, 60.0)  # its clock goes on
+        simulation.done("not-done", 0.0, 60.0)
         give(service, store, "resume")
         service.watch()
         give(service, store, "score", line="failed")
         assert store.progress("P01").trials[0].time_s == 5.0
+
+
+def test_a_simulation_stands_still_in_a_pause(tmp_path: Path) -> None:
+    hours, simulation = Hours(), FakeSimulation()
+
+    def stands() -> bool:
+        return bool(simulation.trial["paused"])
+
+    with open_study(tmp_path, console_plan()) as store:
+        store.clock = hours.clock()
+        service = SessionService(store, operator="P01", teleop=simulation)
+        walk(service, store, "trial")
+        hours.at += 5
+        give(service, store, "pause", reason="the glove slipped")
+        assert stands()
+        undoable = store.progress("P01").undoable
+        assert undoable is not None
+        give(service, store, "undo", number=undoable.number)  # the pause was a slip
+        service.watch()
+        assert not stands()
+        give(service, store, "pause", reason="now it did")
+        simulation.trial["paused"] = False  # something else had it go on
+        service.watch()
+        assert stands()
+        hours.at += 100
+        again = SessionService(store, operator="P01", teleop=simulation)  # the console, restarted
+        give(again, store, "resume")
+        again.watch()
+        assert not stands()
+        simulation.done("not-done", 0.0, 30.0)
+        again.watch()
+        give(again, store, "score", line="failed")
+        assert store.progress("P01").trials[0].time_s == 30.0  # its clock had stood, too
 
 
 def test_a_block_that_ends_early_leaves_the_next_one_due(store: StudyStore) -> None:

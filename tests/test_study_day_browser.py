@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from study_console import console_plan, served
+from study_console import command, console_plan, served
+from test_study_console import walk
 from test_study_console_browser import Pages, mark
 
 from smooth_operator.study.console.session_service import SessionService
+from smooth_operator.study.design.default_forms import DEFAULT_FORMS
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator.study.store.opening import open_study
 
@@ -77,3 +80,52 @@ def test_pause_stray_click_amend_withdraw_and_replace(chromium: Any, tmp_path: P
         assert not progress.withdrawn.keep
         assert store.progress("P09").replaces == "P01"
         assert store.plan.enrolment("P09").rows == store.plan.enrolment("P01").rows
+
+
+@pytest.mark.browser
+def test_forms_from_paper_and_what_a_question_was_asked_for(chromium: Any, tmp_path: Path) -> None:
+    plan = console_plan()
+    plan = replace(plan, protocol=replace(plan.protocol, forms=DEFAULT_FORMS[:2]))
+    with open_study(tmp_path, plan) as store:
+        service = SessionService(store, operator="P01")
+        with served(service) as port:
+            pages = Pages(chromium, port)
+            page = pages.experimenter
+            page.bring_to_front()
+            pages.step("Form: consent")
+            page.get_by_role("button", name="It is on paper").click()
+            fill(page, "It is on paper", who="AB")
+            pages.step("Form: about-you")
+            page.locator("#forms", has_text="on paper (AB), to be typed in").wait_for()
+            for title, answered in (("consent", "agreed"), ("about-you", "author")):
+                page.locator(f'[data-key="form-{title}"]').click()
+                paper = page.locator("#paper")
+                paper.locator(f'input[name="{answered}"]').first.check()
+                if title == "consent":
+                    paper.locator('input[name="recordings"]').last.check()
+                paper.locator("#paper-who").fill("CD")
+                paper.get_by_role("button", name="Save").click()
+            pages.step("Calibration")
+            progress = store.progress("P01")
+            assert progress.forms["consent"][1] == {"agreed": True, "recordings": False}
+            assert progress.typed == {"consent": "CD", "about-you": "CD"}
+            page.locator('[data-key="form-about-you"]').click()  # it can be read, and corrected
+            assert page.locator('#paper input[name="author"]').first.is_checked()
+            page.locator("#paper-close").click()
+
+            # While the question whether to take back is open, another page does something.
+            page.get_by_text("Undo takes back #3: Form about-you typed in by CD").wait_for()
+            page.keyboard.press("u")
+            page.get_by_role("heading", name="Take back event 3?").wait_for()
+            page.locator("#ask-no").click()
+            page.get_by_role("button", name="Withdraw").click()
+            service.carry_out(command(progress, "choose", after=None), "experimenter")
+            walk(service, store, "start_block")
+            other = command(store.progress("P02"), "choose", after=None)
+            service.carry_out(other, "experimenter")
+            page.locator("#who", has_text="P02").wait_for()
+            page.locator("#ask-yes").click()
+            page.get_by_text("it is for operator P01, but operator P02 is on").wait_for()
+            assert store.progress("P02").withdrawn is None
+            assert not pages.problems
+            pages.context.close()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 from study_console import command, console_plan, due_command, served
 from test_study_console import kinds, walk
@@ -15,14 +17,17 @@ from test_study_console_browser import Pages
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.default_forms import DEFAULT_FORMS
 from smooth_operator.study.design.forms import Form, FormField
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
 from smooth_operator.study.store.events import Weighed
+from smooth_operator.study.store.export import study_json
 from smooth_operator.study.store.nasa_tlx import PAIRS, SCALES
 from smooth_operator.study.store.opening import open_study
+from smooth_operator.study.store.schema import export_schema
 from smooth_operator.study.store.study_store import StudyStore
 from smooth_operator.study.store.tlx_words import read_words, shown_pairs
 
@@ -82,6 +87,55 @@ def test_nothing_starts_without_consent_and_a_slip_is_undone(store: StudyStore) 
             service.carry_out(command(store.progress("P01"), do, **fields), "experimenter")
     service.carry_out(command(store.progress("P01"), "undo", number=1), "experimenter")
     assert store.progress("P01").step.form == "consent"
+
+
+def typed(store: StudyStore, form: str, **fields: Any) -> None:
+    """A form from paper, on the experimenter's page."""
+    said = {"token": secrets.token_hex(16), "do": "form", "operator": "P01",
+            "fields": {"form": form, "who": "AB", **fields}}  # fmt: skip
+    SessionService(store, operator="P01").carry_out(
+        command_of(said, "experimenter"), "experimenter"
+    )
+
+
+def test_forms_on_paper_are_typed_in_at_any_later_time(store: StudyStore) -> None:
+    service = SessionService(store, operator="P01")
+    with pytest.raises(StudyError, match="give initials"):
+        service.carry_out(command(store.progress("P01"), "paper", form="consent", who=" "),
+                          "experimenter")  # fmt: skip
+    for form in ("consent", "about-you"):
+        now = store.progress("P01")
+        service.carry_out(command(now, "paper", form=form, who="AB"), "experimenter")
+    assert store.progress("P01").step.what == "calibrate"
+    with pytest.raises(StudyError, match="not due yet"):
+        typed(store, "survey", answers={"ranking": []})
+    walk(service, store, "trial")
+    typed(store, "about-you", answers={"age": 31})  # the trial goes on
+    assert store.progress("P01").step.what == "trial"
+    with pytest.raises(StudyError, match="withdraw the operator"):
+        typed(store, "consent", answers={"agreed": False})
+    typed(store, "consent", answers={"agreed": True})
+    with pytest.raises(StudyError, match="state why"):
+        typed(store, "about-you", answers={"age": 32})
+    typed(store, "about-you", answers={"age": 32}, reason="misread")
+    progress = store.progress("P01")
+    assert progress.forms["about-you"][1] == {"age": 32}
+    assert (progress.typed, progress.on_paper) == ({"about-you": "AB", "consent": "AB"}, {})
+    states = {one["form"]: one["state"] for one in service.look()[0]["now"]["forms"]}
+    assert states == {"consent": "filled", "about-you": "filled", "survey": "later"}
+    texts = [entry["text"] for entry in service.look()[0]["log"]]
+    assert texts[0] == "Form about-you typed in by AB: misread"
+    assert "Form about-you is on paper (AB)" in texts
+    made = study_json(store)["operators"][0]
+    assert made["forms"]["about-you"]["typed_by"] == "AB"
+    jsonschema.validate(study_json(store), export_schema())
+
+
+@pytest.mark.parametrize(("role", "who"), [("operator", {"who": "AB"}), ("experimenter", {})])
+def test_who_types_a_form_in_is_said_by_the_experimenter_alone(role: Any, who: Any) -> None:
+    said = {"token": "t" * 8, "do": "form", "operator": "P01", "fields": {"form": "a", **who}}
+    with pytest.raises(StudyError, match="initials"):
+        command_of(said, role)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import math
+import random
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,12 +16,24 @@ from study_cases import simulate, write_rows
 from smooth_operator.study.analysis import analyze_study
 from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.data import read_study
+from smooth_operator.study.data.second_ratings import with_second_ratings
 
-PACKAGES = ("lme4", "lmerTest", "geepack", "emmeans", "mvtnorm")
+PACKAGES = ("lme4", "lmerTest", "geepack", "emmeans", "mvtnorm", "survival", "ordinal")
 KEYS = ("mode", "outcome", "scope", "retargeter", "pair", "name")
 ABSOLUTE = {"p": 1e-6, "p_raw": 1e-6, "p_holm": 1e-6, "p_dunnett": 1e-5}
 """Probabilities; all else is compared relative to its size, limits to the standard error."""
 RELATIVE = {"df": 1e-4, "lower": 1e-4, "upper": 1e-4}
+MORE = {
+    "learning": ("scope", "index", "outcome"),
+    "spearman": ("metric", "outcome"),
+    "readings": ("reading", "where", "term"),
+}
+"""Tables of ``readings.R``, and what names their rows."""
+READ = {
+    "full_success": 3, "ordinal": 2, "time_to_success": 7, "log_time": 2, "equivalence": 1,
+    "interaction": 1, "order": 4, "preference": 3, "second_rater": 3,
+}  # fmt: skip
+"""Readings that R has, and how many sorts of rows each has at least."""
 
 
 def needs_r() -> None:
@@ -48,17 +62,43 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for row in case.trials
         if row["retargeter"] == "sbr"
     ]  # fmt: skip
-    write_rows(made / "trials.csv", [*case.trials, *never])
+    draw = random.Random(2)
+    trials = [
+        {**row, "duration_s": row["time_s"] or draw.randrange(20, 600) / 10,
+         "line": "done" if row["score"] else draw.choice(("dropped", "not-done"))}
+        for row in (*case.trials, *never)
+    ]  # fmt: skip
+    write_rows(made / "trials.csv", trials)
     write_rows(made / "tlx.csv", case.tlx)
+    codes = sorted({str(row["operator"]) for row in case.trials})
+    write_rows(
+        made / "sim_metrics.csv",
+        [
+            {"operator": code, "retargeter": name, "cosine": draw.randrange(100) / 100,
+             "smoothness": draw.randrange(5)}
+            for code in codes for name in names
+        ],
+    )  # fmt: skip
+    second = [
+        {name: row[name] for name in ("operator", "task", "block", "trial_in_block")}
+        | {"score": row["score"] if draw.random() < 0.7 else draw.choice((0, 0.5, 1))}
+        for row in case.trials
+        if row["operator"] != "P00"
+    ]
+    data = with_second_ratings(read_study([made]), write_rows(made / "second.csv", second))
+    every = (*names, "=never")
+    ranking = {code: tuple(draw.sample(every, len(every))) for code in codes}
     out = made / "out"
     out.mkdir()
-    write_analysis(analyze_study(read_study([made]), "sbr"), out, report=False)
+    write_analysis(analyze_study(replace(data, ranking=ranking), "sbr"), out, report=False)
     return out
 
 
-def rows(path: Path) -> dict[tuple[str, ...], dict[str, str]]:
+def rows(path: Path, keys: tuple[str, ...] = KEYS) -> dict[tuple[str, ...], dict[str, str]]:
     with path.open(encoding="utf-8") as file:
-        return {tuple(row.get(key, "") for key in KEYS): row for row in csv.DictReader(file)}
+        found = list(csv.DictReader(file))
+    # What a spreadsheet would read as a formula has an apostrophe in front.
+    return {tuple(row.get(key, "").removeprefix("'") for key in keys): row for row in found}
 
 
 def test_the_script_and_its_rows_are_written(folder: Path) -> None:
@@ -72,13 +112,46 @@ def test_the_script_and_its_rows_are_written(folder: Path) -> None:
     assert {row["retargeter"] for row in trials} == {"ako", "hybrid", "sbr", "'=never"}
 
 
-def test_r_finds_the_same(folder: Path) -> None:
+@pytest.fixture(scope="module")
+def by_r(folder: Path) -> Path:
+    """The folder after R read it."""
     needs_r()
     done = subprocess.run(
         ["Rscript", str(folder / "analysis.R"), str(folder)],
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_r_reads_the_rest_the_same(by_r: Path) -> None:
+    for name, keys in MORE.items():
+        ours, theirs = rows(by_r / f"{name}.csv", keys), rows(by_r / f"R_{name}.csv", keys)
+        assert theirs.keys() <= ours.keys()
+        if name != "readings":
+            assert {key for key, row in ours.items() if not row.get("refused")} == theirs.keys()
+        for key, found in theirs.items():
+            compared = 0
+            for column in (found.keys() & ours[key].keys()) - set(keys):
+                mine, other = ours[key][column], found[column]
+                if not mine or not other:  # what depends on random numbers, for example
+                    continue
+                compared += 1
+                apart = abs(float(mine) - float(other))
+                if column not in ABSOLUTE and not column.startswith("p_"):
+                    apart /= max(abs(float(mine)), 1e-3)
+                assert apart < 1e-4 if column in RELATIVE else apart < 1e-5, (name, key, column)
+            assert compared, (name, key)
+    sorts: dict[str, set[tuple[str, str]]] = {name: set() for name in READ}
+    for reading, where, term in rows(by_r / "R_readings.csv", MORE["readings"]):
+        sorts[reading].add((where.rpartition("/")[2], term if "/" not in where else ""))
+    assert {name: len(kinds) >= READ[name] for name, kinds in sorts.items()} == dict.fromkeys(
+        READ, True
+    )
+
+
+def test_r_finds_the_same(by_r: Path) -> None:
+    folder = by_r
     for name in ("emm", "dunnett", "pairs", "coefficients"):
         ours, theirs = rows(folder / f"{name}.csv"), rows(folder / f"R_{name}.csv")
         assert ours.keys() == theirs.keys()

@@ -272,6 +272,13 @@ def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(
         assert "±" not in part
 
 
+def test_sentences_of_what_was_refused_have_minus_signs(tmp_path: Path) -> None:
+    simulate(5, alternate=True, spread=0.0, effect=0.0, operators=range(6)).write(tmp_path)
+    sentences = conclusion(analyze_study(read_study([tmp_path])))
+    (success,) = [text for text in sentences if text.startswith("Success")]
+    assert "correlation is estimated as −0." in success
+
+
 def test_bad_data_write_nothing_and_give_status_2(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

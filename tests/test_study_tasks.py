@@ -677,6 +677,36 @@ def test_any_source_of_commands_can_do_it_in_the_running_simulation() -> None:
     assert (outcome.score, outcome.ended) == (1.0, "success")
 
 
+def test_a_paused_scene_stands_still_and_goes_on() -> None:
+    hand = load_hand("mimic_p050")
+    sim = Simulation(task="card")
+    sim.open({"right": hand}, {})
+    session = TaskSession(sim, "right")
+    session.go()
+    wait(lambda: session.seconds > 0.05)
+    session.pause(True)
+    time.sleep(0.05)  # what was under way
+    seconds, state = session.seconds, sim.scene_state("right")
+    hand_at = sim.state("right")
+    assert state is not None
+    assert hand_at is not None
+    for _ in range(10):
+        sim.send(make_tick(hand))
+        time.sleep(0.01)
+    later = sim.state("right")
+    assert later is not None
+    assert later.time > hand_at.time  # it is heard of
+    np.testing.assert_array_equal(later.positions, hand_at.positions)
+    assert session.seconds == seconds
+    session.reset()  # the object may be put back meanwhile
+    wait(lambda: sim.scene_state("right").starts > state.starts)  # type: ignore[union-attr]
+    assert session.seconds == seconds
+    session.pause(False)
+    wait(lambda: session.seconds > seconds + 0.05)
+    session.close()
+    sim.close()
+
+
 def test_a_folder_keeps_its_trials(tmp_path: Path) -> None:
     """A second session on the same folder numbers on."""
     for expected in (1, 2):

@@ -31,6 +31,7 @@ class Stepped:
         self.hand = load_hand("mimic_p050")
         self.physics = ScenePhysics(self.hand, scene_for("cube", self.hand))
         self.watcher: Any = None
+        self.frozen = False
         self.open_hand = self.hand.full_configuration(np.clip(0.0, *self.hand.limits.T))
         self.to(self.open_hand)
 
@@ -43,7 +44,7 @@ class Stepped:
         self.physics.command(positions)
 
     def run(self, seconds: float) -> None:
-        for _ in range(round(seconds / 0.01)):
+        for _ in range(0 if self.frozen else round(seconds / 0.01)):
             self.physics.advance(0.01)
             if self.watcher is not None:
                 self.watcher(self.physics.observe(), self.physics.positions)
@@ -63,6 +64,9 @@ class Stepped:
     def reset_object(self, side: str) -> int:
         self.physics.reset_object()
         return self.physics.starts
+
+    def freeze(self, side: str, frozen: bool) -> None:
+        self.frozen = frozen
 
     def put_away(self, side: str) -> None:
         self.physics.put_away()
@@ -166,9 +170,33 @@ def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation: Ste
     assert " Go " in shown()
     simulation.run(2.0)
     assert " 0:02 of 1:15 " in shown()
+    trials.runner.pause()
+    assert "Paused: keep your hand as it is" in shown()
+    simulation.run(60.0)
+    trials.runner.pause(False)
+    assert " 0:02 of 1:15 " in shown()
     trials.runner.finish()
     assert "Over: 0:02" in shown()
     assert "not-done" not in shown()
+
+
+def test_what_ends_a_trial_ends_its_pause(simulation: Stepped, tmp_path: Path) -> None:
+    runner = TrialRunner(simulation, ("right",), tmp_path)  # type: ignore[arg-type]
+    with pytest.raises(StudyError, match="could be paused"):
+        runner.pause()
+    runner.pause(False)  # nothing to do
+    for end in (runner.cancel, runner.finish):
+        runner.go()
+        simulation.run(0.1)
+        runner.pause()
+        runner.pause()
+        report = runner.report()
+        assert (report["phase"], report["paused"], report["pauses"]) == ("running", True, 1)
+        end()
+        assert not simulation.frozen
+        assert not runner.report()["paused"]
+    eventually((tmp_path / "cube-001.npz").exists)
+    assert read_trial(tmp_path / "cube-001.npz").about == {"pauses": 1}
 
 
 def test_the_record_of_an_undone_trial_is_marked(simulation: Stepped, tmp_path: Path) -> None:

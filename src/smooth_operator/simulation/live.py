@@ -81,6 +81,10 @@ class LiveSimulation(Protocol):
         """Put the object back; the number of the world from then on."""
         ...
 
+    def freeze(self, side: Side, frozen: bool) -> None:
+        """Have a hand and its scene stand still, their clock included, or go on."""
+        ...
+
     def put_away(self, side: Side) -> None:
         """Go on without the object, until it is put back."""
         ...

@@ -71,7 +71,8 @@ class TaskSession:
         self._number = 0
         self._trials = 0
         self._state: SceneState | None = None
-        self._waiting = False
+        self._waiting = self._paused = False
+        self._pauses = 0
         self._clear_since: float | None = None
         self._written: Path | None = None  # of the last trial that ended
         self._disk = threading.Lock()
@@ -103,6 +104,12 @@ class TaskSession:
         with self._lock:
             return self._waiting or self._run.phase is Phase.RUNNING
 
+    @property
+    def paused(self) -> bool:
+        """Whether the scene stands still."""
+        with self._lock:
+            return self._paused
+
     def go(self, *, when_clear: bool = False, limit_s: float | None = None, **about: Any) -> None:
         """Start a trial, with the object at its start.
 
@@ -118,6 +125,8 @@ class TaskSession:
         with self._lock:
             if self.active:
                 raise StudyError("a trial is running; finish it first")
+            self._freeze(False)
+            self._pauses = 0
             self._since = self._simulation.reset_object(self._side)
             task = self.task if limit_s is None else replace(self.task, seconds=limit_s)
             self._run = TaskRun(task, self._run.scene)
@@ -145,6 +154,25 @@ class TaskSession:
             self._since = self._simulation.reset_object(self._side)
             self._record.events.append((self._now, "reset"))
 
+    def pause(self, paused: bool) -> None:
+        """Have the scene of the trial at hand stand still, its clock included, or go on.
+
+        Raises:
+            StudyError: no trial is on that could be paused.
+        """
+        with self._lock:
+            if paused == self._paused:
+                return
+            if paused and not self.active:
+                raise StudyError("no trial is running that could be paused; begin one first")
+            self._freeze(paused)
+            self._pauses += paused
+
+    def _freeze(self, frozen: bool) -> None:
+        if frozen != self._paused:
+            self._simulation.freeze(self._side, frozen)
+            self._paused = frozen
+
     def finish(self) -> None:
         """The operator can do no more.
 
@@ -159,6 +187,7 @@ class TaskSession:
     def cancel(self) -> None:
         """Forget the trial at hand: nothing is counted or written; nothing happens if none runs."""
         with self._lock:
+            self._freeze(False)
             if self.active:
                 self._waiting = False
                 self._run = TaskRun(self.task, self._run.scene)
@@ -194,8 +223,9 @@ class TaskSession:
             ``text``, and the ``reason`` for it, which only for a finished trial are
             final; ``time_s`` and ``ended`` of such a one, None before; ``resets``; ``placed``:
             whether the object is at its start, and no longer waits for the hand to leave its
-            place; ``limit_s`` of the trial; ``about``, as it was begun with. Phase ``waiting`` is
-            that of a trial that begins when the hand is clear.
+            place; ``limit_s`` of the trial; ``about``, as it was begun with; ``paused``, whether
+            the scene stands still, and ``pauses``, how often it did. Phase ``waiting`` is that of
+            a trial that begins when the hand is clear.
         """
         with self._lock:
             run, outcome = self._run, self._run.outcome
@@ -217,12 +247,15 @@ class TaskSession:
                 "resets": run.resets,
                 "placed": placed,
                 "limit_s": run.task.seconds,
+                "paused": self._paused,
+                "pauses": self._pauses,
                 "about": dict(self._record.about),
             }
 
     def close(self) -> None:
         """Look no more; a trial that runs is not counted. The simulation may be closed already."""
         with contextlib.suppress(SinkError):
+            self._freeze(False)
             self._simulation.watch(self._side, None)
 
     def observe(self, state: SceneState, positions: Float[np.ndarray, " n"]) -> None:
@@ -267,7 +300,10 @@ class TaskSession:
     def _end(self) -> None:
         outcome = self._run.outcome
         assert outcome is not None  # it is done
+        self._freeze(False)
         self._record.outcome = outcome
+        if self._pauses:
+            self._record.about["pauses"] = self._pauses
         self.outcomes.append(outcome)
         if self._folder is not None:
             record, path = self._record, self._folder / self._name()

@@ -165,6 +165,21 @@ class TrialRunner:
             for session in running.values():
                 session.finish()
 
+    def pause(self, paused: bool = True) -> None:
+        """Have the scenes of trials that run stand still, their clocks included, or go on.
+
+        Raises:
+            StudyError: there is none to pause, or no task.
+        """
+        with self._lock:
+            sessions = self._all()
+            if paused and not any(session.active for session in sessions):
+                raise StudyError("no trial is running that could be paused; begin one first")
+            for side, session in self._sessions.items():
+                if paused != session.paused and (session.active or not paused):
+                    session.pause(paused)
+                    self._say(side, "is paused" if paused else "goes on")
+
     def cancel(self, mark: str | None = None, **about: Any) -> None:
         """Forget the trials that run.
 

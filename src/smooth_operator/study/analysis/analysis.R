@@ -6,7 +6,9 @@
 # Packages: lme4, lmerTest, emmeans (time, workload), geepack (success), mvtnorm (Dunnett).
 # It reads rows_trials.csv and rows_tlx.csv, fits what emm.csv lists (parts that were refused have
 # no figures there), writes R_emm.csv, R_dunnett.csv, R_pairs.csv and R_coefficients.csv, and prints
-# the largest difference from smooth-operator's tables of the same names without "R_".
+# the largest difference from smooth-operator's tables of the same names without "R_". Then it goes
+# on with readings.R: learning, correlations with simulation metrics, further readings (packages
+# survival, ordinal).
 
 suppressMessages({
   library(lme4); library(lmerTest); library(geepack); library(emmeans); library(mvtnorm)
@@ -27,7 +29,8 @@ numeric_columns <- function(d, names) {
   for (name in intersect(names, colnames(d))) d[[name]] <- as.numeric(d[[name]])
   d
 }
-trials <- numeric_columns(table_of("rows_trials.csv"), c("success", "time_s", "trial_global"))
+trials <- numeric_columns(table_of("rows_trials.csv"), c("success", "time_s", "trial_global",
+  "score", "duration_s", "second_score"))
 tlx <- table_of("rows_tlx.csv")
 if (!is.null(tlx)) tlx <- numeric_columns(tlx, c("workload", "index"))
 fitted_parts <- table_of("emm.csv")
@@ -117,12 +120,14 @@ mancl_derouen <- function(m, x, d) {
   mu <- as.vector(fitted(m))
   alpha <- m$geese$alpha
   groups <- split(seq_along(mu), d$id)
-  parts <- lapply(groups, function(i) {
+  corrected(lapply(groups, function(i) {
     a <- mu[i] * (1 - mu[i])
     r <- matrix(alpha, length(i), length(i)); diag(r) <- 1
     v <- solve(outer(sqrt(a), sqrt(a)) * r)  # but for the scale, which cancels
     list(dv = t(a * x[i, , drop = FALSE]) %*% v, d = a * x[i, , drop = FALSE], e = d$y[i] - mu[i])
-  })
+  }))
+}
+corrected <- function(parts) {
   bread <- solve(Reduce(`+`, lapply(parts, function(one) one$dv %*% one$d)))
   meat <- Reduce(`+`, lapply(parts, function(one) {
     h <- one$d %*% bread %*% one$dv  # leverage of the operator on the own residuals
@@ -158,37 +163,28 @@ critical <- function(correlation, df) {
   if (m == 1) return(ends[1])
   uniroot(function(x) within(x, correlation, df) - 0.95, ends, tol = 1e-7)$root
 }
-two_sided <- function(x, df) ifelse(is.finite(df), 2 * pt(-abs(x), df), 2 * pnorm(-abs(x)))
-
-parts <- unique(fitted_parts[, c("mode", "outcome", "scope")])
-tables <- list(emm = NULL, dunnett = NULL, pairs = NULL, coefficients = NULL)
-add <- function(.into, .part, ...) {
-  rows <- data.frame(.part, ..., row.names = NULL, check.names = FALSE)
-  tables[[.into]] <<- rbind(tables[[.into]], rows)
+two_sided <- function(x, df) {
+  df <- rep_len(df, length(x))
+  ifelse(is.finite(df), 2 * pt(-abs(x), df), 2 * pnorm(-abs(x)))
 }
-for (k in seq_len(nrow(parts))) {
-  where <- parts[k, ]
-  own <- merge(fitted_parts, where)
-  d <- rows_of(where$outcome, where$scope, own$retargeter)
-  m <- if (where$outcome == "success") binary(d, where$mode) else linear(d, where$mode)
-  add("coefficients", where, name = m$names, estimate = m$beta, se = m$beta_se, df = m$beta_df,
-      p = two_sided(m$beta / m$beta_se, m$beta_df))
-  names <- levels(d$retargeter)
+
+# Means, pairs and comparisons with the baseline (Dunnett), of a fit.
+compared <- function(m, names) {
   se <- sqrt(diag(m$covariance))
   reach <- se * ifelse(is.finite(m$mean_df), qt(0.975, m$mean_df), qnorm(0.975))
-  add("emm", where, retargeter = names, estimate = m$means, se = se, df = m$mean_df,
-      lower = m$means - reach, upper = m$means + reach)
-  if (length(names) < 2) next
+  emm <- data.frame(retargeter = names, estimate = m$means, se = se, df = m$mean_df,
+                    lower = m$means - reach, upper = m$means + reach)
+  if (length(names) < 2) return(list(emm = emm))
   two <- combn(length(names), 2)
   i <- two[1, ]; j <- two[2, ]
   v <- m$covariance
   difference <- m$means[i] - m$means[j]
   se <- sqrt(v[cbind(i, i)] + v[cbind(j, j)] - 2 * v[cbind(i, j)])
   raw <- two_sided(difference / se, m$pair_df)
-  add("pairs", where, pair = paste(names[i], names[j], sep = "-"), difference = difference, se = se,
-      df = m$pair_df, statistic = difference / se, p_raw = raw, p_holm = p.adjust(raw, "holm"),
-      effect = m$effect(m$means[i], m$means[j]))
-  if (names[1] != baseline) next
+  pairs <- data.frame(pair = paste(names[i], names[j], sep = "-"), difference = difference, se = se,
+    df = m$pair_df, statistic = difference / se, p_raw = raw, p_holm = p.adjust(raw, "holm"),
+    effect = m$effect(m$means[i], m$means[j]))
+  if (names[1] != baseline) return(list(emm = emm, pairs = pairs))
   of <- which(i == 1)  # baseline - other; Dunnett's are other - baseline
   l <- cbind(-1, diag(length(of)))
   correlation <- cov2cor(l %*% v %*% t(l))
@@ -196,30 +192,50 @@ for (k in seq_len(nrow(parts))) {
   df <- m$pair_df[of]
   p <- mapply(function(one, f) 1 - within(abs(one), correlation, f), x, df)
   half <- se[of] * sapply(df, function(f) critical(correlation, f))
-  add("dunnett", where, retargeter = names[-1], difference = -difference[of], se = se[of], df = df,
-      statistic = x, p_raw = raw[of], p_dunnett = pmax(p, raw[of]),
-      lower = -difference[of] - half, upper = -difference[of] + half,
-      effect = m$effect(m$means[-1], m$means[1]))
+  list(emm = emm, pairs = pairs, dunnett = data.frame(retargeter = names[-1],
+    difference = -difference[of], se = se[of], df = df, statistic = x, p_raw = raw[of],
+    p_dunnett = pmax(p, raw[of]), lower = -difference[of] - half, upper = -difference[of] + half,
+    effect = m$effect(m$means[-1], m$means[1])))
 }
 
-for (name in names(tables)) {
-  found <- tables[[name]]
-  if (is.null(found)) next
+# Writes R_NAME.csv, and prints how far it is from NAME.csv.
+report <- function(name, found, key) {
+  if (is.null(found)) return(invisible())
   write.csv(found, file.path(folder, paste0("R_", name, ".csv")), row.names = FALSE, na = "")
-  key <- intersect(c("mode", "outcome", "scope", "retargeter", "pair", "name"), colnames(found))
   ours <- table_of(paste0(name, ".csv"))
-  if (is.null(ours)) next
+  if (is.null(ours)) return(invisible())
   both <- merge(found, ours, by = key, suffixes = c("", ".ours"))
-  far <- sapply(setdiff(colnames(found), key), function(column) {
+  columns <- intersect(setdiff(colnames(found), key), colnames(ours))
+  far <- sapply(columns, function(column) {
     a <- both[[column]]; b <- as.numeric(both[[paste0(column, ".ours")]])
     apart <- abs(a - b)
     scale <- if (grepl("^p", column)) 1 else if (grepl("lower|upper", column)) both$se else abs(b)
-    max(c(0, (apart / scale)[is.finite(b) & apart > 0]))
+    max(c(0, (apart / scale)[is.finite(a) & is.finite(b) & apart > 0]), na.rm = TRUE)
   })
   cat(sprintf("%s: %d of %d rows; largest difference (p: absolute, limits: of the standard error)\n",
               name, nrow(both), nrow(ours)))
   print(signif(far, 2))
 }
+
+parts <- unique(fitted_parts[, c("mode", "outcome", "scope")])
+tables <- list(emm = NULL, dunnett = NULL, pairs = NULL, coefficients = NULL)
+for (k in seq_len(nrow(parts))) {
+  where <- parts[k, ]
+  own <- merge(fitted_parts, where)
+  d <- rows_of(where$outcome, where$scope, own$retargeter)
+  m <- if (where$outcome == "success") binary(d, where$mode) else linear(d, where$mode)
+  found <- c(compared(m, levels(d$retargeter)), list(coefficients = data.frame(name = m$names,
+    estimate = m$beta, se = m$beta_se, df = m$beta_df, p = two_sided(m$beta / m$beta_se, m$beta_df))))
+  for (name in names(found)) {
+    rows <- data.frame(where, found[[name]], row.names = NULL, check.names = FALSE)
+    tables[[name]] <- rbind(tables[[name]], rows)
+  }
+}
+label <- c(emm = "retargeter", dunnett = "retargeter", pairs = "pair", coefficients = "name")
+for (name in names(tables)) report(name, tables[[name]], c("mode", "outcome", "scope", label[[name]]))
+
+more <- file.path(folder, "readings.R")
+if (file.exists(more)) source(more)
 
 # A Bayesian reading, if you want one (package brms, minutes): the probability that a retargeter is
 # better, and partial pooling of operators.

@@ -1,8 +1,9 @@
-"""``analysis.R`` and the rows that it reads: the same analysis again, in R."""
+"""``analysis.R``, ``readings.R`` and the rows that they read: the same analysis again, in R."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -12,41 +13,81 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.analysis.analyze import Analysis
+from smooth_operator.study.analysis.readings import Refused
+from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData
 
 SCRIPT: Final = "analysis.R"
+READINGS: Final = "readings.R"
+"""What the first script goes on with."""
 TRIALS: Final = "rows_trials.csv"
 TLX: Final = "rows_tlx.csv"
+METRICS: Final = "rows_metrics.csv"
+RANKINGS: Final = "rows_rankings.csv"
 
 
 def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
-    """Writes script and rows.
+    """Writes scripts and rows.
 
     Args:
         analysis: of the study.
         folder: exists, with the tables of the analysis.
 
     Returns:
-        Names of the files. A table of questionnaires that is not there is not written, and an older
-        one removed.
+        Names of the files. A table that the study does not have is not written, and an older one
+        removed.
 
     Raises:
         OutputError: a file can't be written.
     """
-    template = files("smooth_operator.study.analysis").joinpath(SCRIPT).read_text("utf-8")
-    script = template.replace("@BASELINE@", json.dumps(analysis.baseline))
-    texts = {SCRIPT: script, TRIALS: _csv(_trials(analysis))}
-    if analysis.data.questionnaires is None:
-        (folder / TLX).unlink(missing_ok=True)
-    else:
-        texts[TLX] = _csv(_questionnaires(analysis))
+    data, asked = analysis.data, analysis.data.questionnaires
+    filled = {
+        "@BASELINE@": json.dumps(analysis.baseline),
+        "@LIMITS@": _named(_limits(analysis)),
+        "@MARGINS@": _named(data.plan.margins if data.plan else {}),
+        "@WORKLOAD@": json.dumps(f"{asked.kind}_tlx" if asked else ""),
+    }
+    texts: dict[str, str | None] = {
+        SCRIPT: _script(SCRIPT, filled),
+        READINGS: _script(READINGS, filled),
+        TRIALS: _csv(_trials(analysis)),
+        TLX: None if asked is None else _csv(_questionnaires(asked)),
+        METRICS: None if data.metrics is None else _csv(_metrics(data.metrics)),
+        RANKINGS: None,
+    }
+    if data.ranking:
+        texts[RANKINGS] = csv_text(["operator", "retargeter", "rank"], _rankings(data.ranking))
     for name, text in texts.items():
+        if text is None:
+            (folder / name).unlink(missing_ok=True)
+            continue
         with atomic_write(folder / name) as file:
             file.write(text.encode("utf-8"))
-    return list(texts)
+    return [name for name, text in texts.items() if text is not None]
+
+
+def _script(name: str, filled: Mapping[str, str]) -> str:
+    script = files("smooth_operator.study.analysis").joinpath(name).read_text("utf-8")
+    for mark, text in filled.items():
+        script = script.replace(mark, text)
+    return script
+
+
+def _named(numbers: Mapping[str, float]) -> str:
+    """Elements of a vector of R with names."""
+    return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
+
+
+def _limits(analysis: Analysis) -> dict[str, float]:
+    """Up to which trials of each task are followed [s]."""
+    found: dict[str, float] = {}
+    for reading in analysis.readings.time_to_success.values():
+        if not isinstance(reading, Refused):
+            found |= reading.limits
+    return found
 
 
 def _trials(analysis: Analysis) -> dict[str, np.ndarray]:
-    rows = analysis.data.trials
+    rows, second = analysis.data.trials, _second_scores(analysis.data)
     return {
         "operator": rows.operator,
         "task": rows.task,
@@ -57,12 +98,24 @@ def _trials(analysis: Analysis) -> dict[str, np.ndarray]:
         "score": rows.score,
         "success": rows.success.astype(int),
         "time_s": rows.time,
+        "duration_s": rows.duration,
+        "line": rows.line,
+        **({} if second is None else {"second_score": second}),
     }
 
 
-def _questionnaires(analysis: Analysis) -> dict[str, np.ndarray]:
-    rows = analysis.data.questionnaires
-    assert rows is not None
+def _second_scores(data: StudyData) -> np.ndarray | None:
+    """Of each trial, by the second rater; NaN where there is none."""
+    second, trials = data.second_ratings, data.trials
+    if second is None:
+        return None
+    columns = (second.operator, second.task, second.block, second.trial_in_block)
+    given = dict(zip(zip(*columns, strict=True), second.score, strict=True))
+    keys = zip(trials.operator, trials.task, trials.block, trials.trial_in_block, strict=True)
+    return np.array([given.get(key, np.nan) for key in keys], float)
+
+
+def _questionnaires(rows: Questionnaires) -> dict[str, np.ndarray]:
     return {
         "operator": rows.operator,
         "task": rows.task,
@@ -72,6 +125,19 @@ def _questionnaires(analysis: Analysis) -> dict[str, np.ndarray]:
         "index": rows.index,
         "workload": rows.workload,
     }
+
+
+def _metrics(rows: SimulationMetrics) -> dict[str, np.ndarray]:
+    names = {"operator": rows.operator, "retargeter": rows.retargeter}
+    return names | {name: rows.values[:, j] for j, name in enumerate(rows.names)}
+
+
+def _rankings(ranking: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+    return [
+        {"operator": who, "retargeter": name, "rank": place}
+        for who, order in ranking.items()
+        for place, name in enumerate(order, 1)
+    ]
 
 
 def _csv(columns: dict[str, np.ndarray]) -> str:

@@ -44,6 +44,7 @@ EVENTS: Final = {
     "recalibrate": "recalibrated",
     "withdraw": "withdrawn",
     "form": "form_answered",
+    "paper": "form_on_paper",
 }
 """Word -> kind of the event that it causes."""
 OTHER: Final = ("choose", "enrol", "replace", "switch", "cancel_start")
@@ -96,6 +97,11 @@ def command_of(said: Mapping[str, Any], role: Role) -> Command:
     number = isinstance(waited, int | float) and not isinstance(waited, bool)
     if not number or not math.isfinite(waited) or not 0 <= waited <= _LONGEST_WAIT:
         raise StudyError(f"waited_s must be 0 to {_LONGEST_WAIT:g} s, not {waited!r}")
+    if do == "form" and bool(fields.get("who")) != (role == "experimenter"):
+        raise StudyError(
+            "a form needs the initials of who types it in for the operator, on the experimenter's "
+            "page and nowhere else"
+        )
     return Command(token, do, operator, after, dict(fields), float(waited))
 
 

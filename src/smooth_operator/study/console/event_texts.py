@@ -18,6 +18,7 @@ from smooth_operator.study.store.events import (
     FamiliarisationEnded,
     FamiliarisationStarted,
     FormAnswered,
+    FormOnPaper,
     Noted,
     Recalibrated,
     Record,
@@ -142,7 +143,11 @@ def _of_the_day(record: Record) -> str:
             before = f", {event.before} was on" if event.before else ""
             return f"{event.operator} was put on{before}"
         case FormAnswered():
-            return f"Form {event.form} filled in"
+            if not event.who:
+                return f"Form {event.form} filled in"
+            return f"Form {event.form} typed in by {event.who}" + _why(event.reason)
+        case FormOnPaper():
+            return f"Form {event.form} is on paper ({event.who})"
     return event.kind
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from smooth_operator.study.design.forms import FormField
+from smooth_operator.study.console.form_views import form_view
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import Undone
 from smooth_operator.study.store.nasa_tlx import HIGHEST, PAIRS, STEP
@@ -32,7 +32,8 @@ def operator_view(
         view["what"] = "break" if step.what == "break" else "done"
     view["key"] = asked_key(current, step)
     if step.what == "form":
-        return {**view, **_form(current, step)}
+        form = next(form for form in plan.protocol.forms if form.name == step.form)
+        return {**view, "what": "form", **form_view(current, form)}
     if step.block is None:
         return view
     view |= place(step.block, None, current)
@@ -65,36 +66,6 @@ def operator_view(
 def _nothing_follows(step: Step) -> bool:
     """Whether nothing more is asked of the operator."""
     return step.what in ("done", "withdrawn", "refused")
-
-
-def _form(progress: Progress, step: Step) -> dict[str, Any]:
-    form = next(form for form in progress.plan.protocol.forms if form.name == step.form)
-    return {
-        "what": "form",
-        "form": form.name,
-        "title": form.title or form.name,
-        "text": form.text,
-        "fields": [_field(field, progress) for field in form.fields],
-    }
-
-
-def _field(field: FormField, progress: Progress) -> dict[str, Any]:
-    made = asdict(field)
-    if field.kind == "ranking":
-        made["ranked"] = [
-            {"label": label, "where": _met(label, progress)} for label in progress.ranked_labels()
-        ]
-    return made
-
-
-def _met(label: str, progress: Progress) -> str:
-    """In which blocks an operator has met a label: what they remember it by."""
-    blocks = {(t.block.task.name, t.block.number): t.block for t in progress.trials}
-    return ", ".join(
-        f"{block.task.title or block.task.name}, block {block.number}"
-        for block in blocks.values()
-        if block.condition.label == label
-    )
 
 
 def asked_key(progress: Progress, step: Step) -> str:

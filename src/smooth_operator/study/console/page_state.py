@@ -10,6 +10,7 @@ from typing import Any, Final
 from smooth_operator.errors import StudyError
 from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
 from smooth_operator.study.console.expected_time import break_is_due, time_left
+from smooth_operator.study.console.form_views import forms_view
 from smooth_operator.study.console.operator_view import place
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import (
@@ -98,6 +99,7 @@ def step_view(progress: Progress, named: Named) -> dict[str, Any]:
         "break_due": break_is_due(progress),
         "left_s": time_left(progress),
         "scored": scored_view(progress, named),
+        "forms": forms_view(progress),
         "withdrawn": None,
         "undoable": None,
     }

@@ -146,7 +146,7 @@ class SceneTrials:
             self.abandon()
 
     def along(self, do: str, progress: Progress) -> None:
-        """What the simulation does with a trial that was reset, scored, undone or made void.
+        """What the simulation does with a trial: reset, paused, scored, undone or made void.
 
         Args:
             do: the command.
@@ -163,12 +163,24 @@ class SceneTrials:
                 return
             if do == "reset":
                 self._switch.ask("reset")
+            elif do in ("pause", "resume") and trial.phase == "running":
+                self._switch.ask("trial", **{do: True})
             elif do == "score" and trial.phase == "running":
                 self._switch.ask("trial", finish=True)
             elif do in ("void", "undo", "withdraw"):
                 mark = "undone" if do == "undo" else "void"
                 about = {key: trial.about[key] for key in _KEYS}
                 self._switch.ask("trial", cancel=True, mark=mark, about=about)
+
+    def match_pause(self, progress: Progress) -> None:
+        """Has the scene stand still while the trial in the log is paused, and go on after that."""
+        running, trial = progress.running, self._switch.heard.trial
+        if running is None or trial is None or trial.phase != "running":
+            return
+        if running.paused != trial.paused and same_trial(trial.about, progress):
+            with contextlib.suppress(StudyError):
+                self._switch.ask("trial", **{"pause" if running.paused else "resume": True})
+                self._switch.follow()
 
     def standing(self, progress: Progress, *, fresh: bool = False) -> Standing | None:
         """Of the trial that runs, if the simulation knows of it all that the log does."""

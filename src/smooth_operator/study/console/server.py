@@ -79,6 +79,7 @@ class Console:
         self._local = local
         self._pages: set[_Page] = set()
         self._version = 0
+        self._looks = self._shown = 0
         self._states: dict[Role, dict[str, Any]] = {}
         self._troubles: dict[str, tuple[str, float]] = {}
         self._stale = asyncio.Event()
@@ -230,8 +231,14 @@ class Console:
     # All pages.
 
     async def _draw(self) -> None:
-        """Makes the states again and wakes the pages that show something else."""
+        """Makes the states again and wakes the pages that show something else.
+
+        Several may be under way. One that began earlier and comes back later is left out: pages
+        would go back to what was before.
+        """
         self._stale.clear()
+        self._looks += 1
+        began = self._looks
         try:
             experimenter, operator = await self._in_thread(self._service.look)
             self._note_trouble("look", None)
@@ -239,6 +246,9 @@ class Console:
             self._note_trouble("look", error)
             experimenter = self._states.get("experimenter", {})
             operator = self._states.get("operator", {"what": "wait"})
+        if began < self._shown:
+            return
+        self._shown = began
         experimenter = {**experimenter, "trouble": self._trouble(), "pages": self._counts()}
         experimenter["links"] = {
             "operator": self._links["operator"],

@@ -323,7 +323,9 @@ class SessionService:
             if note:
                 with suppress(StudyError):
                     self._store.append(command.operator, Noted(note), author="system")
-        hand.along(command.do, progress)
+        # Whoever watches the hand meanwhile goes by the log as it was before.
+        with self._switching if command.do in ("pause", "resume") else nullcontext():
+            hand.along(command.do, progress)
         return number
 
     def _due(self, command: Command) -> Progress:

@@ -119,7 +119,7 @@ class SessionTeleop:
         return {}
 
     def along(self, do: str, progress: Progress) -> None:
-        """What the simulation does with a trial that was reset, void, scored or undone.
+        """What the simulation does with a trial that was reset, paused, void, scored or undone.
 
         Never raises. An event before the trial's start can't be undone while it runs.
         """
@@ -133,8 +133,9 @@ class SessionTeleop:
         if trial is None or trial.phase != "done" or trial.time_s is None:
             return None
         running = progress.running
-        paused = running.paused_within(trial.time_s) if running else 0.0
-        return max(0.0, trial.time_s - paused)
+        if running is None or trial.pauses >= len(running.pauses):
+            return trial.time_s  # its own clock stood, too
+        return max(0.0, trial.time_s - running.paused_within(trial.time_s))
 
     def watch(self, progress: Progress | None) -> list[str]:
         """Looks at the teleoperation; puts it back on condition and scene of the block that is on.
@@ -166,6 +167,7 @@ class SessionTeleop:
         if progress.running is None:
             self.scenes.abandon_stray(progress.operator)
             return self.scenes.load(block, with_object=False if _free(progress, block) else None)
+        self.scenes.match_pause(progress)
         self.scenes.standing(progress)
         return self.scenes.lost(progress)
 

@@ -37,6 +37,8 @@ class Standing:
         resets: how often the object was put back.
         time_s: how long it took [s]; None before it is done.
         about: what it was begun with; names the condition.
+        paused: whether its scene stands still.
+        pauses: how often it did.
     """
 
     phase: str
@@ -46,6 +48,8 @@ class Standing:
     resets: int
     time_s: float | None
     about: Mapping[str, Any] = field(default_factory=dict)
+    paused: bool = False
+    pauses: int = 0
 
 
 @dataclass(frozen=True)
@@ -211,6 +215,8 @@ def standing(report: object) -> Standing | None:
             int(report["resets"]),
             None if time_s is None else float(time_s),
             dict(about) if isinstance(about, Mapping) else {},
+            report.get("paused") is True,
+            int(report.get("pauses", 0)),
         )
     except (KeyError, TypeError, ValueError):
         return None

@@ -19,6 +19,7 @@ from smooth_operator.study.store.events import (
     FamiliarisationEnded,
     FamiliarisationStarted,
     FormAnswered,
+    FormOnPaper,
     Recalibrated,
     Replaces,
     TrialPaused,
@@ -34,7 +35,7 @@ from smooth_operator.study.store.events import (
 from smooth_operator.study.store.operator_state import OperatorState, Step, What
 
 _WANTED: Final[dict[What, tuple[type[Event], ...]]] = {
-    "form": (FormAnswered,),
+    "form": (FormAnswered, FormOnPaper),
     "calibrate": (Calibrated,),
     "start_block": (BlockStarted, BlockEnded),
     "start_familiarisation": (FamiliarisationStarted, BlockEnded),
@@ -79,6 +80,8 @@ def check_event(state: OperatorState, event: Event) -> None:
         case Withdrawn():
             if state.withdrawn is not None:
                 raise _refusal(state, "has withdrawn already")
+        case FormAnswered() if event.who:
+            _check_typed(state, event)
         case BreakStarted():
             if step.what in _UNBROKEN:
                 raise _refusal(state, f"no break can begin: {named(step)} is on")
@@ -95,13 +98,33 @@ def _check_due(state: OperatorState, event: Event, step: Step) -> None:
     if not isinstance(event, _WANTED[step.what]):
         more = "; score or void its trial first" if isinstance(event, BlockEnded) else ""
         raise _refusal(state, f"{event.kind!r} is not due; {named(step)} is{more}")
-    if isinstance(event, FormAnswered):
+    if isinstance(event, FormAnswered | FormOnPaper):
         form = next(f for f in state.plan.protocol.forms if f.name == step.form)
         if event.form != form.name:
             raise _refusal(state, f"form {event.form!r} is not due; {form.name!r} is")
-        form.check(event.answers, state.ranked_labels())
+        if isinstance(event, FormAnswered):
+            form.check(event.answers, state.ranked_labels())
+        elif not event.who.strip():
+            raise _refusal(state, "who has the form on paper is missing; give initials")
     elif not isinstance(event, BreakEnded) and step.block is not None:
         _check_place(state, event, step, step.block)
+
+
+def _check_typed(state: OperatorState, event: FormAnswered) -> None:
+    """Refuses a form that an experimenter types in where that can't be."""
+    form = next((f for f in state.plan.protocol.forms if f.name == event.form), None)
+    if form is None or not state.can_type(form):
+        known = "the study has no such form" if form is None else "it is not due yet"
+        raise _refusal(state, f"form {event.form!r} can't be typed in: {known}")
+    if form.name in state.forms and not event.reason.strip():
+        raise _refusal(
+            state, f"form {form.name!r} is filled in already; state why it is to be replaced"
+        )
+    form.check(event.answers, state.ranked_labels())
+    if state.trials and form.when == "before" and form.refused(event.answers):
+        raise _refusal(
+            state, "a consent can't be refused once trials were done; withdraw the operator"
+        )
 
 
 def _check_place(state: OperatorState, event: Any, step: Step, block: Block) -> None:

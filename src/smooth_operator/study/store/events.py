@@ -236,16 +236,34 @@ class Chosen(_Event):
 
 @dataclass(frozen=True)
 class FormAnswered(_Event):
-    """A form of the study was filled in.
+    """A form of the study was filled in, by the operator or from paper.
 
     Attributes:
         form: name.
         answers: field -> text, number, yes or no, or list of texts.
+        who: typed it in for the operator; initials. Empty where the operator did it.
+        reason: why answers that were there already are replaced; empty where none were.
     """
 
     kind: ClassVar[str] = "form_answered"
     form: str
     answers: Mapping[str, Any]
+    who: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class FormOnPaper(_Event):
+    """A form is filled in on paper, and typed in later.
+
+    Attributes:
+        form: name.
+        who: has the paper; initials.
+    """
+
+    kind: ClassVar[str] = "form_on_paper"
+    form: str
+    who: str
 
 
 @dataclass(frozen=True)
@@ -331,6 +349,7 @@ Event: TypeAlias = (
     | Replaces
     | Chosen
     | FormAnswered
+    | FormOnPaper
 )
 
 ASIDE: Final = (Noted, Chosen, Replaces)
@@ -341,7 +360,7 @@ EVENTS: Final[dict[str, type[Event]]] = {
         Calibrated, BlockStarted, FamiliarisationStarted, FamiliarisationEnded, TrialStarted,
         TrialReset, TrialScored, TrialVoided, Answered, Weighed, BreakStarted, BreakEnded, Noted,
         Undone, TrialPaused, TrialResumed, Amended, BlockEnded, Recalibrated, Withdrawn, Replaces,
-        Chosen, FormAnswered,
+        Chosen, FormAnswered, FormOnPaper,
     )
 }  # fmt: skip
 """Kind, as it is stored -> class."""

@@ -18,8 +18,16 @@ def operator_json(progress: Progress) -> dict[str, Any]:
         "withdrawn": left and {"at": left.at.isoformat(), "keep": left.keep, "reason": left.reason},
         "replaces": progress.replaces or None,
         "forms": {
-            name: {"at": at.isoformat(), "answers": answers}
+            name: {
+                "at": at.isoformat(),
+                "answers": answers,
+                "typed_by": progress.typed.get(name),
+            }
             for name, (at, answers) in progress.forms.items()
+        },
+        "forms_on_paper": {
+            name: {"at": at.isoformat(), "who": who}
+            for name, (at, who) in progress.on_paper.items()
         },
         "ranking": list(progress.ranking()),
         "notes": [{"at": at.isoformat(), "text": text} for at, text in progress.notes],

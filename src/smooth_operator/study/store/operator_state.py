@@ -89,7 +89,7 @@ class Trial:
     def paused_within(self, seconds: float) -> float:
         """How long its clock stood in so many seconds from its start [s].
 
-        For a simulation, whose own clock goes on in a pause.
+        For a simulation whose own clock went on in the pauses.
         """
         parts = ((at - self.started, length or 0.0) for at, length, _ in self.pauses)
         return sum(min(max(0.0, seconds - a.total_seconds()), length) for a, length in parts)
@@ -174,6 +174,8 @@ class OperatorState:
         withdrawn: whether and how the operator left; None if not.
         replaces: whose rows the operator has; empty if nobody's.
         forms: name -> when, and answers.
+        typed: forms that somebody typed in for the operator -> who.
+        on_paper: forms on paper that were not typed in yet -> when and who has them.
     """
 
     plan: Plan
@@ -190,6 +192,8 @@ class OperatorState:
     withdrawn: Withdrawal | None = None
     replaces: str = ""
     forms: dict[str, tuple[datetime, dict[str, Any]]] = field(default_factory=dict)
+    typed: dict[str, str] = field(default_factory=dict)
+    on_paper: dict[str, tuple[datetime, str]] = field(default_factory=dict)
     _effective: list[Record] = field(default_factory=list)
     _scored: Counter[tuple[str, int]] = field(default_factory=Counter)
     _answered: set[tuple[str, int, Point]] = field(default_factory=set)
@@ -342,11 +346,20 @@ class OperatorState:
         )
 
     def due_form(self, when: When) -> Form | None:
-        """The next form that was not filled in."""
+        """The next form that was not filled in, nor is on paper."""
         for form in self.plan.protocol.forms:
-            if form.when == when and form.name not in self.forms:
+            if form.when == when and form.name not in {**self.forms, **self.on_paper}:
                 return form
         return None
+
+    def can_type(self, form: Form) -> bool:
+        """Whether an experimenter may type a form in now: not before it is due."""
+        return (
+            form.name in {**self.forms, **self.on_paper}
+            or self.withdrawn is not None
+            or self.step.form == form.name
+            or (form.when == "before" and bool(self._started))
+        )
 
     def finished(self, block: Block) -> bool:
         """Whether nothing of a block is due any more."""

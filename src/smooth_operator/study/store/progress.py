@@ -24,6 +24,7 @@ from smooth_operator.study.store.events import (
     FamiliarisationEnded,
     FamiliarisationStarted,
     FormAnswered,
+    FormOnPaper,
     Noted,
     Recalibrated,
     Record,
@@ -121,6 +122,12 @@ class Progress(OperatorState):
                 self.winners[event.task, event.block] = event.winners
             case FormAnswered():
                 self.forms[event.form] = (at, dict(event.answers))
+                self.on_paper.pop(event.form, None)
+                self.typed.pop(event.form, None)
+                if event.who:
+                    self.typed[event.form] = event.who
+            case FormOnPaper():
+                self.on_paper[event.form] = (at, event.who)
             case Replaces():
                 self.replaces = event.operator
             case Withdrawn():

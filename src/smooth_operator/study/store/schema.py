@@ -70,7 +70,16 @@ def export_schema() -> dict[str, Any]:
                         "type": ["object", "null"],
                     },
                     replaces={"type": ["string", "null"]},
-                    forms=_by_name(_object({"at": moment, "answers": {"type": "object"}})),
+                    forms=_by_name(
+                        _object(
+                            {
+                                "at": moment,
+                                "answers": {"type": "object"},
+                                "typed_by": {"type": ["string", "null"]},
+                            }
+                        )
+                    ),
+                    forms_on_paper=_by_name(_object({"at": moment, "who": text})),
                     ranking={"type": "array", "items": text},
                     voided=rows(**trial, reason=text),
                     pauses=rows(

@@ -24,10 +24,12 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         "limit_s": 45 is its time limit in place of the task's. With "finish": true it ends, the
         operator can do no more; with "cancel": true it is forgotten, and with "mark": "undone" or
         "void" the record of one that has ended, with these entries "about" it, is marked so.
-        "side" says which one, if there are two:
+        With "pause": true the hand, its scene and the clock of the trial stand still, and go on
+        with "resume": true. "side" says which one, if there are two:
         {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
          "line": "not-done", "text": ..., "reason": "on the table", "time_s": null, "ended": null,
-         "resets": 0, "number": 1, "placed": true, "side": "right"}; "phase" is ready, running or
+         "resets": 0, "number": 1, "placed": true, "paused": false, "pauses": 0, "side": "right"};
+        "phase" is ready, running or
         done, and only of a trial that is done are score, line and time_s final.
     {"do": "reset"}
         the one reset of a trial that runs; where none does the object is just put back. The answer
@@ -174,7 +176,9 @@ class RpcHandlers:
 
     def _trial(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         runner = self._open_runner()
-        wanted = [word for word in ("begin", "finish", "cancel") if fields.get(word)]
+        wanted = [
+            word for word in ("begin", "finish", "cancel", "pause", "resume") if fields.get(word)
+        ]
         if len(wanted) > 1:
             raise ConfigError(f"a trial can't {' and '.join(wanted)} together")
         about = fields.get("about") or {}
@@ -188,8 +192,10 @@ class RpcHandlers:
             if mark not in (None, "undone", "void"):
                 raise ConfigError(f"mark: expected undone or void, not {mark!r}")
             runner.cancel(mark, **about)
-        elif wanted:
+        elif "finish" in wanted:
             runner.finish()
+        elif wanted:
+            runner.pause("pause" in wanted)
         return runner.report(_side(fields))
 
     def _reset(self, fields: Mapping[str, Any]) -> dict[str, Any]:

@@ -101,7 +101,7 @@ class TaskTrials:
         Returns:
             ``title`` and ``instruction`` of the task; ``number`` of the trial, as who began it
             counts, and ``count`` of how many, where that is known; ``phase``, ``elapsed_s`` and
-            ``limit_s``, see TaskSession; ``object``, whether there is one.
+            ``limit_s`` and ``paused``, see TaskSession; ``object``, whether there is one.
         """
         runner = self.runner
         if runner is None or (task := runner.task) is None:
@@ -116,7 +116,7 @@ class TaskTrials:
             "instruction": task.task.instruction,
             "number": about.get("trial", report["number"]),
             "count": about.get("trials"),
-            **{name: report[name] for name in ("phase", "elapsed_s", "limit_s")},
+            **{name: report[name] for name in ("phase", "elapsed_s", "limit_s", "paused")},
             "object": runner.object_there,
         }
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.readings.interaction import Interaction
-from smooth_operator.study.analysis.report.number_text import number, p_said, signed
+from smooth_operator.study.analysis.report.number_text import number, p_said, signed, with_minus
 from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
 
@@ -64,7 +64,7 @@ def _outcome(analysis: Analysis, outcome: Outcome, scope: str, *, primary: bool)
 
 def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
     if result.refused is not None:
-        return f"no result, refused: {result.refused}"
+        return f"no result, refused: {with_minus(result.refused)}"
     scale, digits, unit = DIGITS[outcome]
     found: list[str] = []
     open_: list[str] = []

@@ -14,7 +14,13 @@ from smooth_operator.study.analysis.readings.order_effects import OrderEffects
 from smooth_operator.study.analysis.readings.parts import Drawn, Estimate, Refused
 from smooth_operator.study.analysis.readings.score_levels import OrdinalReading
 from smooth_operator.study.analysis.readings.time_to_success import TimeToSuccess
-from smooth_operator.study.analysis.report.number_text import number, p_text, signed, span
+from smooth_operator.study.analysis.report.number_text import (
+    number,
+    p_text,
+    signed,
+    span,
+    with_minus,
+)
 from smooth_operator.study.analysis.report.report_tables import DIGITS, scope_name
 from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
 
@@ -60,8 +66,10 @@ def score_table(analysis: Analysis, scope: str) -> Html:
     )  # fmt: skip
     parts = [_table(headers, rows)]
     parts += [
-        paragraph(f"Score = 1: {full.refused}", "warning") if full.refused else Html(""),
-        paragraph(f"Ordinal: {ordinal.refused}", "warning")
+        paragraph(with_minus(f"Score = 1: {full.refused}"), "warning")
+        if full.refused
+        else Html(""),
+        paragraph(with_minus(f"Ordinal: {ordinal.refused}"), "warning")
         if isinstance(ordinal, Refused)
         else Html(""),
     ]

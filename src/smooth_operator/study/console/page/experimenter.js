@@ -2,6 +2,7 @@
 
 import { ask } from './ask.js';
 import { clock, h, fill, part } from './dom.js';
+import { drawForms } from './forms.js';
 import { keep, kept, Link, moment } from './link.js';
 import { drawPeople } from './people.js';
 import { drawScored } from './scored.js';
@@ -52,6 +53,16 @@ const actions = {
   place(...names) {
     return Object.fromEntries(names.map((name) => [name, link.state.now[name]]));
   },
+  /** The same, for the operator and the place that are shown as a question is asked: something else
+   * may be on when it is answered. */
+  asked(...names) {
+    const { now } = link.state;
+    const place = this.place(...names);
+    return (what, fields = {}, more = {}) => {
+      refusal = '';
+      link.command(what, now.operator, { ...place, ...fields }, { after: now.after, ...more });
+    };
+  },
   async choose(operator) {
     const { now } = link.state;
     const busy = BUSY.includes(now?.what);
@@ -66,39 +77,44 @@ const actions = {
   },
   async score(line) {
     const since = stopped.at ?? moment(); // the question takes no time from the trial
-    const fields = { ...actions.place('task', 'block', 'trial'), line };
+    const send = actions.asked('task', 'block', 'trial');
     const doubt = contradiction(link.state, line);
     if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it all the same')) return;
-    actions.send('score', fields, { since });
+    send('score', { line }, { since });
   },
   async voidTrial() {
+    const send = actions.asked('task', 'block', 'trial');
     const given = await ask('Void this trial', 'For a reason that is not the operator’s. It will be done again.',
       [{ name: 'reason', label: 'Reason', required: true }], 'Void');
-    if (given) actions.send('void', { ...actions.place('task', 'block', 'trial'), reason: given.reason });
+    if (given) send('void', { reason: given.reason });
   },
   async pause() {
+    const send = actions.asked('task', 'block', 'trial');
     const given = await ask('Pause the clock', 'For a fault that is not the operator’s. The time until the clock goes on does not count.',
       [{ name: 'reason', label: 'Reason', required: true }], 'Pause');
-    if (given) actions.send('pause', { ...actions.place('task', 'block', 'trial'), reason: given.reason });
+    if (given) send('pause', { reason: given.reason });
   },
   async endBlock() {
+    const send = actions.asked('task', 'block');
     const now = link.state.now;
     const given = await ask(`End block ${now.block} of ${now.task} now?`, 'What is left of it is not done, its questionnaires included. The next block follows.',
       [{ name: 'reason', label: 'Reason', required: true }], 'End the block');
-    if (given) actions.send('end_block', { ...actions.place('task', 'block'), reason: given.reason });
+    if (given) send('end_block', { reason: given.reason });
   },
   async recalibrate() {
+    const send = actions.asked('task');
     const given = await ask('Calibrate again', 'Calibrate, then enter the file. It is loaded into the running hand.',
       [{ name: 'detail', label: 'File or remark', required: true, maxLength: 400 }], 'Calibrated');
-    if (given) actions.send('recalibrate', { ...actions.place('task'), detail: given.detail });
+    if (given) send('recalibrate', { detail: given.detail });
   },
   async withdraw() {
+    const send = actions.asked();
     const now = link.state.now;
     const given = await ask(`Operator ${now.operator} withdraws`, 'No further step is due. A trial that runs becomes void. To delete the data: smooth-operator study erase.', [
       { name: 'keep', label: 'The data so far', type: 'select', options: [
         { value: 'keep', text: 'is kept and may be analysed' }, { value: 'leave', text: 'is left out of the analysis' }] },
       { name: 'reason', label: 'Reason, if given' }], 'Withdraw');
-    if (given) actions.send('withdraw', { keep: given.keep === 'keep', reason: given.reason });
+    if (given) send('withdraw', { keep: given.keep === 'keep', reason: given.reason });
   },
   async replace() {
     const now = link.state.now;
@@ -110,6 +126,7 @@ const actions = {
     link.command('replace', now.operator, { by: given.code });
   },
   async amend(block, trial) {
+    const send = actions.asked();
     const { study } = link.state;
     const { rubric } = study.tasks.find((task) => task.name === block.task);
     const given = await ask(`Amend trial ${trial.trial} of ${block.task}, block ${block.block}`,
@@ -121,18 +138,31 @@ const actions = {
         { name: 'who', label: 'Decided by (initials)', maxLength: 40 }], 'Amend');
     if (!given) return;
     const time = Number(given.time);
-    actions.send('amend', { task: block.task, block: block.block, trial: trial.trial, line: given.line,
+    send('amend', { task: block.task, block: block.block, trial: trial.trial, line: given.line,
       ...(time === trial.time_s ? {} : { time_s: time }), reason: given.reason, who: given.who });
   },
   async endFamiliarisation() {
+    const send = actions.asked('task', 'block');
     const given = await ask('End free movement now?', 'Its time is not over yet.', [], 'End it');
-    if (given) actions.send('end_familiarisation', actions.place('task', 'block'));
+    if (given) send('end_familiarisation');
   },
   async undo() {
     const last = link.state?.now?.undoable;
     if (!last || !part('undo').matches(':enabled')) return;
-    const given = await ask('Undo?', last.text, [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo');
-    if (given) actions.send('undo', { number: last.number, reason: given.reason });
+    const send = actions.asked();
+    const given = await ask(`Take back event ${last.number}?`, `${last.text}. It counts no more; the log keeps it.`, [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo');
+    if (given) send('undo', { number: last.number, reason: given.reason });
+  },
+  async onPaper() {
+    const send = actions.asked('form');
+    const given = await ask('On paper', 'The operator fills this form in on paper; type it in when there is time. A consent must be signed before anything starts.',
+      [{ name: 'who', label: 'Who has it (initials)', required: true, maxLength: 40 }], 'It is on paper');
+    if (given) send('paper', { who: given.who });
+  },
+  /** A form of an operator, from paper. What is due does not matter. */
+  typeIn(operator, fields) {
+    refusal = '';
+    link.command('form', operator, fields);
   },
   async enrol() {
     const tasks = link.state.study.tasks;
@@ -171,7 +201,10 @@ function draw() {
   }
   drawPeople(part('people'), state, actions);
   drawScored(part('scored'), state, actions, blocked);
-  part('undo').disabled = blocked || !state.now?.undoable;
+  drawForms(part('forms'), state, actions, blocked);
+  const last = state.now?.undoable;
+  part('undo').disabled = blocked || !last;
+  part('undo-what').textContent = last ? `Undo takes back #${last.number}: ${last.text}` : '';
   part('enrol').disabled = !link.connected;
   tick();
 }

@@ -4,9 +4,9 @@ import { button, fill, h } from './dom.js';
 import { keep, kept } from './link.js';
 
 /** Draws a form; what is filled in is kept on the device until it is sent. */
-export function form(place, state, { name, sending, send }) {
+export function form(place, state, { name, sending, send, answers: before = {}, more = null }) {
   const known = kept(name);
-  const answers = known?.key === state.key ? known.answers : {};
+  const answers = known?.key === state.key ? known.answers : { ...before };
   const { texts } = state;
   const begun = new Set(); // rankings that are not whole yet
   const left = h('p', { class: 'soft', role: 'status' });
@@ -34,7 +34,7 @@ export function form(place, state, { name, sending, send }) {
   },
   h('section', { class: 'card intro' }, h('h2', {}, state.title), state.text && h('p', {}, state.text)),
   state.fields.map((field) => h('section', { class: 'card field' }, (DRAWN[field.kind] ?? DRAWN.text)(field, answers[field.name], (value, partly) => set(field, value, partly), sending, texts))),
-  h('section', { class: 'card send' }, left, submit)));
+  more, h('section', { class: 'card send' }, left, submit)));
   show();
 }
 

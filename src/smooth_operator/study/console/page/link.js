@@ -36,6 +36,15 @@ export function kept(name) {
   }
 }
 
+/** Values whose names begin so, by name. */
+function keptBy(prefix) {
+  try {
+    return Object.keys(localStorage).filter((name) => name.startsWith(prefix)).map((name) => [name, kept(name)]);
+  } catch {
+    return [];
+  }
+}
+
 /** Events: "state", "change" (of the link), "done" and "refused" (detail: {command, answer}). */
 export class Link extends EventTarget {
   /** path: of the WebSocket; hello: what to say first, a function. */
@@ -87,10 +96,10 @@ export class Link extends EventTarget {
 
   /** Gives up what can't be written. */
   drop() {
+    for (const entry of this.outbox) this.forget(entry.token);
     this.outbox = [];
     this.flying = null;
     this.trouble = '';
-    this.store();
     this.changed();
   }
 
@@ -140,9 +149,8 @@ export class Link extends EventTarget {
       if (this.study !== study) {
         this.study = study;
         this.name = `smooth-operator:${study}:${this.path}`;
-        const known = new Set(this.outbox.map((entry) => entry.token));
-        this.outbox.unshift(...(kept(this.name) ?? []).filter((entry) => !known.has(entry.token)
-          && (LASTING.has(entry.do) || Math.abs(moment() - entry.since) < STALE)));
+        this.recall();
+        this.store();
       }
       this.state = said;
       this.dispatchEvent(new Event('state'));
@@ -164,7 +172,7 @@ export class Link extends EventTarget {
     }
     this.trouble = '';
     this.outbox = this.outbox.filter((entry) => entry.token !== answer.token);
-    this.store();
+    this.forget(answer.token);
     this.dispatchEvent(new CustomEvent(answer.type, { detail: { command, answer } }));
     this.flush();
   }
@@ -178,8 +186,27 @@ export class Link extends EventTarget {
     this.socket.send(JSON.stringify({ type: 'command', ...command, waited_s: waited }));
   }
 
+  /** Each command has a place of its own: tabs of one browser leave each other's alone. */
   store() {
-    if (this.name) keep(this.name, this.outbox.length ? this.outbox : null);
+    if (!this.name) return;
+    for (const entry of this.outbox) keep(`${this.name}/${entry.token}`, entry);
+  }
+
+  forget(sent) {
+    if (this.name) keep(`${this.name}/${sent}`, null);
+  }
+
+  /** What a page of before did not see acknowledged. */
+  recall() {
+    const known = new Set(this.outbox.map((entry) => entry.token));
+    const found = [];
+    for (const [name, entry] of keptBy(`${this.name}/`)) {
+      if (entry && known.has(entry.token)) continue;
+      if (entry && (LASTING.has(entry.do) || Math.abs(moment() - entry.since) < STALE)) found.push(entry);
+      else keep(name, null);
+    }
+    found.sort((a, b) => a.since - b.since);
+    this.outbox.unshift(...found);
   }
 
   changed() {

@@ -114,9 +114,10 @@ const STEPS = {
         button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: blocked, onclick: actions.voidTrial })),
     ];
   },
-  form(now, state) {
+  form(now, state, actions, blocked) {
     return [h('h2', {}, `Form: ${now.form}`),
-      h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state)];
+      h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state),
+      h('div', { class: 'row' }, button('It is on paper', { id: 'on-paper', kind: 'quiet', disabled: blocked, onclick: actions.onPaper }))];
   },
   refused(now) {
     return [h('h2', {}, 'Consent refused'),

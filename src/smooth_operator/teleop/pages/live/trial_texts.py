@@ -15,7 +15,7 @@ STYLE: Final = """<style>
   background: rgba(20, 22, 26, 0.8); font-size: 1rem; line-height: 1.3}
 #live-trial b {display: block; font-size: 2.2em; line-height: 1.15;
   font-variant-numeric: tabular-nums}
-#live-trial[data-phase="waiting"] b {color: #e69f00}
+#live-trial[data-phase="waiting"] b, #live-trial[data-phase="paused"] b {color: #e69f00}
 #live-trial[data-phase="go"] b {color: #00d79b; font-size: 4em}
 </style>"""
 
@@ -40,6 +40,8 @@ def trial(seen: Mapping[str, Any] | None) -> str:
 
 def _sign(seen: Mapping[str, Any]) -> tuple[str, str]:
     phase, elapsed, limit = seen["phase"], seen["elapsed_s"], seen["limit_s"]
+    if seen.get("paused"):
+        return "paused", "Paused: keep your hand as it is"
     if phase == "waiting":
         return phase, "Hand away from the object"
     if phase == "running":
