@@ -173,6 +173,12 @@ class MethodConfig(ABC):
         """Whether a frame is answered sooner on one thread than on one per core."""
         return True
 
+    @property
+    def wide(self) -> bool:
+        """Whether a frame's time goes to loops over thousands of numbers, for which the processor's
+        widest vectors are better."""
+        return False
+
     @abstractmethod
     def build(self, hand: Hand) -> Method:
         """The method for one hand.
