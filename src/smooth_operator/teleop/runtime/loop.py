@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.parallel import usable_cores
+from smooth_operator.teleop.runtime.ahead import Helper
 from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -44,6 +46,8 @@ class TeleopLoop:
         controls: switches, for any thread.
         statistics: what the run came to.
         watch: as given; to be set before ``run``.
+        helped: whether frames that come together are answered side by side, on a second thread;
+            to be set before ``run``.
     """
 
     def __init__(
@@ -69,6 +73,8 @@ class TeleopLoop:
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of
+        self.helped = len(self.pipelines) > 1 and usable_cores() > 1
+        self._helper: Helper | None = None
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
     def run(
@@ -93,9 +99,10 @@ class TeleopLoop:
         try:
             self.source.start(self.mailbox)
             try:
-                started()
-                with self._watchdog():
-                    self._loop(duration)
+                with self._helped():  # before the loop's priority, which concerns known threads
+                    started()
+                    with self._watchdog():
+                        self._loop(duration)
             finally:
                 self.source.stop()
         finally:
@@ -152,6 +159,7 @@ class TeleopLoop:
                     return
             self._wait(sides)
             self._change()
+            self._work_ahead(sides)
             for side in sides:
                 self._serve(side)
 
@@ -188,13 +196,28 @@ class TeleopLoop:
             return pace.keeps(following)
         return pace.answers(arrival.received, following)
 
+    def _may_leave(self, side: Side, now: float, due: float) -> bool:
+        return (now >= self._rate_limiters[side].opens or side in self._stopped) and now >= due
+
+    def _work_ahead(self, sides: Sequence[Side]) -> None:
+        """Have frames that came together answered side by side: the loop takes the first."""
+        if self._helper is None:
+            return
+        now = self.mailbox.clock()
+        waiting = [
+            (side, arrival)
+            for side in sides
+            if (arrival := self.mailbox.newest(side)) is not None
+            and self._may_leave(side, now, self._due(side, now))
+        ]
+        for side, arrival in waiting[1:]:
+            self.pipelines[side].work_ahead(arrival, self._helper)
+
     def _serve(self, side: Side) -> None:
         """Answer the newest frame of a hand, or keep its pace."""
         now, pace = self.mailbox.clock(), self._rate_limiters[side]
-        if now < pace.opens and side not in self._stopped:
-            return
         due = self._due(side, now)
-        if now < due:
+        if not self._may_leave(side, now, due):
             return
         arrival = self.mailbox.take(side)
         self._asked.discard(side)
@@ -220,6 +243,18 @@ class TeleopLoop:
         """Where the arm of a hand is: as a sink measures it, or as it was last commanded."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
+
+    @contextlib.contextmanager
+    def _helped(self) -> Iterator[None]:
+        """The second thread, where there is to be one."""
+        if not self.helped:
+            yield
+            return
+        with Helper() as self._helper:
+            try:
+                yield
+            finally:
+                self._helper = None
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from smooth_operator.methods.program import RetargetState
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.teleop.runtime.ahead import Ahead, Helper
 from smooth_operator.teleop.runtime.clutch import Clutch
 from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
@@ -72,6 +74,7 @@ class HandPipeline:
         self._number = 0
         self.seen: Arrival | None = None
         self._told: list[str] = []  # events of the next step
+        self._ahead: Ahead | None = None
 
     @property
     def mode_now(self) -> Mode:
@@ -113,6 +116,20 @@ class HandPipeline:
             return None
         fingers = self.retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
+
+    def work_ahead(self, arrival: Arrival, helper: Helper) -> None:
+        """Have another thread answer a frame that the next step is likely to be given.
+
+        Commands are the same with and without.
+        """
+        if self._ahead is not None:
+            self._ahead.withdraw()
+            self._ahead = None
+        # A state that the step would replace first; a solver that hands may share
+        if self.supervisor.starts_again or self.retargeter.method.host is not None:
+            return
+        if self.supervisor.listens:
+            self._ahead = helper.begin(self.retargeter.step, self._state, arrival.frame)
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """The next command.
@@ -200,7 +217,7 @@ class HandPipeline:
         start = self._clock()
         if self.supervisor.starts_again:
             self._state = self.retargeter.init()
-        state, result = self.retargeter.step(self._state, arrival.frame)
+        state, result = self._solved(arrival)
         solved = self._clock()
         if result.status == Status.OK:
             if not self.supervisor.mode.moves:
@@ -213,6 +230,17 @@ class HandPipeline:
             "receive": (start - arrival.received) * 1e3,
             "solve": (solved - start) * 1e3,
         }
+
+    def _solved(self, arrival: Arrival) -> tuple[RetargetState, Result]:
+        """The method's step: as it was worked out ahead, or here."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            state, frame = ahead.arguments
+            if state is self._state and frame is arrival.frame:
+                solved: tuple[RetargetState, Result] = ahead.value()
+                return solved
+            ahead.withdraw()
+        return self.retargeter.step(self._state, arrival.frame)
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
         """What the limits let the robot do in this mode in the time since the last command."""
