@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.parallel import usable_cores
-from smooth_operator.teleop.runtime.ahead import Helper
 from smooth_operator.teleop.runtime.controls import Controls
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.rate_limiter import RateLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
+from smooth_operator.teleop.runtime.together import Together
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
@@ -46,8 +45,7 @@ class TeleopLoop:
         controls: switches, for any thread.
         statistics: what the run came to.
         watch: as given; to be set before ``run``.
-        helped: whether frames that come together are answered side by side, on a second thread;
-            to be set before ``run``.
+        together: answers frames of two hands that come together; None if each waits for its turn.
     """
 
     def __init__(
@@ -73,8 +71,7 @@ class TeleopLoop:
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of
-        self.helped = len(self.pipelines) > 1 and usable_cores() > 1
-        self._helper: Helper | None = None
+        self.together = Together() if len(self.pipelines) == 2 else None
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
     def run(
@@ -99,10 +96,9 @@ class TeleopLoop:
         try:
             self.source.start(self.mailbox)
             try:
-                with self._helped():  # before the loop's priority, which concerns known threads
-                    started()
-                    with self._watchdog():
-                        self._loop(duration)
+                started()
+                with self._watchdog():
+                    self._loop(duration)
             finally:
                 self.source.stop()
         finally:
@@ -159,7 +155,7 @@ class TeleopLoop:
                     return
             self._wait(sides)
             self._change()
-            self._work_ahead(sides)
+            self._answer_together(sides)
             for side in sides:
                 self._serve(side)
 
@@ -197,21 +193,21 @@ class TeleopLoop:
         return pace.answers(arrival.received, following)
 
     def _may_leave(self, side: Side, now: float, due: float) -> bool:
-        return (now >= self._rate_limiters[side].opens or side in self._stopped) and now >= due
+        return now >= due and (now >= self._rate_limiters[side].opens or side in self._stopped)
 
-    def _work_ahead(self, sides: Sequence[Side]) -> None:
-        """Have frames that came together answered side by side: the loop takes the first."""
-        if self._helper is None:
+    def _answer_together(self, sides: Sequence[Side]) -> None:
+        """Where frames of both hands wait for their turns, have them answered by one program."""
+        if self.together is None:
             return
         now = self.mailbox.clock()
         waiting = [
-            (side, arrival)
+            (self.pipelines[side], arrival)
             for side in sides
             if (arrival := self.mailbox.newest(side)) is not None
             and self._may_leave(side, now, self._due(side, now))
         ]
-        for side, arrival in waiting[1:]:
-            self.pipelines[side].work_ahead(arrival, self._helper)
+        if len(waiting) == 2:
+            self.together.answer(waiting)
 
     def _serve(self, side: Side) -> None:
         """Answer the newest frame of a hand, or keep its pace."""
@@ -243,18 +239,6 @@ class TeleopLoop:
         """Where the arm of a hand is: as a sink measures it, or as it was last commanded."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
-
-    @contextlib.contextmanager
-    def _helped(self) -> Iterator[None]:
-        """The second thread, where there is to be one."""
-        if not self.helped:
-            yield
-            return
-        with Helper() as self._helper:
-            try:
-                yield
-            finally:
-                self._helper = None
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from smooth_operator.methods.program import RetargetState
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.teleop.runtime.ahead import Ahead, Helper
 from smooth_operator.teleop.runtime.clutch import Clutch
 from smooth_operator.teleop.runtime.delay import TrackerDelay
 from smooth_operator.teleop.runtime.limiter import Limiter
@@ -19,7 +18,7 @@ from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.supervisor import Supervisor
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
-from smooth_operator.types import JointCommand, Result, Side, Status
+from smooth_operator.types import HandFrame, JointCommand, Result, Side, Status
 
 if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmController
@@ -74,7 +73,7 @@ class HandPipeline:
         self._number = 0
         self.seen: Arrival | None = None
         self._told: list[str] = []  # events of the next step
-        self._ahead: Ahead | None = None
+        self._known: tuple[RetargetState, HandFrame, tuple[RetargetState, Result]] | None = None
 
     @property
     def mode_now(self) -> Mode:
@@ -117,19 +116,18 @@ class HandPipeline:
         fingers = self.retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
 
-    def work_ahead(self, arrival: Arrival, helper: Helper) -> None:
-        """Have another thread answer a frame that the next step is likely to be given.
+    def expects(self, arrival: Arrival) -> tuple[RetargetState, HandFrame] | None:
+        """State and frame of the method's next step, if that answers this frame, as things are
+        now; None if frames are not answered, or the step begins with a new state."""
+        if self.supervisor.starts_again or not self.supervisor.listens:
+            return None
+        return self._state, arrival.frame
 
-        Commands are the same with and without.
-        """
-        if self._ahead is not None:
-            self._ahead.withdraw()
-            self._ahead = None
-        # A state that the step would replace first; a solver that hands may share
-        if self.supervisor.starts_again or self.retargeter.method.host is not None:
-            return
-        if self.supervisor.listens:
-            self._ahead = helper.begin(self.retargeter.step, self._state, arrival.frame)
+    def take(
+        self, state: RetargetState, frame: HandFrame, answer: tuple[RetargetState, Result]
+    ) -> None:
+        """Have an answer ready for the next step; it is used if state and frame are still those."""
+        self._known = state, frame, answer
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """The next command.
@@ -217,7 +215,11 @@ class HandPipeline:
         start = self._clock()
         if self.supervisor.starts_again:
             self._state = self.retargeter.init()
-        state, result = self._solved(arrival)
+        known, self._known = self._known, None
+        if known is not None and known[0] is self._state and known[1] is arrival.frame:
+            state, result = known[2]
+        else:
+            state, result = self.retargeter.step(self._state, arrival.frame)
         solved = self._clock()
         if result.status == Status.OK:
             if not self.supervisor.mode.moves:
@@ -230,17 +232,6 @@ class HandPipeline:
             "receive": (start - arrival.received) * 1e3,
             "solve": (solved - start) * 1e3,
         }
-
-    def _solved(self, arrival: Arrival) -> tuple[RetargetState, Result]:
-        """The method's step: as it was worked out ahead, or here."""
-        ahead, self._ahead = self._ahead, None
-        if ahead is not None:
-            state, frame = ahead.arguments
-            if state is self._state and frame is arrival.frame:
-                solved: tuple[RetargetState, Result] = ahead.value()
-                return solved
-            ahead.withdraw()
-        return self.retargeter.step(self._state, arrival.frame)
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
         """What the limits let the robot do in this mode in the time since the last command."""
