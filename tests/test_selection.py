@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +20,7 @@ ONE_COLUMN = np.where(np.arange(MANY) % (MANY // 32) < 3, 1e3 + USUAL, USUAL)
 
 
 @pytest.fixture(scope="module")
-def found_by():
+def found_by() -> Callable[[np.ndarray], list[np.ndarray]]:
     run = jax.jit(lambda values: largest(values, FEW))
     return lambda values: [np.asarray(part) for part in run(jnp.asarray(values, jnp.float32))]
 
@@ -37,7 +39,9 @@ def found_by():
         np.where(np.arange(MANY) == 7, -np.inf, USUAL),
     ],
 )
-def test_they_are_the_largest(found_by, values: np.ndarray) -> None:
+def test_they_are_the_largest(
+    found_by: Callable[[np.ndarray], list[np.ndarray]], values: np.ndarray
+) -> None:
     values = values.astype(np.float32)
     best, index = found_by(values)
     np.testing.assert_array_equal(best, np.sort(values)[::-1][:FEW])

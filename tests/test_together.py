@@ -143,6 +143,6 @@ def test_the_loop_answers_both_hands_together(
 
 def test_one_hand_has_nothing_to_be_answered_with(made: dict[Side, Retargeter]) -> None:
     config = LoopConfig(rate=RATE)
-    pipelines = {"right": HandPipeline(made["right"], config)}
+    pipelines: dict[Side, HandPipeline] = {"right": HandPipeline(made["right"], config)}
     source = Message({"right": []})
     assert TeleopLoop(pipelines, source, SinkRunner([]), config).together is None

@@ -54,11 +54,14 @@ def largest(
 
     def few() -> tuple[Array, Array]:
         chosen = jnp.where(place < so_far[-1], values[index], -jnp.inf)
-        found, position = _by_heap(chosen, count)
-        return found, index[position]
+        ordered, position = _by_heap(chosen, count)
+        return ordered, index[position]
 
     # More than there are places for: values in an unlikely order, or many equal ones
-    return lax.cond(so_far[-1] <= len(place), few, lambda: _by_heap(values, count))
+    found: tuple[Array, Array] = lax.cond(
+        so_far[-1] <= len(place), few, lambda: _by_heap(values, count)
+    )
+    return found
 
 
 def _by_heap(values: Array, count: int) -> tuple[Array, Array]:
