@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from smooth_operator.compilation.frame_jit import compiled
-from smooth_operator.methods.presets import method_config
 from smooth_operator.solvers.selection import largest
 
 RNG = np.random.default_rng(5)
@@ -59,8 +58,6 @@ def test_numbers_without_columns_enough(count: int) -> None:
 
 def test_wide_vectors_change_no_number() -> None:
     """What is set for long loops gives the same bits."""
-    assert method_config("sbr", "paper").wide
-    assert not method_config("smooth", None).wide
     values = jnp.asarray(USUAL, jnp.float32)
 
     def loop(x: jax.Array) -> jax.Array:

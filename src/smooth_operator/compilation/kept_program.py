@@ -116,7 +116,7 @@ class KeptProgram:
         constants: Any = None,
         kept: bool = True,
     ) -> None:
-        self._function, self._kept, self._wide = function, kept, config.wide
+        self._function, self._kept, self._wide = function, kept, not config.one_thread
         self._key = functools.partial(program_key, hand, config, *more, constants=constants)
         self._run: Callable[..., Any] | None = None
         self._made: dict[_Signature, Callable[..., Any]] = {}

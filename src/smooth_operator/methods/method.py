@@ -170,14 +170,9 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """Whether a frame is answered sooner on one thread than on one per core."""
+        """Whether a frame is answered sooner on one thread than on one per core; if not, its time
+        goes to loops over thousands of numbers, which are compiled for the widest vectors."""
         return True
-
-    @property
-    def wide(self) -> bool:
-        """Whether a frame's time goes to loops over thousands of numbers, for which the processor's
-        widest vectors are better."""
-        return False
 
     @abstractmethod
     def build(self, hand: Hand) -> Method:

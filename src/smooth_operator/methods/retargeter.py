@@ -160,13 +160,8 @@ class Retargeter:
         return state, self.result(output, stamp, start)
 
     def result(self, output: FrameResult, stamp: float, start: float) -> Result:
-        """What the program has found of a frame, as a result.
-
-        Args:
-            output: of the program.
-            stamp: of the frame [s].
-            start: when its answer was begun, by ``time.perf_counter`` [s].
-        """
+        """What the program found of a frame with this stamp [s], whose answer was begun at a time
+        by ``time.perf_counter`` [s]."""
         q, status = np.asarray(output.q, float), Status(int(output.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
