@@ -2,9 +2,9 @@
 
     python benchmarks/both_hands.py RECORDING.npz --hand mimic_p050
 
-A tracker posts a frame of one hand, or of both together, at a pace; the loop answers. Three loops
-take turns: one hand; both hands, one after the other; both hands in one program. The left hand's
-frames are the right one's, mirrored, half a recording later.
+A tracker posts a frame of one hand, or of both together, at a pace; the loop answers. Loops with
+one hand and with both take turns. The left hand's frames are the right one's, mirrored, half a
+recording later.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side
 
-RIGHT, TURNS, PAIR = "one hand", "both, in turn", "both, one program"
+RIGHT, BOTH = "one hand", "both hands"
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,12 @@ def main(settings: Settings) -> None:
     config = method_config(settings.method, settings.preset)
     sides: tuple[Side, ...] = ("right", "left")
     built = {side: build_retargeter(load_hand(settings.hand, side), config, 0)[0] for side in sides}
-    loops: dict[str, tuple[Side, ...]] = {RIGHT: ("right",), TURNS: sides, PAIR: sides}
+    loops: dict[str, tuple[Side, ...]] = {RIGHT: ("right",), BOTH: sides}
     times: dict[str, list[np.ndarray]] = {name: [] for name in loops}
     for turn in range(settings.turns):
         for name in list(loops) if turn % 2 == 0 else reversed(list(loops)):
             of = {side: built[side] for side in loops[name]}
-            times[name].append(run(of, frames, settings, together=name == PAIR))
+            times[name].append(run(of, frames, settings))
     figures = {name: percentiles(np.concatenate(took)) for name, took in times.items()}
     rows = []
     for name, row in figures.items():
@@ -156,8 +156,6 @@ def run(
     retargeters: Mapping[Side, Retargeter],
     frames: list[tuple[HandFrame, ...]],
     settings: Settings,
-    *,
-    together: bool,
 ) -> np.ndarray:
     """Milliseconds until the commands of all hands were out, of each frame but the first ten."""
     config = LoopConfig(settings.rate)
@@ -165,10 +163,6 @@ def run(
     sink = Out()
     pipelines = {side: HandPipeline(made, config) for side, made in retargeters.items()}
     loop = TeleopLoop(pipelines, source, SinkRunner([sink]), config)
-    if together and loop.together is not None:
-        loop.together.prepare(list(retargeters.values()), wait=True)
-    else:
-        loop.together = None
     with low_jitter(), contextlib.ExitStack() as first:
         loop.run(started=lambda: _first(first, settings.first))
     took = [

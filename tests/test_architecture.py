@@ -20,6 +20,7 @@ CORE = {
     "errors": 0,
     "lazy_names": 0,
     "moved_names": 0,
+    "version": 1,
     "landmarks": 0,
     "geometry": 0,
     "terminal": 0,
@@ -37,7 +38,6 @@ CORE = {
 """Core: module -> level. It imports nothing of what follows."""
 
 SHARED = {
-    "version": 1,
     "atomic_files": 3,
     "formats": 3,
     "parallel": 3,

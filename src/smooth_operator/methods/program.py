@@ -94,21 +94,6 @@ def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compili
     """
     if method.host is not None:
         return _host_program(method.host, alignment, compiling)
-    run = compiling(packed_step(method, alignment))
-
-    def program(
-        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
-    ) -> tuple[RetargetState, FrameResult]:
-        state, (flat,) = run(state, landmarks, valid, ticks)
-        return state, unpacked(np.asarray(flat))
-
-    return program
-
-
-def packed_step(
-    method: Method, alignment: AlignmentConfig
-) -> Callable[..., tuple[RetargetState, tuple[Array]]]:
-    """``frame_step`` with its result as one array, which the host reads sooner; traceable."""
     step = frame_step(method, alignment)
 
     def packed(
@@ -117,13 +102,17 @@ def packed_step(
         state, result = step(state, landmarks, valid, ticks)
         return state, (_pack(result.q, result.status, result.tracking_loss, result.scale),)
 
-    return packed
+    run = compiling(packed)
 
+    def program(
+        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
+    ) -> tuple[RetargetState, FrameResult]:
+        state, (flat,) = run(state, landmarks, valid, ticks)
+        numbers = np.asarray(flat)
+        status, loss, scale = numbers[-3:].tolist()
+        return state, FrameResult(numbers[:-3], int(status), loss, scale)
 
-def unpacked(numbers: np.ndarray) -> FrameResult:
-    """The result of a frame that ``packed_step`` has made one array."""
-    status, loss, scale = numbers[-3:].tolist()
-    return FrameResult(numbers[:-3], int(status), loss, scale)
+    return program
 
 
 def _pack(*parts: Array | np.ndarray | float) -> Array:

@@ -22,8 +22,8 @@ from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.program import FrameResult, tick_of
 from smooth_operator.methods.program import RetargetState as RetargetState
+from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.shared import shared_program
 from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_frame_rate
@@ -157,16 +157,11 @@ class Retargeter:
         state, output = self.shared.run(before, landmarks, frame.valid, tick_of(stamp))
         if self.rate is not None:
             state = state._replace(stamp=stamp)
-        return state, self.result(output, stamp, start)
-
-    def result(self, output: FrameResult, stamp: float, start: float) -> Result:
-        """What the program found of a frame with this stamp [s], whose answer was begun at a time
-        by ``time.perf_counter`` [s]."""
         q, status = np.asarray(output.q, float), Status(int(output.status))
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
         latency_ms = (time.perf_counter() - start) * 1e3
-        return Result(
+        return state, Result(
             JointCommand(q, self.hand.joint_names, stamp),
             status,
             latency_ms,

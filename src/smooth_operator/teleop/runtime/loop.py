@@ -18,7 +18,6 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.rate_limiter import RateLimiter
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
-from smooth_operator.teleop.runtime.together import Together
 from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
@@ -45,7 +44,6 @@ class TeleopLoop:
         controls: switches, for any thread.
         statistics: what the run came to.
         watch: as given; to be set before ``run``.
-        together: answers frames of two hands that come together; None if each waits for its turn.
     """
 
     def __init__(
@@ -71,7 +69,6 @@ class TeleopLoop:
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._asked: set[Side] = set()  # hands that something was changed of
-        self.together = Together() if len(self.pipelines) == 2 else None
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
 
     def run(
@@ -155,7 +152,6 @@ class TeleopLoop:
                     return
             self._wait(sides)
             self._change()
-            self._answer_together(sides)
             for side in sides:
                 self._serve(side)
 
@@ -192,28 +188,13 @@ class TeleopLoop:
             return pace.keeps(following)
         return pace.answers(arrival.received, following)
 
-    def _may_leave(self, side: Side, now: float, due: float) -> bool:
-        return now >= due and (now >= self._rate_limiters[side].opens or side in self._stopped)
-
-    def _answer_together(self, sides: Sequence[Side]) -> None:
-        """Where frames of both hands wait for their turns, have them answered by one program."""
-        if self.together is None:
-            return
-        now = self.mailbox.clock()
-        waiting = [
-            (self.pipelines[side], arrival)
-            for side in sides
-            if (arrival := self.mailbox.newest(side)) is not None
-            and self._may_leave(side, now, self._due(side, now))
-        ]
-        if len(waiting) == 2:
-            self.together.answer(waiting)
-
     def _serve(self, side: Side) -> None:
         """Answer the newest frame of a hand, or keep its pace."""
         now, pace = self.mailbox.clock(), self._rate_limiters[side]
+        if now < pace.opens and side not in self._stopped:
+            return
         due = self._due(side, now)
-        if not self._may_leave(side, now, due):
+        if now < due:
             return
         arrival = self.mailbox.take(side)
         self._asked.discard(side)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from smooth_operator.methods.program import RetargetState
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.teleop.runtime.clutch import Clutch
 from smooth_operator.teleop.runtime.delay import TrackerDelay
@@ -18,7 +17,7 @@ from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.supervisor import Supervisor
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
-from smooth_operator.types import HandFrame, JointCommand, Result, Side, Status
+from smooth_operator.types import JointCommand, Result, Side, Status
 
 if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmController
@@ -73,7 +72,6 @@ class HandPipeline:
         self._number = 0
         self.seen: Arrival | None = None
         self._told: list[str] = []  # events of the next step
-        self._known: tuple[RetargetState, HandFrame, tuple[RetargetState, Result]] | None = None
 
     @property
     def mode_now(self) -> Mode:
@@ -115,19 +113,6 @@ class HandPipeline:
             return None
         fingers = self.retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
-
-    def expects(self, arrival: Arrival) -> tuple[RetargetState, HandFrame] | None:
-        """State and frame of the method's next step, if that answers this frame, as things are
-        now; None if frames are not answered, or the step begins with a new state."""
-        if self.supervisor.starts_again or not self.supervisor.listens:
-            return None
-        return self._state, arrival.frame
-
-    def take(
-        self, state: RetargetState, frame: HandFrame, answer: tuple[RetargetState, Result]
-    ) -> None:
-        """Have an answer ready for the next step; it is used if state and frame are still those."""
-        self._known = state, frame, answer
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """The next command.
@@ -215,11 +200,7 @@ class HandPipeline:
         start = self._clock()
         if self.supervisor.starts_again:
             self._state = self.retargeter.init()
-        known, self._known = self._known, None
-        if known is not None and known[0] is self._state and known[1] is arrival.frame:
-            state, result = known[2]
-        else:
-            state, result = self.retargeter.step(self._state, arrival.frame)
+        state, result = self.retargeter.step(self._state, arrival.frame)
         solved = self._clock()
         if result.status == Status.OK:
             if not self.supervisor.mode.moves:
