@@ -56,8 +56,7 @@ class SbrConfig(ObjectiveMethodConfig):
 
     @property
     def one_thread(self) -> bool:
-        """Up to 2,048 samples are faster on one; 4,096 are 12 % slower. With vectors of 512 bits,
-        8,192 samples take a third less time of the processor."""
+        """Up to 2,048 samples are faster on one; 4,096 are 12 % slower."""
         return self.sampling.samples <= 2048
 
     def build(self, hand: Hand) -> Sbr:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, Final
+from typing import Final
 
 import jax
 import jax.numpy as jnp
@@ -54,8 +54,7 @@ def largest(
 
 def _by_heap(values: Array, count: int) -> tuple[Array, Array]:
     # The barrier keeps XLA from sorting all values, which it does when it sees that one is read
-    barrier: Any = lax.optimization_barrier  # has no types
-    return barrier(tuple(lax.top_k(values, count)))  # type: ignore[no-any-return]
+    return lax.optimization_barrier(tuple(lax.top_k(values, count)))  # type: ignore
 
 
 def _set_bit(word: Array, rank: Array) -> Array:
