@@ -116,7 +116,7 @@ class KeptProgram:
         constants: Any = None,
         kept: bool = True,
     ) -> None:
-        self._function, self._kept = function, kept
+        self._function, self._kept, self._wide = function, kept, not config.one_thread
         self._key = functools.partial(program_key, hand, config, *more, constants=constants)
         self._run: Callable[..., Any] | None = None
         self._made: dict[_Signature, Callable[..., Any]] = {}
@@ -131,7 +131,7 @@ class KeptProgram:
                 pass  # an executable takes no other shapes, nor another device
         signature = _Signature.of(arguments)
         if signature is None:
-            return compiled(self._function)(*arguments)
+            return compiled(self._function, wide=self._wide)(*arguments)
         with self._lock:
             made = self._made.get(signature)
             if made is None:
@@ -151,12 +151,14 @@ class KeptProgram:
         # tried on CPUs only: elsewhere an executable needs libraries that nothing here looks up
         apart = settings.jax_disable_jit or signature.device.platform != "cpu"
         if cache is None or key is None or apart:
-            run = compiled(self._function)
+            run = compiled(self._function, wide=self._wide)
             return run, run(*arguments)
         name = _file_name(key, signature)
         found = _read(cache, name, arguments, signature.device)
         if found is None:
-            run = _compiled_and_kept(cache, name, self._function, arguments)
+            run = _compiled_and_kept(
+                cache, name, compiled(self._function, wide=self._wide), arguments
+            )
             return run, run(*arguments)
         return found
 
@@ -214,11 +216,10 @@ def _find_lapack() -> None:
 
 
 def _compiled_and_kept(
-    cache: ProgramCache, name: str, function: Callable[..., Any], arguments: tuple[Any, ...]
+    cache: ProgramCache, name: str, traced: Any, arguments: tuple[Any, ...]
 ) -> Callable[..., Any]:
     from jax.experimental.serialize_executable import serialize
 
-    traced: Any = compiled(function)
     lowered = traced.lower(*arguments)
     seen = _cache_hits()
     seen.any = False

@@ -170,7 +170,7 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """Whether a frame is answered sooner on one thread than on one per core."""
+        """Whether one thread is faster than one per core; if not, loops get the widest vectors."""
         return True
 
     @abstractmethod

@@ -23,6 +23,7 @@ from smooth_operator.solvers.normals import (
     fixed_normals,
     random_words,
 )
+from smooth_operator.solvers.selection import largest
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
@@ -121,11 +122,8 @@ def sample_minimise(
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
         costs = cost(gaussian.draw_all(mean, chol, cycle_key))
-        # Line 7: the M elites, best first. The barrier keeps XLA from sorting all candidates,
-        # which it does when it sees that the first element is read
-        rewards, index = lax.optimization_barrier(  # type: ignore[no-untyped-call]
-            lax.top_k(-costs, config.elites)
-        )
+        # Line 7: the M elites, best first
+        rewards, index = largest(-costs, config.elites)
         elites = gaussian.draw(mean, chol, cycle_key, index)
         # Line 8: J_min is the cost of the first elite. Line 9: w_m, not yet divided by their sum,
         # which is cheaper after the next sum
