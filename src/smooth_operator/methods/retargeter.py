@@ -38,6 +38,7 @@ from smooth_operator.types import (
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 _BATCH = Entry("smooth_operator.compilation.batching:retarget_batch")  # imported when it is used
+_EARLY = Entry("smooth_operator.compilation.early_answers:EarlyAnswers")
 
 
 class Retargeter:
@@ -66,11 +67,16 @@ class Retargeter:
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
         cache: whether compiled programs are read from this user's cache folder, and kept there.
+        early: whether calls are answered while the program compiles, for live use: by a first stage
+            that needs none, with results that are ``provisional``; which frame is the first of the
+            method depends on how long compiling takes, so answers differ from run to run. ``step``,
+            ``run`` and ``batch`` wait for the program either way.
 
     Attributes:
         method: the method for this hand.
         shared: the compiled program, and the method that it was made from: that of the mirror image
             for a hand that is described as one.
+        live: ``init`` and ``step`` as calls use them: the retargeter's own, unless it is ``early``.
 
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
@@ -91,6 +97,7 @@ class Retargeter:
         rate: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
         cache: bool = True,
+        early: bool = False,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         if config is None:
@@ -108,7 +115,8 @@ class Retargeter:
         self._input = HandCheck(self.hand.spec.side)
         self.method: Method = self.config.build(self.hand)
         self.shared = shared_program(self.hand, self.config, cache)
-        self._state = self.init()
+        self.live: Any = _EARLY.load()(self) if early else self
+        self._state = self.live.init()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -149,7 +157,7 @@ class Retargeter:
         """
         start = time.perf_counter()
         frame = self._framed(frame)
-        stamp = self._stamp_of(state, frame)
+        stamp = self._stamp_of(state.stamp, frame)
         self.check_side(frame.side)
         assert frame.valid is not None  # filled in on construction
         before = state if state.stamp is None else state._replace(stamp=None)
@@ -207,7 +215,7 @@ class Retargeter:
             )
         if not stamped and self.rate is None:
             frame = replace(frame, stamp=self._clock())
-        self._state, result = self.step(self._state, frame)
+        self._state, result = self.live.step(self._state, frame)
         self._stamped = stamped
         return result
 
@@ -224,7 +232,19 @@ class Retargeter:
             return frame
         return HandFrame(np.asarray(frame), side=self.hand.spec.side)
 
-    def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
+    def stamped(self, last: float | None, frame: HandFrame | ArrayLike) -> HandFrame:
+        """A frame as ``step`` takes it, with a stamp.
+
+        Args:
+            last: stamp of the frame before [s], where there is a rate; else None.
+            frame: as for ``step``, which says what is raised.
+        """
+        frame = self._framed(frame)
+        stamp = self._stamp_of(last, frame)
+        self.check_side(frame.side)
+        return frame if frame.stamp is not None else replace(frame, stamp=stamp)
+
+    def _stamp_of(self, last: float | None, frame: HandFrame) -> float:
         """When a frame was measured [s]: as it says, or a period after the last one."""
         if frame.stamp is not None:
             return frame.stamp
@@ -234,21 +254,23 @@ class Retargeter:
                 "measurement, HandFrame(landmarks, stamp=seconds), or say the frame rate, "
                 "Retargeter(..., rate=30)"
             )
-        return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
+        return 0.0 if last is None else last + 1.0 / self.rate
 
     def reset(self, seed: int | None = None) -> None:
         """Back to the start: latches, random numbers, last command. Never recompiles."""
-        self._state = self.init(seed)
+        self._state = self.live.init(seed)
         self._stamped = None
         self._input = HandCheck(self.hand.spec.side)
 
     def warm_up(self) -> float:
-        """Compile, without touching the state kept inside.
+        """Compile, or wait for what compiles, without touching the state kept inside.
 
         Returns:
             seconds it took.
         """
         start = time.perf_counter()
+        if self.live is not self:
+            self.live.wait()
         side = self.hand.spec.side
         self.step(self.init(), HandFrame(reference_landmarks(self.hand), 0.0, side))
         return time.perf_counter() - start
