@@ -118,6 +118,11 @@ Examples:
     """Whether the loop takes real-time priority, if the system allows it; what it got is in
     the summary (docs/how-to/teleoperate.md)."""
 
+    early: bool = True
+    """Whether frames are answered while the method compiles, on its first start on this machine: by
+    a first stage, until the method goes on from there (docs/how-to/teleoperate.md). With --no-early
+    the run begins when it is compiled, as it does with --blind and --task."""
+
     control: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Accept messages of other programs on this ZeroMQ address, such as tcp://127.0.0.1:5558 (extra
     zmq): a pedal, a red button, a study's console. They are stop, release, pause, resume, quit,

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from smooth_operator.compilation.collection import uncollected
 from smooth_operator.compilation.first_stage import FirstStage, StageAnswer
 from smooth_operator.compilation.kept_program import before_compiling, find_lapack
 from smooth_operator.human.alignment import reference_landmarks
@@ -93,7 +94,7 @@ class EarlyAnswers:
         self._work = work = _Work(threading.Event(), threading.Event(), [])
         if type(config).__module__.partition(".")[0] != HOME.name:
             _compile(retargeter, work)
-            self._check()
+            self.check()
             return
         # Not a daemon: one that is inside XLA when the interpreter ends can abort the process.
         threading.Thread(target=_compile, args=(retargeter, work), name="compile").start()
@@ -104,6 +105,11 @@ class EarlyAnswers:
         """Whether the program is there, or has failed to compile."""
         return self._work.done.is_set()
 
+    @property
+    def failed(self) -> bool:
+        """Whether the program can't be compiled."""
+        return bool(self._work.failed)
+
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the program is there; whether it is.
 
@@ -111,7 +117,7 @@ class EarlyAnswers:
             Exception: what compiling raised.
         """
         done = self._work.done.wait(timeout)
-        self._check()
+        self.check()
         return done
 
     def init(self, seed: int | None = None) -> EarlyState:
@@ -127,7 +133,7 @@ class EarlyAnswers:
             Exception: what compiling raised, in the first frame after that.
         """
         if self.ready:
-            self._check()
+            self.check()
             if state.begun and state.offset is None:
                 full, result = self._full.step(state.full, frame)
                 return state._replace(full=full, stamp=full.stamp), result
@@ -193,7 +199,8 @@ class EarlyAnswers:
         command = replace(result.command, positions=self._hand.full_configuration(q))
         return replace(result, command=command, provisional=True)
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Raises what compiling raised, if it did."""
         if self._work.failed:
             raise self._work.failed[0]
 
@@ -212,14 +219,14 @@ def _nearer(
 def _compile(retargeter: Retargeter, work: _Work) -> None:
     reference = HandFrame(reference_landmarks(retargeter.hand), 0.0, retargeter.hand.spec.side)
 
-    def notice() -> bool:
+    def notice(_: bool) -> bool:
         if not work.known.is_set():
             find_lapack()  # while nothing waits for the interpreter but who made this
             work.known.set()
         return False
 
     try:
-        with before_compiling(notice):
+        with uncollected(), before_compiling(notice):
             retargeter.step(retargeter.init(), reference)
     except BaseException as error:  # raised again by who asks for an answer
         work.failed.append(error)

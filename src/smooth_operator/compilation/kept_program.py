@@ -134,7 +134,7 @@ class KeptProgram:
         if signature is None:
             return compiled(self._function)(*arguments)
         if self._lock.locked():  # another thread compiles it, or reads it
-            _notice()
+            _notice(False)
         with self._lock:
             made = self._made.get(signature)
             if made is None:
@@ -154,12 +154,12 @@ class KeptProgram:
         # tried on CPUs only: elsewhere an executable needs libraries that nothing here looks up
         apart = settings.jax_disable_jit or signature.device.platform != "cpu"
         if cache is None or key is None or apart:
-            _notice()
+            _notice(False)
             run = compiled(self._function)
             return run, run(*arguments)
         name = _file_name(key, signature)
         found = _read(cache, name, arguments, signature.device)
-        if found is None and _notice():
+        if found is None and _notice(True):
             found = _read(cache, name, arguments, signature.device)
         if found is None:
             run = _compiled_and_kept(cache, name, self._function, arguments)
@@ -171,12 +171,12 @@ _noticed: Final = threading.local()
 
 
 @contextlib.contextmanager
-def before_compiling(notice: Callable[[], bool]) -> Iterator[None]:
+def before_compiling(notice: Callable[[bool], bool]) -> Iterator[None]:
     """While the block runs, a function is called before this thread compiles a program.
 
     Args:
-        notice: called where a program was not kept, or another thread is at it; returns whether it
-            may be kept now, to be looked for again.
+        notice: called where a program was not kept, with whether it can be; and where another
+            thread is at it. Returns whether it may be kept now, to be looked for again.
     """
     before = getattr(_noticed, "call", None)
     _noticed.call = notice
@@ -186,9 +186,9 @@ def before_compiling(notice: Callable[[], bool]) -> Iterator[None]:
         _noticed.call = before
 
 
-def _notice() -> bool:
-    call: Callable[[], bool] | None = getattr(_noticed, "call", None)
-    return call is not None and call()
+def _notice(can_be_kept: bool) -> bool:
+    call: Callable[[bool], bool] | None = getattr(_noticed, "call", None)
+    return call is not None and call(can_be_kept)
 
 
 def shaping_settings() -> dict[str, Any]:
