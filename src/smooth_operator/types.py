@@ -251,8 +251,9 @@ class Result:
     provisional: bool = False
 
     def __repr__(self) -> str:
+        what = f"{self.status}, provisional" if self.provisional else self.status
         return (
-            f"<Result: {self.status}, {'provisional, ' if self.provisional else ''}latency {self.latency_ms:.3g} ms, tracking loss "
+            f"<Result: {what}, latency {self.latency_ms:.3g} ms, tracking loss "
             f"{self.tracking_loss:.3g}, scale {self.scale:.3g}, {self.command!r}>"
         )
 

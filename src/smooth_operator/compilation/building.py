@@ -1,5 +1,5 @@
-"""Building a retargeter for use: compiled, or while it compiles; its programs cached; it runs on the
-calling thread."""
+"""Building a retargeter for use: compiled or while it compiles, its programs cached, on the calling
+thread."""
 
 from __future__ import annotations
 

@@ -124,9 +124,7 @@ class EarlyAnswers:
         """The state before the first frame."""
         return EarlyState(self._full.init(seed))
 
-    def step(
-        self, state: EarlyState, frame: HandFrame | ArrayLike
-    ) -> tuple[EarlyState, Result]:
+    def step(self, state: EarlyState, frame: HandFrame | ArrayLike) -> tuple[EarlyState, Result]:
         """One frame; see ``Retargeter.step``.
 
         Raises:
@@ -138,7 +136,7 @@ class EarlyAnswers:
                 full, result = self._full.step(state.full, frame)
                 return state._replace(full=full, stamp=full.stamp), result
         start = time.perf_counter()
-        frame = self._full.stamped(state.stamp, frame)
+        frame = self._stamped(state, frame)
         dt = frame.time - state.time
         if state.begun:
             state, result = self._blended(state, frame, dt)
@@ -148,9 +146,20 @@ class EarlyAnswers:
             state = state._replace(stamp=frame.time)
         return state, replace(result, latency_ms=(time.perf_counter() - start) * 1e3)
 
-    def _staged(
-        self, state: EarlyState, frame: HandFrame, dt: float
-    ) -> tuple[EarlyState, Result]:
+    def _stamped(self, state: EarlyState, frame: HandFrame | ArrayLike) -> HandFrame:
+        """The frame with a stamp, as ``Retargeter.step`` gives it one."""
+        full = self._full
+        if not isinstance(frame, HandFrame):
+            frame = HandFrame(np.asarray(frame), side=self._hand.spec.side)
+        if frame.stamp is None:
+            if full.rate is None:
+                full.step(state.full, frame)  # which refuses it
+            last = state.stamp
+            frame = replace(frame, stamp=0.0 if last is None else last + 1.0 / (full.rate or 1.0))
+        full.check_side(frame.side)
+        return frame
+
+    def _staged(self, state: EarlyState, frame: HandFrame, dt: float) -> tuple[EarlyState, Result]:
         """A frame before the method has answered one."""
         if self.ready and state.q is None:  # nothing to go over from
             full, result = self._full.step(state.full, frame)
@@ -170,9 +179,7 @@ class EarlyAnswers:
                 after = after._replace(full=full, offset=offset, begun=True)
         return after, self._provisional(answer.q, answer, frame.time)
 
-    def _blended(
-        self, state: EarlyState, frame: HandFrame, dt: float
-    ) -> tuple[EarlyState, Result]:
+    def _blended(self, state: EarlyState, frame: HandFrame, dt: float) -> tuple[EarlyState, Result]:
         """The method's answer, and what is left of the difference to the first stage's."""
         full, result = self._full.step(state.full, frame)
         if result.status != Status.OK:
@@ -190,9 +197,7 @@ class EarlyAnswers:
         self, q: Float[np.ndarray, " m"] | None, answer: StageAnswer, stamp: float
     ) -> Result:
         held = self._hand.neutral if q is None else q
-        command = JointCommand(
-            self._hand.full_configuration(held), self._hand.joint_names, stamp
-        )
+        command = JointCommand(self._hand.full_configuration(held), self._hand.joint_names, stamp)
         return Result(command, answer.status, 0.0, answer.loss, answer.scale, provisional=True)
 
     def _with(self, result: Result, q: Float[np.ndarray, " m"]) -> Result:
@@ -205,9 +210,7 @@ class EarlyAnswers:
             raise self._work.failed[0]
 
 
-def _nearer(
-    offset: Float[np.ndarray, " m"] | None, dt: float
-) -> Float[np.ndarray, " m"] | None:
+def _nearer(offset: Float[np.ndarray, " m"] | None, dt: float) -> Float[np.ndarray, " m"] | None:
     """The offset of the next frame; None once there is none."""
     if offset is None:
         return None

@@ -2,8 +2,8 @@
 
 It stands in for any method while that method's program compiles. What it minimises is a part of the
 objective of ``smooth``: the keyvectors of the human hand with the weights of ``CloseTargets``,
-fingertips where the human's are, direction and length of the thumb's, a pull to the neutral pose and
-one to the last answer. Collisions, filters and latches are left to the method.
+fingertips where the human's are, direction and length of the thumb's, a pull to the neutral pose
+and one to the last answer. Collisions, filters and latches are left to the method.
 
 The derivatives are analytic and float64, and nothing here is traced, so the first frame takes as
 long as any other. Figures: docs/reference/benchmarks.md, *Start*.
@@ -128,10 +128,12 @@ class FirstStage:
         if not known[self._wanted].all():
             return StageAnswer(None, Status.INVALID_LANDMARKS, np.nan, np.nan)
         with np.errstate(all="ignore"):
-            palm = palm_alignment(np.where(known[:, None], landmarks, np.nan), self.hand, self.alignment)
+            palm = palm_alignment(
+                np.where(known[:, None], landmarks, np.nan), self.hand, self.alignment
+            )
             if not float(palm.condition) >= MIN_CONDITION:
                 return StageAnswer(None, Status.DEGENERATE_PALM, np.nan, float(palm.scale))
-            aligned = palm.apply(np.where(known[:, None], landmarks, np.nan))
+            aligned = palm.apply(seen)
             operator = self.alignment.operator
             if operator is not None:
                 axes = human_palm_axes(self.hand)
@@ -266,9 +268,7 @@ class _Pinches(NamedTuple):
     hessian: Float[np.ndarray, "P 3 3"]
 
 
-def _pinches(
-    vectors: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "P 3"]
-) -> _Pinches:
+def _pinches(vectors: Float[np.ndarray, "P 3"], targets: Float[np.ndarray, "P 3"]) -> _Pinches:
     """``direction_length_cost`` of ``smooth``, in NumPy."""
     wanted = np.sqrt((targets**2).sum(-1) + _TINY)
     size = np.sqrt((vectors**2).sum(-1) + _SHORT**2)
@@ -300,7 +300,8 @@ class _Levels:
     def __init__(
         self, tree: KinematicTree, names: Sequence[str], coupling: Float[np.ndarray, "n m"]
     ) -> None:
-        joints, depth = tree.joints, []
+        joints = tree.joints
+        depth: list[int] = []
         for joint in joints:
             depth.append(0 if joint.parent < 0 else depth[joint.parent] + 1)
         levels = (np.flatnonzero(np.array(depth) == d) for d in range(max(depth, default=-1) + 1))

@@ -103,7 +103,7 @@ def _job(hand: Hand, config: MethodConfig) -> dict[str, Any]:
 
 
 def _can_start() -> bool:
-    """Whether ``sys.executable`` is an interpreter, which it is not in a program that embeds one."""
+    """Whether ``sys.executable`` is an interpreter; in a program that embeds one it is not."""
     name = Path(sys.executable or "").name.lower()
     return name.startswith("python") and not getattr(sys, "frozen", False)
 

@@ -38,6 +38,7 @@ from smooth_operator.types import (
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 _BATCH = Entry("smooth_operator.compilation.batching:retarget_batch")  # imported when it is used
+_RUN = Entry("smooth_operator.compilation.recording_run:run_recording")
 _EARLY = Entry("smooth_operator.compilation.early_answers:EarlyAnswers")
 
 
@@ -67,10 +68,9 @@ class Retargeter:
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
         cache: whether compiled programs are read from this user's cache folder, and kept there.
-        early: whether calls are answered while the program compiles, for live use: by a first stage
-            that needs none, with results that are ``provisional``; which frame is the first of the
-            method depends on how long compiling takes, so answers differ from run to run. ``step``,
-            ``run`` and ``batch`` wait for the program either way.
+        early: whether calls are answered while the program compiles, by a first stage, with results
+            that are ``provisional``: for live use, as answers then differ from run to run. ``step``,
+            ``run`` and ``batch`` wait for the program.
 
     Attributes:
         method: the method for this hand.
@@ -157,7 +157,7 @@ class Retargeter:
         """
         start = time.perf_counter()
         frame = self._framed(frame)
-        stamp = self._stamp_of(state.stamp, frame)
+        stamp = self._stamp_of(state, frame)
         self.check_side(frame.side)
         assert frame.valid is not None  # filled in on construction
         before = state if state.stamp is None else state._replace(stamp=None)
@@ -215,6 +215,7 @@ class Retargeter:
             )
         if not stamped and self.rate is None:
             frame = replace(frame, stamp=self._clock())
+        result: Result
         self._state, result = self.live.step(self._state, frame)
         self._stamped = stamped
         return result
@@ -232,19 +233,7 @@ class Retargeter:
             return frame
         return HandFrame(np.asarray(frame), side=self.hand.spec.side)
 
-    def stamped(self, last: float | None, frame: HandFrame | ArrayLike) -> HandFrame:
-        """A frame as ``step`` takes it, with a stamp.
-
-        Args:
-            last: stamp of the frame before [s], where there is a rate; else None.
-            frame: as for ``step``, which says what is raised.
-        """
-        frame = self._framed(frame)
-        stamp = self._stamp_of(last, frame)
-        self.check_side(frame.side)
-        return frame if frame.stamp is not None else replace(frame, stamp=stamp)
-
-    def _stamp_of(self, last: float | None, frame: HandFrame) -> float:
+    def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
         """When a frame was measured [s]: as it says, or a period after the last one."""
         if frame.stamp is not None:
             return frame.stamp
@@ -254,7 +243,7 @@ class Retargeter:
                 "measurement, HandFrame(landmarks, stamp=seconds), or say the frame rate, "
                 "Retargeter(..., rate=30)"
             )
-        return 0.0 if last is None else last + 1.0 / self.rate
+        return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
 
     def reset(self, seed: int | None = None) -> None:
         """Back to the start: latches, random numbers, last command. Never recompiles."""
@@ -292,22 +281,8 @@ class Retargeter:
         Returns:
             the commands, and the (T,) tracking loss of each frame (NaN where a command was held).
         """
-        self.warm_up()
-        state = self.init(seed)
-        steps = range(len(recording))
-        results: list[Result] = []
-        for i in steps if track is None else track(steps):
-            state, result = self.step(state, recording[i])
-            results.append(result)
-        trajectory = CommandTrajectory(
-            np.stack([r.command.positions for r in results]),
-            self.hand.joint_names,
-            recording.stamps,
-            np.array([r.latency_ms for r in results]),
-            np.array([r.status for r in results], np.int8),
-        )
-        loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
-        return trajectory, np.array(loss)
+        answers: Any = _RUN.load()(self, recording, seed, track)
+        return answers[0], answers[1]
 
     def batch(
         self,

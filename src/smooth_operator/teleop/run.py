@@ -326,7 +326,7 @@ def _watched(
     over = threading.Event()
 
     def watch() -> None:
-        for side, answers in compiling.items():
+        for side in compiling:
             said.note(f"{side}: answers of a first stage, until the method is compiled")
         begin = time.perf_counter()
         for side, answers in compiling.items():

@@ -34,8 +34,9 @@ In addition to those of ``smooth_operator.teleop.runtime.remote``:
         is that of "trial".
 
 "status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
-"building" (what is being compiled), "provisional" (sides that the first stage answers), "source" {"label", "state", "detail"}, "sinks", "operators"
-{side: where the calibration is from}, "simulation" (whether there is one that can have a task),
+"building" (what is being compiled), "provisional" (sides that a first stage answers while their
+method compiles), "source" {"label", "state", "detail"}, "sinks", "operators" {side: where the
+calibration is from}, "simulation" (whether there is one that can have a task),
 "task" and "trial" (None without one), "object" (whether it is there) and the loop's own "modes" and
 "rate_hz".
 """
