@@ -190,8 +190,8 @@ class EarlyAnswers:
         if left is None:
             return EarlyState(full, q, None, True, frame.time), result
         low, high = self._hand.limits.T
-        q = np.clip(q + left, low, high)
-        return EarlyState(full, q, left, True, frame.time), self._with(result, q)
+        sent = np.clip(q + left, low, high)
+        return EarlyState(full, sent, sent - q, True, frame.time), self._with(result, sent)
 
     def _provisional(
         self, q: Float[np.ndarray, " m"] | None, answer: StageAnswer, stamp: float

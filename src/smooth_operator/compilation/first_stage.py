@@ -128,9 +128,8 @@ class FirstStage:
         if not known[self._wanted].all():
             return StageAnswer(None, Status.INVALID_LANDMARKS, np.nan, np.nan)
         with np.errstate(all="ignore"):
-            palm = palm_alignment(
-                np.where(known[:, None], landmarks, np.nan), self.hand, self.alignment
-            )
+            seen = np.where(known[:, None], landmarks, np.nan)
+            palm = palm_alignment(seen, self.hand, self.alignment)
             if not float(palm.condition) >= MIN_CONDITION:
                 return StageAnswer(None, Status.DEGENERATE_PALM, np.nan, float(palm.scale))
             aligned = palm.apply(seen)

@@ -68,8 +68,8 @@ class Retargeter:
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
         cache: whether compiled programs are read from this user's cache folder, and kept there.
-        early: whether calls are answered while the program compiles, by a first stage, with results
-            that are ``provisional``: for live use, as answers then differ from run to run. ``step``,
+        early: whether calls are answered while the program compiles, by a first stage whose results
+            are ``provisional``: for live use, as answers then differ from run to run. ``step``,
             ``run`` and ``batch`` wait for the program.
 
     Attributes:
