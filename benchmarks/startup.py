@@ -99,7 +99,7 @@ def main(settings: Settings) -> None:
     )
     report.table("Memory", ("preset", "peak resident [MiB]", "programs from the cache"), memory)
     if settings.early:
-        add_early(report, settings)
+        add_early(report, settings, landmarks.tolist())
     report.notes.append(
         "trace, lower and compile add up over all programs that JAX builds on the way; 'rest of "
         "first call' is what remains of warm-up and first frame."
@@ -107,26 +107,30 @@ def main(settings: Settings) -> None:
     report.finish(settings.output, settings.compare)
 
 
-def add_early(report: Report, settings: Settings) -> None:
-    """Adds the table of early answers."""
+def add_early(report: Report, settings: Settings, landmarks: object) -> None:
+    """Adds the table of early answers, and of starts that wait for the program, measured in turn."""
+    preset = settings.presets[0]
     runs: dict[str, list[Mapping[str, float]]] = {hand: [] for hand in settings.early}
     for _ in range(settings.repeats):
         for hand, results in runs.items():
-            start = early_start(hand, None, settings.method, settings.presets[0])
-            results.append(asdict(start))
+            job = {"hand": hand, "method": settings.method, "preset": preset}
+            waiting = first_command(job | {"landmarks": landmarks}, "no cache", Path())
+            start = early_start(hand, None, settings.method, preset)
+            results.append(asdict(start) | {"waiting": waiting["total_s"]})
     rows = []
     for hand, results in runs.items():
         middle = {key: float(np.median([each[key] for each in results])) for key in results[0]}
         worst = max(each["full_program"] for each in results)
         step = max(each["step_rad"] for each in results)
         report.add(f"early/{hand}", middle | {"worst_full_program": worst, "worst_step_rad": step})
-        keys = ("first_command", "full_program", "own_commands", "worst_ms")
+        keys = ("waiting", "first_command", "full_program", "own_commands", "worst_ms")
         rows.append([hand, *(middle[key] for key in keys), worst, step])
     report.table(
         f"Nothing kept, early: process start to command [s], medians of {settings.repeats}",
         (
             "hand",
-            "first command",
+            "first command, waiting",
+            "first command, early",
             "full program",
             "its commands alone",
             "longest first-stage frame [ms]",
