@@ -108,7 +108,7 @@ def main(settings: Settings) -> None:
 
 
 def add_early(report: Report, settings: Settings, landmarks: object) -> None:
-    """Adds the table of early answers, and of starts that wait for the program, measured in turn."""
+    """Adds the table of early answers, and of starts that wait for the program, in turn."""
     preset = settings.presets[0]
     runs: dict[str, list[Mapping[str, float]]] = {hand: [] for hand in settings.early}
     for _ in range(settings.repeats):

@@ -2,10 +2,10 @@
 
     python benchmarks/switch.py
 
-The built-in operator's frames come at 100 Hz; the loop runs as ``teleop`` runs it. Each switch is
-measured twice: first with nothing kept of the method that is asked for, and then, in the next
-process, with its program kept. What is said of a command is when it left, after the moment at which
-its frame came or, where none came, after it was due.
+The built-in operator's frames come at 100 Hz; the loop runs as ``teleop`` runs it, without a page.
+Each switch is measured twice: first with nothing kept of the method that is asked for, and then, in
+the next process, with its program kept. What is said of a command is how long after its frame came
+it had left; where none came, after it was due. From the request to half a second after the switch.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -38,6 +38,7 @@ class Settings:
         methods: ``method`` or ``method:preset``; the loop begins with the first.
         repeats: fresh processes with each state of the cache.
         hand: robot hand.
+        priority: of the loop, as ``teleop`` has it; ``high`` is real-time where it may.
         output: JSON file; build/benchmarks/switch.json unless given.
         compare: an earlier JSON file to compare this run with.
     """
@@ -45,6 +46,7 @@ class Settings:
     methods: tuple[str, ...] = ("smooth", "sbr", "smooth:grasp", "dexpilot")
     repeats: int = 3
     hand: str = "mimic_p050"
+    priority: Literal["normal", "high"] = "normal"
     output: Path | None = None
     compare: Path | None = None
 
@@ -75,7 +77,7 @@ def measured(settings: Settings, folder: str) -> dict[str, dict[str, float]]:
     """One run of the loop in a process of its own: name of a switch -> figures."""
     environment = {k: v for k, v in os.environ.items() if "CACHE" not in k}
     environment["SMOOTH_OPERATOR_CACHE"] = folder
-    job = json.dumps([settings.hand, settings.methods])
+    job = json.dumps([settings.hand, settings.methods, settings.priority])
     child = subprocess.run(
         [sys.executable, __file__, "--child", job],
         capture_output=True, text=True, env=environment, check=False,
@@ -86,7 +88,7 @@ def measured(settings: Settings, folder: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def child(hand: str, methods: list[str]) -> dict[str, dict[str, float]]:
+def child(hand: str, methods: list[str], priority: Any) -> dict[str, dict[str, float]]:
     """Runs the loop, asks for the methods in turn, and looks at the commands meanwhile."""
     from smooth_operator.teleop import run
     from smooth_operator.teleop.control import method_switcher
@@ -134,7 +136,13 @@ def child(hand: str, methods: list[str]) -> dict[str, dict[str, float]]:
 
     method, _, preset = methods[0].partition(":")
     run.teleoperate(
-        "synthetic", [], hand=hand, method=method, preset=preset or None, started=started
+        "synthetic",
+        hand=hand,
+        method=method,
+        preset=preset or None,
+        priority=priority,
+        early=False,
+        started=started,
     )
     run.MethodSwitcher = plain  # type: ignore[misc]
     return found

@@ -47,7 +47,7 @@ _REFERENCE: Final = 0.01
 _SHORTEST, _LONGEST = 1e-3, 0.25
 """Times between frames that count as such [s]; outside, the last answer does not hold."""
 
-_FIRST, _LATER = 40, 3
+_FIRST, _LATER = 40, 2
 """Trials of a frame without one before it, and of others."""
 _ENOUGH: Final = 1e-4
 """A step that changes no joint by more ends the iteration [rad]."""
