@@ -147,9 +147,9 @@ def test_calls_are_answered_while_the_method_compiles_and_then_by_it(compiler: C
     motion = frames(260)
     compiled.clear()
     results = [early(frame) for frame in motion[:20]]
-    jax.monitoring.clear_event_listeners()
+    seen = list(compiled)
     assert compiler.asked == 1
-    assert not [name for name in compiled if "compile" in name]
+    assert not [name for name in seen if "compile" in name]
     assert all(r.provisional and r.status == Status.OK and r.tracking_loss > 0 for r in results)
     assert "provisional" in repr(results[0])
     lost = HandFrame(np.full((21, 3), np.nan), motion[19].time + 0.001)

@@ -229,13 +229,15 @@ def _read(
         head, _, executable = data.partition(b"\n")
         out_tree = jax.tree.structure(_skeleton(json.loads(head)))
         in_tree, client = jax.tree.structure((arguments, {})), device.client
-        with ThreadPoolExecutor(1) as pool:  # XLA reads on one core while Python imports
-            loading = pool.submit(
-                deserialize_and_load, executable, in_tree, out_tree, client, [device]
-            )
-            if b"lapack_" in executable:
+        job = executable, in_tree, out_tree, client, [device]
+        found: Callable[..., Any]
+        if b"lapack_" in executable and not find_lapack.cache_info().currsize:
+            with ThreadPoolExecutor(1) as pool:  # XLA reads on one core while Python imports
+                loading = pool.submit(deserialize_and_load, *job)
                 find_lapack()
-            found: Callable[..., Any] = loading.result()
+                found = loading.result()
+        else:  # a new thread would not have the priority of those of a real-time loop
+            found = deserialize_and_load(*job)
         value = ready(found(*arguments))
     except Exception as error:  # what JAX and XLA raise of what they can't load is not said
         cache.drop(name, f"{type(error).__name__}: {error}")
@@ -243,6 +245,7 @@ def _read(
     return found, value
 
 
+@functools.cache
 def find_lapack() -> None:
     """Has JAX look up LAPACK, which it does when it lowers a call, not when it loads one.
 
