@@ -254,6 +254,19 @@ def test_a_process_may_end_while_it_compiles(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
 
 
+def test_a_command_does_not_wait_for_what_it_no_longer_needs() -> None:
+    code = (
+        "import threading\n"
+        "from smooth_operator.cli import app\n"
+        "def main():\n"
+        "    threading.Thread(target=threading.Event().wait, name='compile').start()\n"
+        "    return 3\n"
+        "app.main = main\n"
+        "app.program()\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=LONG).returncode == 3
+
+
 def _fresh(folder: Path) -> dict[str, str]:
     return {**os.environ, "SMOOTH_OPERATOR_CACHE": str(folder / "cache")}
 

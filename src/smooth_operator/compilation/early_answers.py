@@ -231,7 +231,6 @@ def _compile(retargeter: Retargeter, work: _Work) -> None:
     try:
         with uncollected(), before_compiling(notice):
             retargeter.step(retargeter.init(), reference)
-            work.done.set()
     except BaseException as error:  # raised again by who asks for an answer
         work.failed.append(error)
     finally:

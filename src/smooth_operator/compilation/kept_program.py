@@ -172,22 +172,18 @@ _noticed: Final = threading.local()
 
 @contextlib.contextmanager
 def before_compiling(notice: Callable[[bool], bool]) -> Iterator[None]:
-    """While the block runs, a function is called before this thread compiles a program; the program
-    is written when the block ends, so that it can be used before that.
+    """While the block runs, a function is called before this thread compiles a program.
 
     Args:
         notice: called where a program was not kept, with whether it can be; and where another
             thread is at it. Returns whether it may be kept now, to be looked for again.
     """
-    later: list[Callable[[], None]] = []
-    before = getattr(_noticed, "call", None), getattr(_noticed, "later", None)
-    _noticed.call, _noticed.later = notice, later
+    before = getattr(_noticed, "call", None)
+    _noticed.call = notice
     try:
         yield
     finally:
-        _noticed.call, _noticed.later = before
-        for keep in later:
-            keep()
+        _noticed.call = before
 
 
 def _notice(can_be_kept: bool) -> bool:
@@ -268,19 +264,14 @@ def _compiled_and_kept(
     seen = _cache_hits()
     seen.any = False
     found = lowered.compile()
-
-    def keep() -> None:
-        try:
+    if not seen.any:  # XLA writes an executable that it has read without its code
+        try:  # before it has run: XLA can't write a sort that has
             executable, _, out_tree = serialize(found)
             numbered = jax.tree.unflatten(out_tree, range(out_tree.num_leaves))
             head = json.dumps(_description(numbered))
             cache.keep(name, head.encode() + b"\n" + executable)
         except Exception as error:  # a program that can't be kept is still a program
             LOGGER.info("a program can't be kept: %s", error)
-
-    if not seen.any:  # XLA writes an executable that it has read without its code
-        later: list[Callable[[], None]] | None = getattr(_noticed, "later", None)
-        keep() if later is None else later.append(keep)
     run: Callable[..., Any] = found
     return run
 
