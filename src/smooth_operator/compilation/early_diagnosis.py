@@ -53,8 +53,8 @@ while time.time() - begin < most:
         full = now
         if before.q is not None:
             stage = FirstStage(early.hand, early.config.alignment, tuple(early.method.needs))
-            told = stage(frame.landmarks, frame.valid, before.q, 1 / rate).q
-            further = float(np.abs(q - told).max())
+            staged = stage(frame.landmarks, frame.valid, before.q, 1 / rate).q
+            further = float(np.abs(q - staged).max())
     elif not full:
         worst = max(worst, took)
     elif before.offset is not None:
