@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -24,7 +25,10 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.human.alignment import AlignmentConfig, reference_landmarks
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods import shared
+from smooth_operator.planning import make_request
 from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop.pages.live.live_session import LiveSession
+from smooth_operator.teleop.pages.live.live_texts import modes
 from smooth_operator.teleop.runtime.pipeline import OWN, PROVISIONAL, HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
@@ -292,6 +296,44 @@ def test_the_loop_says_who_answers(compiler: Compiler) -> None:
     assert statistics.summary()["frames_provisional"] == begins
     assert not pipeline.provisional
     assert pipeline.latched is None
+
+
+@dataclass
+class Said:
+    """A reporter that keeps its lines."""
+
+    notes: list[str] = field(default_factory=list)
+
+    def note(self, text: str, *, matters: bool = False) -> None:
+        self.notes.append(text)
+
+    def waiting(self, text: str) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+
+def test_a_run_says_who_answers(compiler: Compiler) -> None:
+    said, loops, status = Said(), [], []
+
+    def watch(tick: Any) -> None:
+        if tick.provisional and not status:
+            session = LiveSession(loops[0], make_request(method=METHOD), (), Path())
+            session.watch(tick)
+            look = session.look(text=False, fields=0)
+            status.append(modes(look["hands"]))
+            session.close()
+            compiler.go.set()
+        if OWN in tick.events:
+            loops[0].controls.quit()
+
+    def started(loop: Any) -> None:
+        loops.append(loop)
+        loop.watch = watch
+
+    summary = teleoperate("synthetic", method=METHOD, started=started, duration=LONG, reporter=said)
+    assert "first answers: the method compiles" in status[0]
+    assert 0 < summary["frames_provisional"] < summary["frames_answered"]
+    assert any("answers of a first stage, until" in note for note in said.notes)
+    assert any("answered by the first stage or on the way" in note for note in said.notes)
 
 
 def test_a_run_ends_with_what_compiling_raised(compiler: Compiler) -> None:

@@ -136,6 +136,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 
 def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
     assert stage.do("status")["rate"] == 50.0
+    assert stage.do("status")["provisional"] == []
     try:
         assert stage.do("rate", rate=20) == {"ok": True, "rate": 20.0}
         assert stage.do("status")["rate"] == 20.0
