@@ -136,6 +136,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 
 def test_the_rate_is_what_another_program_asks_for(stage: Stage) -> None:
     assert stage.do("status")["rate"] == 50.0
+    assert stage.do("status")["provisional"] == []
     try:
         assert stage.do("rate", rate=20) == {"ok": True, "rate": 20.0}
         assert stage.do("status")["rate"] == 20.0
@@ -221,13 +222,13 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
 ) -> None:
     # A method that is used already needs no building: begin with another one than is asked for.
     stage.do("method", method="geort")
-    go, build = threading.Event(), switcher_module.build_retargeter
+    go, build = threading.Event(), switcher_module.build_beside_loop
 
     def slow(*args: Any) -> Any:
         assert go.wait(LONG)
         return build(*args)
 
-    monkeypatch.setattr(switcher_module, "build_retargeter", slow)
+    monkeypatch.setattr(switcher_module, "build_beside_loop", slow)
     hasty = RemoteTeleop(stage.teleop.address, 0.4)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(hasty.request, "method", method="joint_angle")
@@ -255,7 +256,7 @@ def test_a_method_that_cannot_be_built_is_said(
     used = stage.do("status")["method"]
     other = "joint_angle" if used == "geort" else "geort"
     with monkeypatch.context() as patched:
-        patched.setattr(switcher_module, "build_retargeter", broken)
+        patched.setattr(switcher_module, "build_beside_loop", broken)
         with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
             stage.do("method", method=other)
     assert stage.do("status")["method"] == used

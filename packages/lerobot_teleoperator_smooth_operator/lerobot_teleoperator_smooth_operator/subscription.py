@@ -108,7 +108,8 @@ class InProcess:
         self._newest, self._loop = newest, None
         self.error: Exception | None = None
         self._ending = threading.Event()
-        options: dict[str, Any] = {"hand": hand, "side": side}
+        # what is recorded are the method's commands, not those of a first stage
+        options: dict[str, Any] = {"hand": hand, "side": side, "early": False}
         if method:
             options["method"] = method
 

@@ -21,6 +21,7 @@ OK = 0
 USER_ERROR = 2
 INTERRUPTED = 130  # what shells report for SIGINT
 BROKEN_PIPE = 141  # and for SIGPIPE
+_COMPILES = "compile"  # name of the thread of ``smooth_operator.compilation.early_answers``
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -49,14 +50,15 @@ def program() -> int:
 
     A daemon thread that is still within compiled code (a driver that does not answer, a library)
     asks for the interpreter while that ends, and is unwound through frames that do not expect it:
-    the process aborts, though its work is done. So where one is left, nothing is torn down.
+    the process aborts, though its work is done. So where one is left, nothing is torn down. What
+    compiles a method while a run answers early is not waited for, either.
     """
     status = main()
     left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
-    if not any(thread.daemon for thread in left):
+    if not any(thread.daemon or thread.name == _COMPILES for thread in left):
         return status
     for thread in left:
-        if not thread.daemon:
+        if not thread.daemon and thread.name != _COMPILES:
             thread.join()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

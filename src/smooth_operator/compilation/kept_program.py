@@ -7,6 +7,7 @@ bit, whether it was just compiled or read.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import enum
 import functools
@@ -14,7 +15,7 @@ import hashlib
 import json
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from importlib.metadata import version
@@ -132,6 +133,8 @@ class KeptProgram:
         signature = _Signature.of(arguments)
         if signature is None:
             return compiled(self._function, wide=self._wide)(*arguments)
+        if self._lock.locked():  # another thread compiles it, or reads it
+            _notice(False)
         with self._lock:
             made = self._made.get(signature)
             if made is None:
@@ -151,10 +154,13 @@ class KeptProgram:
         # tried on CPUs only: elsewhere an executable needs libraries that nothing here looks up
         apart = settings.jax_disable_jit or signature.device.platform != "cpu"
         if cache is None or key is None or apart:
+            _notice(False)
             run = compiled(self._function, wide=self._wide)
             return run, run(*arguments)
         name = _file_name(key, signature)
         found = _read(cache, name, arguments, signature.device)
+        if found is None and _notice(True):
+            found = _read(cache, name, arguments, signature.device)
         if found is None:
             run = _compiled_and_kept(
                 cache, name, compiled(self._function, wide=self._wide), arguments
@@ -163,14 +169,43 @@ class KeptProgram:
         return found
 
 
-def _file_name(key: str, signature: _Signature) -> str:
+_noticed: Final = threading.local()
+
+
+@contextlib.contextmanager
+def before_compiling(notice: Callable[[bool], bool]) -> Iterator[None]:
+    """While the block runs, a function is called before this thread compiles a program.
+
+    Args:
+        notice: called where a program was not kept, with whether it can be; and where another
+            thread is at it. Returns whether it may be kept now, to be looked for again.
+    """
+    before = getattr(_noticed, "call", None)
+    _noticed.call = notice
+    try:
+        yield
+    finally:
+        _noticed.call = before
+
+
+def _notice(can_be_kept: bool) -> bool:
+    call: Callable[[bool], bool] | None = getattr(_noticed, "call", None)
+    return call is not None and call(can_be_kept)
+
+
+def shaping_settings() -> dict[str, Any]:
+    """JAX's settings that a program may depend on, as this thread has them."""
     config: Any = jax.config
-    settings = {
+    return {
         # an attribute holds the thread's own value; settings without one have the process's alone
-        name: repr(getattr(config, name, value))
+        name: getattr(config, name, value)
         for name, value in sorted(config.values.items())
         if not any(word in name for word in _ELSEWHERE)
     }
+
+
+def _file_name(key: str, signature: _Signature) -> str:
+    settings = {name: repr(value) for name, value in shaping_settings().items()}
     device = signature.device
     said = [key, str(signature.tree), signature.shapes, machine(), version("jax"), settings,
             device.platform, device.device_kind, device.id,
@@ -192,13 +227,15 @@ def _read(
         head, _, executable = data.partition(b"\n")
         out_tree = jax.tree.structure(_skeleton(json.loads(head)))
         in_tree, client = jax.tree.structure((arguments, {})), device.client
-        with ThreadPoolExecutor(1) as pool:  # XLA reads on one core while Python imports
-            loading = pool.submit(
-                deserialize_and_load, executable, in_tree, out_tree, client, [device]
-            )
-            if b"lapack_" in executable:
-                _find_lapack()
-            found: Callable[..., Any] = loading.result()
+        job = executable, in_tree, out_tree, client, [device]
+        found: Callable[..., Any]
+        if b"lapack_" in executable and not find_lapack.cache_info().currsize:
+            with ThreadPoolExecutor(1) as pool:  # XLA reads on one core while Python imports
+                loading = pool.submit(deserialize_and_load, *job)
+                find_lapack()
+                found = loading.result()
+        else:  # a new thread would not have the priority of those of a real-time loop
+            found = deserialize_and_load(*job)
         value = ready(found(*arguments))
     except Exception as error:  # what JAX and XLA raise of what they can't load is not said
         cache.drop(name, f"{type(error).__name__}: {error}")
@@ -206,8 +243,12 @@ def _read(
     return found, value
 
 
-def _find_lapack() -> None:
-    """Has JAX look up LAPACK, which it does when it lowers a call, not when it loads one."""
+@functools.cache
+def find_lapack() -> None:
+    """Has JAX look up LAPACK, which it does when it lowers a call, not when it loads one.
+
+    The first time it imports SciPy's linear algebra, which holds the interpreter for 50 to 90 ms.
+    """
     try:
         lapack: Any = import_module("jaxlib.lapack")
         lapack.prepare_lapack_call("potrf_ffi", np.dtype(np.float32))
@@ -225,7 +266,7 @@ def _compiled_and_kept(
     seen.any = False
     found = lowered.compile()
     if not seen.any:  # XLA writes an executable that it has read without its code
-        try:
+        try:  # before it has run: XLA can't write a sort that has
             executable, _, out_tree = serialize(found)
             numbered = jax.tree.unflatten(out_tree, range(out_tree.num_leaves))
             head = json.dumps(_description(numbered))

@@ -76,6 +76,7 @@ def teleoperate(
     limits: LimitsConfig | None = None,
     wrist: WristConfig | None = None,
     priority: Literal["high", "normal"] = "normal",
+    early: bool = True,
     control: str | None = None,
     estop: str | Callable[[], bool] | None = None,
     page: PageSettings | None = None,
@@ -120,6 +121,9 @@ def teleoperate(
         limits: of the commands; None for the defaults.
         wrist: how the robot's wrist follows the operator's; None for the defaults.
         priority: ``high`` asks the system for real-time scheduling of this process.
+        early: answer frames while the method compiles, by a first stage (``Retargeter``), where it
+            was not compiled on this machine before; else the run begins when it is compiled. A
+            ``blind`` run and one with a ``task`` always wait: what is judged there is the method.
         control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
         estop: emergency stop from outside: ``file:PATH``, ``serial:PORT``, ``udp:PORT`` (see
             ``StopInput``), or a function that says whether it is pressed; None for none.
@@ -164,7 +168,7 @@ def teleoperate(
     carrier = read_arm(arm) if isinstance(arm, str) else arm
     settled, arms = _checked(asked, config, sides, source, runner, control, page, carrier)
     with begun_page(page, asked, sides, acting, blind, carrier) as begun:
-        retargeters = _compiled(settled, asked, blind, said)
+        retargeters = _compiled(settled, asked, blind, said, early and not blind and task is None)
         pipelines = {
             side: HandPipeline(
                 made,
@@ -221,6 +225,7 @@ def teleoperate(
             else contextlib.nullcontext(),
             _remote(loop, control, handlers, said),
             stopped_by(loop, stop),
+            _watched(retargeters, loop, said),
             contextlib.ExitStack() as first,
         ):
 
@@ -290,6 +295,7 @@ def _compiled(
     asked: RetargetRequest,
     blind: bool,
     said: Reporter,
+    early: bool,
 ) -> dict[Side, Retargeter]:
     retargeters: dict[Side, Retargeter] = {}
     for side, (hand, method) in settled.items():
@@ -298,8 +304,49 @@ def _compiled(
                 said.note(note, matters=True)
         what = "the method" if blind else asked.method
         with said.waiting(f"compiling {what} for {hand.name} {side}"):
-            retargeters[side], _ = build_retargeter(hand, method, asked.seed)
+            retargeters[side], _ = build_retargeter(hand, method, asked.seed, early=early)
     return retargeters
+
+
+@contextlib.contextmanager
+def _watched(
+    retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, said: Reporter
+) -> Iterator[None]:
+    """While the block runs: says when hands are answered by their methods, and ends a loop whose
+    method can't be compiled.
+
+    Raises:
+        Exception: what compiling raised.
+    """
+    early = {side: r.live for side, r in retargeters.items() if r.live is not r}
+    compiling = {side: answers for side, answers in early.items() if not answers.ready}
+    if not compiling:
+        yield
+        return
+    over = threading.Event()
+
+    def watch() -> None:
+        for side in compiling:
+            said.note(f"{side}: answers of a first stage, until the method is compiled")
+        begin = time.perf_counter()
+        for side, answers in compiling.items():
+            while not answers.ready:
+                if over.wait(0.05):
+                    return
+            if answers.failed:
+                loop.controls.quit()
+                return
+            said.note(f"{side}: compiled after {time.perf_counter() - begin:.1f} s")
+
+    thread = threading.Thread(target=watch, name="compiled", daemon=True)
+    thread.start()
+    try:
+        yield
+        for answers in compiling.values():
+            answers.check()
+    finally:
+        over.set()
+        thread.join()
 
 
 @contextlib.contextmanager

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
 from typing import Final
 
-from smooth_operator.compilation.building import build_retargeter
+from smooth_operator.compilation.building import build_beside_loop
+from smooth_operator.compilation.collection import uncollected
+from smooth_operator.compilation.kept_program import find_lapack
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
@@ -85,6 +86,7 @@ class MethodSwitcher:
         self._request.set_result(self.used)
         self._changed = threading.Condition()
         self._ending = False
+        find_lapack()  # which a program may need that is read while the loop runs
         self._thread = threading.Thread(target=self._run, name="switcher", daemon=True)
         self._thread.start()
 
@@ -185,9 +187,9 @@ class MethodSwitcher:
                 self._hand_over(spec, built)
 
     def _build(self, spec: DriverSpec, used: DriverSpec) -> dict[Side, Retargeter]:
-        with _uncollected():
+        with uncollected(freeze=True):
             return {
-                side: build_retargeter(self._hands[side], config, self._asked.seed)[0]
+                side: build_beside_loop(self._hands[side], config, self._asked.seed)
                 for side, config in spec.configs.items()
                 if config != used.configs[side]
             }
@@ -213,24 +215,6 @@ class MethodSwitcher:
                 self.wanted, self.error = self.used, str(error)
                 self.refused += 1
                 self._settle(error)
-
-
-@contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
-    """No collection of garbage meanwhile, nor of what was made, afterwards.
-
-    A collection has the interpreter to itself: a full one over what tracing a method leaves takes
-    20 to 80 ms, and the loop would miss as many of its commands. What is made stays anyway: JAX
-    keeps compiled programs.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        if enabled:
-            gc.enable()
 
 
 def _words(error: Exception) -> str:

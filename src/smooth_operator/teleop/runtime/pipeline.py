@@ -24,6 +24,9 @@ if TYPE_CHECKING:  # which needs the extra arm
 
 SWITCHED: Final = "another method, or other settings"
 """Event of the first tick after a switch; which they are is in its driver, for the record alone."""
+PROVISIONAL: Final = "answered by the first stage, while the method compiles"
+OWN: Final = "answered by the method, which is compiled"
+"""Events of the first tick of each."""
 
 
 class HandPipeline:
@@ -44,6 +47,7 @@ class HandPipeline:
         limiter: what was last commanded.
         clutch: moves the wrist, where the tracker has one.
         seen: the last frame that was not refused, in a pause or an emergency stop, too.
+        provisional: whether the last answer was not the method's own (``Result.provisional``).
     """
 
     def __init__(
@@ -63,7 +67,8 @@ class HandPipeline:
         self.clutch = Clutch(config)
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
-        self._state = retargeter.init()
+        self._state = retargeter.live.init()
+        self.provisional = False
         self._wanted = self.limiter.q  # what the operator asked for last
         self._from = self.limiter.q  # where a blend began
         self._delay = TrackerDelay()
@@ -85,7 +90,7 @@ class HandPipeline:
         """
         self.retargeter, self.driver = retargeter, driver
         self.note(SWITCHED)
-        self._state = retargeter.init()
+        self._state = retargeter.live.init()
         self.supervisor.restart_blend(self._last)
         self._from = self.limiter.q
 
@@ -143,6 +148,9 @@ class HandPipeline:
             else:
                 self.seen = arrival
                 result, stages = self._answer(arrival, now)
+                if result.provisional is not self.provisional:
+                    self.provisional = result.provisional
+                    events.append(PROVISIONAL if result.provisional else OWN)
                 if result.status != Status.OK:
                     events.append(f"frame not used: {result.status.reason}")
         mode = self.supervisor.update(now)
@@ -190,6 +198,7 @@ class HandPipeline:
             self.driver,
             wrist,
             arm=arm,
+            provisional=result is not None and result.provisional,
         )
         # Times of commands, not of the frames that they answer: solving occasionally takes longer.
         self._last, self._number = guarded, self._number + 1
@@ -199,8 +208,8 @@ class HandPipeline:
         """The method's answer to a frame, and how long its stages took [ms]."""
         start = self._clock()
         if self.supervisor.starts_again:
-            self._state = self.retargeter.init()
-        state, result = self.retargeter.step(self._state, arrival.frame)
+            self._state = self.retargeter.live.init()
+        state, result = self.retargeter.live.step(self._state, arrival.frame)
         solved = self._clock()
         if result.status == Status.OK:
             if not self.supervisor.mode.moves:

@@ -133,6 +133,7 @@ class Tick:
             fingers only.
         arm: the command to the arm that carries the hand, with the same stamp; None without an
             arm.
+        provisional: whether the frame's answer is not the method's own, as ``Result.provisional``.
     """
 
     side: Side
@@ -152,3 +153,4 @@ class Tick:
     wrist: WristCommand | None = None
     state: HandState | None = None
     arm: ArmCommand | None = None
+    provisional: bool = False

@@ -52,6 +52,8 @@ def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
             f"<b>{sign} {side}: {words}</b>"
             + ("" if latched is None else "<br><span data-latched>pinch latches: "
                f"{html.escape(', '.join(latched) or 'none')}</span>")
+            + ("" if not state.get("provisional") else
+               "<br><span data-provisional>first answers: the method compiles</span>")
             + f"<br><span data-wrist>{_wrist(state.get('wrist'))}</span>"
             + ("" if state.get("arm") is None else
                f"<br><span data-arm>{_arm(state['arm'])}</span>")
