@@ -239,8 +239,7 @@ class Result:
         latency_ms: time from landmarks to command [ms].
         tracking_loss: weighted keyvector loss of the command, first term of Eq. (1).
         scale: robot size over human size in this frame's alignment.
-        provisional: whether the command is not the method's own, whose program is being compiled,
-            or was until a moment ago (``Retargeter(..., early=True)``).
+        provisional: whether it is not the method's own command yet (``Retargeter(early=True)``).
     """
 
     command: JointCommand
