@@ -130,7 +130,8 @@ class EarlyAnswers:
         Raises:
             Exception: what compiling raised, in the first frame after that.
         """
-        if self.ready:
+        ready = self.ready
+        if ready:
             self.check()
             if state.begun and state.offset is None:
                 full, result = self._full.step(state.full, frame)
@@ -141,7 +142,7 @@ class EarlyAnswers:
         if state.begun:
             state, result = self._blended(state, frame, dt)
         else:
-            state, result = self._staged(state, frame, dt)
+            state, result = self._staged(state, frame, dt, ready)
         if self._full.rate is not None:
             state = state._replace(stamp=frame.time)
         return state, replace(result, latency_ms=(time.perf_counter() - start) * 1e3)
@@ -159,9 +160,11 @@ class EarlyAnswers:
         full.check_side(frame.side)
         return frame
 
-    def _staged(self, state: EarlyState, frame: HandFrame, dt: float) -> tuple[EarlyState, Result]:
+    def _staged(
+        self, state: EarlyState, frame: HandFrame, dt: float, ready: bool
+    ) -> tuple[EarlyState, Result]:
         """A frame before the method has answered one."""
-        if self.ready and state.q is None:  # nothing to go over from
+        if ready and state.q is None:  # nothing to go over from
             full, result = self._full.step(state.full, frame)
             if result.status != Status.OK:
                 return state, result
@@ -172,7 +175,7 @@ class EarlyAnswers:
         if answer.q is None:
             return state, self._provisional(state.q, answer, frame.time)
         after = state._replace(q=answer.q, time=frame.time)
-        if self.ready:
+        if ready:
             full, result = self._full.step(state.full, frame)
             if result.status == Status.OK:
                 offset = answer.q - result.command.positions[self._actuated]
