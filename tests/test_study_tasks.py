@@ -604,6 +604,13 @@ def test_a_trial_that_was_recorded_scores_again_the_same(tmp_path: Path) -> None
         read_trial(tmp_path / "bad.npz")
 
 
+def test_a_trial_that_ended_before_its_first_moment_is_read_back(tmp_path: Path) -> None:
+    record = TrialRecord("card", "mimic_p050", "right", ("a", "b"), about={"trial": 1})
+    write_trial(tmp_path / "empty.npz", record)
+    back = read_trial(tmp_path / "empty.npz")
+    assert (back.states, back.positions, back.about) == ([], [], {"trial": 1})
+
+
 def test_a_session_in_the_running_simulation(tmp_path: Path) -> None:
     hand = load_hand("mimic_p050")
     sim = build_sink("mujoco:task=screwdriver")

@@ -165,10 +165,9 @@ def _states(arrays: StoredArrays) -> Iterator[SceneState]:
     for name, (shape, kinds, _) in _STATE.items():
         item = arrays[name]
         wanted = (count, *(fingers if axis is None else axis for axis in shape))
-        # Of a trial that has no moment yet, the arrays have one axis.
-        if (
-            item.shape != wanted and (count or 0 not in item.shape)
-        ) or item.dtype.kind not in kinds:
+        # Of a trial that has no moment yet, the arrays have one axis, and numbers of any kind.
+        empty = not count and 0 in item.shape
+        if not empty and (item.shape != wanted or item.dtype.kind not in kinds):
             raise ValueError(f"{name} must have shape {wanted}, not {item.shape} of {item.dtype}")
         columns.append(item.load())
     for row in zip(*columns, strict=True):
