@@ -13,7 +13,7 @@ import numpy as np
 def new_page(chromium: Any, width: int = 800, height: int = 600) -> tuple[Any, list[str]]:
     """A page, and what it has complained about so far."""
     page = chromium.new_page(viewport={"width": width, "height": height})
-    page.set_default_timeout(60_000)  # software rendering on a busy machine
+    page.set_default_timeout(120_000)  # software rendering on a busy machine
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)

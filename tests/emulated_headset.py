@@ -67,6 +67,6 @@ def new_headset(browser: Any, emulator: str, width: int = 480, height: int = 640
         ignore_https_errors=True, viewport={"width": width, "height": height}
     )
     page = context.new_page()
-    page.set_default_timeout(30_000)  # software rendering on a busy machine
+    page.set_default_timeout(120_000)  # software rendering on a busy machine
     page.add_init_script(f"{emulator}\n;{MOVE}")
     return page

@@ -640,6 +640,7 @@ def palm_side(landmarks: np.ndarray) -> float:
 
 COUNT_PICTURES = """
 window.pictures = 0;
+window.began = performance.now() / 1000;
 const count = () => { window.pictures += 1; window.requestAnimationFrame(count); };
 count();
 """
@@ -678,7 +679,7 @@ def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) 
             if (arrival := host.mailbox.take(side)) is not None:
                 seen[side].append(arrival)
     # Of the pictures that the browser had time for; benchmarks/webxr.py has what it reaches.
-    pictures = page.evaluate("window.pictures")
+    pictures, lasted = page.evaluate("[window.pictures, performance.now() / 1000 - window.began]")
     assert min(map(len, seen.values())) >= 0.5 * pictures, pictures
     for side, sign in (("left", -1), ("right", 1)):
         arrivals = seen[side]
@@ -705,7 +706,7 @@ def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) 
     assert abs(np.median(late)) < state.round_trip_s + 0.2  # the offset is that of the clocks
     assert text(page, "left") == text(page, "right") == "seen"
     assert float(text(page, "trip")) > 0
-    assert int(text(page, "rate")) > 5
+    assert int(text(page, "rate")) > 0.1 * pictures / lasted
 
     page.evaluate("headset.hands.left.connected = false")
     page.locator("#left", has_text="not seen").wait_for()
