@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from free_port import free_port
 from lerobot_stand_in import REAL, ROBOT, TELEOPERATOR
 
 from smooth_operator import load_hand
@@ -33,7 +34,7 @@ pytestmark = [
 ]
 
 FPS, SECONDS, EPISODES = 30, 3.0, 2
-ADDRESS = "tcp://127.0.0.1:15791"
+ADDRESS = f"tcp://127.0.0.1:{free_port()}"
 TASK = "Move the fingers"
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
+from free_port import free_port
 from lerobot_stand_in import REAL, ROBOT, use_plugins
 
 from smooth_operator import load_hand
@@ -259,7 +260,7 @@ def test_a_sink_that_measures_nothing_is_refused(
 ) -> None:
     port = sys.modules[f"{ROBOT}.hand_port"]
     monkeypatch.setattr(port, "_PATIENCE_S", 0.05)
-    device = robot(sinks=["zmq:tcp://127.0.0.1:15799"])
+    device = robot(sinks=[f"zmq:tcp://127.0.0.1:{free_port()}"])
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="name mujoco or a driver"):
         device.connect()
     assert not device.is_connected

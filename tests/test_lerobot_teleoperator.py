@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from free_port import free_port
 from lerobot_stand_in import REAL, TELEOPERATOR, use_plugins
 from ticks import make_tick
 
@@ -22,7 +23,6 @@ from smooth_operator.teleop.sinks.tick import ArmCommand
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink, command_message
 
 pytest.importorskip("zmq")
-PORTS = iter(range(15710, 15760))
 
 
 @pytest.fixture
@@ -278,7 +278,7 @@ def test_a_wrong_setting_is_refused(
 
 
 def test_it_says_what_is_missing(plugin: SimpleNamespace) -> None:
-    address = f"tcp://127.0.0.1:{next(PORTS)}"
+    address = f"tcp://127.0.0.1:{free_port()}"
     hand = load_hand("mimic_p050")
 
     def refused(expected: str, **settings: Any) -> None:
@@ -310,7 +310,7 @@ def test_it_says_what_is_missing(plugin: SimpleNamespace) -> None:
 
 def test_it_reads_what_the_sink_zmq_sends(plugin: SimpleNamespace) -> None:
     hand = load_hand("mimic_p050")
-    address = f"tcp://127.0.0.1:{next(PORTS)}"
+    address = f"tcp://127.0.0.1:{free_port()}"
     sink = ZmqSink(address)
     sink.open({"right": hand}, {})
     config = plugin.package.SmoothOperatorConfig(address=address, unit="radians")

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from free_port import free_port
 from rich.console import Console
 from ticks import make_tick
 
@@ -232,14 +233,6 @@ def listen() -> Iterator[Callable[[str, bytes], Any]]:
     context.term()
 
 
-def _free_address() -> str:
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
-
-
 def _until_heard(sink: ZmqSink, socket: Any, tick: Tick) -> dict[str, Any]:
     """Send until a message is there: a subscriber needs a moment to connect."""
     end = time.perf_counter() + 5.0
@@ -251,7 +244,7 @@ def _until_heard(sink: ZmqSink, socket: Any, tick: Tick) -> dict[str, Any]:
 
 
 def test_zmq_says_all_of_a_command(hands: dict[Side, Hand], listen: Any) -> None:
-    sink = ZmqSink(_free_address(), valid_for_s=0.15)
+    sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}", valid_for_s=0.15)
     sink.open(hands, {})
     socket = listen(sink.address, b'{"side":"left"')
     tick = make_tick(hands["left"], 3, mode=Mode.BLENDING)
@@ -286,7 +279,7 @@ def test_zmq_says_all_of_a_command(hands: dict[Side, Hand], listen: Any) -> None
 
 
 def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand: Hand, listen: Any) -> None:
-    sink = ZmqSink(_free_address())
+    sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     sink.open({"right": hand}, {})
     child = """
         import sys, zmq
@@ -328,7 +321,7 @@ def test_zmq_subscriber_killed_and_restarted_and_nobody_there(hand: Hand, listen
 
 
 def test_zmq_address_in_use_and_reopened(hand: Hand, listen: Any) -> None:
-    sink = ZmqSink(_free_address())
+    sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     other = ZmqSink(sink.address)
     sink.open({"right": hand}, {})
     with pytest.raises(SinkError, match="choose another address"):
@@ -340,7 +333,7 @@ def test_zmq_address_in_use_and_reopened(hand: Hand, listen: Any) -> None:
 
 
 def test_zmq_never_sends_what_is_not_finite(hand: Hand) -> None:
-    sink = ZmqSink(_free_address())
+    sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     sink.open({"right": hand}, {})
     tick = make_tick(hand)
     tick.command.positions[2] = np.nan
