@@ -49,7 +49,7 @@ class BrowserSoak(SoakBase):
         )
 
     def wrong(self) -> list[str]:
-        """Errors of the pages' scripts, and commands that nobody meant."""
+        """Errors of the pages' scripts, and commands that were not meant."""
         return [*self.browser.problems, *self.odd, *self.ledger.surprises()]
 
     def close(self) -> None:

@@ -89,16 +89,16 @@ class Browser:
         self._browser = self._driver.chromium.launch(executable_path=path, args=list(FLAGS))
         self.problems: list[str] = []
 
-    def page(self, url: str, beside: Any = None, *, tall: bool = False) -> Any:
+    def page(self, url: str, other: Any = None, *, tall: bool = False) -> Any:
         """A page that is open and connected.
 
         Args:
             url: its address.
-            beside: a page, with whose storage it is opened, as a second tab is.
+            other: a page, with whose storage it is opened, as a second tab is.
             tall: as a tablet.
         """
         size = {"width": 820, "height": 1180} if tall else {"width": 1280, "height": 900}
-        context = beside.context if beside else self._browser.new_context(viewport=size)
+        context = other.context if other else self._browser.new_context(viewport=size)
         page = context.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.on("pageerror", lambda error: self.problems.append(str(error)))
@@ -123,8 +123,8 @@ class Browser:
 class Desk:
     """The experimenter's page."""
 
-    def __init__(self, browser: Browser, url: str, beside: Any = None) -> None:
-        self.page, self.ledger = browser.page(url, beside), browser.ledger
+    def __init__(self, browser: Browser, url: str, other: Any = None) -> None:
+        self.page, self.ledger = browser.page(url, other), browser.ledger
 
     def look(self) -> Shown:
         """What is there now."""

@@ -93,7 +93,7 @@ class SocketSoak(SoakBase):
         self.drop()
 
     def look(self) -> None:
-        """Hears what the experimenter's page is told meanwhile."""
+        """Keeps what is sent to the experimenter's page meanwhile."""
         page = self.page()
         with contextlib.suppress(TimeoutError):
             while True:
