@@ -14,7 +14,7 @@ import pytest
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.compilation import helper_process, kept_program
-from smooth_operator.compilation.building import build_beside_loop
+from smooth_operator.compilation.building import build_for_running_loop
 from smooth_operator.compilation.helper_process import compile_in_helper
 from smooth_operator.compilation.job_text import as_plain, from_plain
 from smooth_operator.errors import ConfigError
@@ -69,7 +69,7 @@ def test_a_method_for_a_running_loop_is_compiled_elsewhere_and_read(
     monkeypatch.setattr(
         kept_program, "_compiled_and_kept", lambda *a: (here.append(a), compile_it(*a))[1]
     )
-    built = build_beside_loop(hand, config, 0)
+    built = build_for_running_loop(hand, config, 0)
     assert not here
     assert len(list(folder.glob("*.executable"))) == 1
     recording = SyntheticOperator().record(0.3)
@@ -82,7 +82,7 @@ def test_a_method_for_a_running_loop_is_compiled_elsewhere_and_read(
     shared._known.clear()
     monkeypatch.setattr(sys, "executable", "/usr/bin/my_robot_app")  # which embeds Python
     monkeypatch.setattr(subprocess, "Popen", None)
-    build_beside_loop(hand, config, 0)
+    build_for_running_loop(hand, config, 0)
     assert len(here) == 1
 
 

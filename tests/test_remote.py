@@ -222,13 +222,13 @@ def test_a_stop_is_answered_while_a_method_is_compiled(
 ) -> None:
     # A method that is used already needs no building: begin with another one than is asked for.
     stage.do("method", method="geort")
-    go, build = threading.Event(), switcher_module.build_beside_loop
+    go, build = threading.Event(), switcher_module.build_for_running_loop
 
     def slow(*args: Any) -> Any:
         assert go.wait(LONG)
         return build(*args)
 
-    monkeypatch.setattr(switcher_module, "build_beside_loop", slow)
+    monkeypatch.setattr(switcher_module, "build_for_running_loop", slow)
     hasty = RemoteTeleop(stage.teleop.address, 0.4)
     with ThreadPoolExecutor(2) as pool:
         first = pool.submit(hasty.request, "method", method="joint_angle")
@@ -256,7 +256,7 @@ def test_a_method_that_cannot_be_built_is_said(
     used = stage.do("status")["method"]
     other = "joint_angle" if used == "geort" else "geort"
     with monkeypatch.context() as patched:
-        patched.setattr(switcher_module, "build_beside_loop", broken)
+        patched.setattr(switcher_module, "build_for_running_loop", broken)
         with pytest.raises(RemoteRefusedError, match="MemoryError: no room"):
             stage.do("method", method=other)
     assert stage.do("status")["method"] == used

@@ -37,7 +37,7 @@ def build_retargeter(
     return retargeter, time.perf_counter() - started
 
 
-def build_beside_loop(hand: Hand, config: MethodConfig, seed: int) -> Retargeter:
+def build_for_running_loop(hand: Hand, config: MethodConfig, seed: int) -> Retargeter:
     """A retargeter, warmed up, for a loop that runs in this process meanwhile.
 
     What was not kept is compiled by another process and then read; where it can't be kept, as for

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -73,6 +74,31 @@ class FrameTimes:
     worst_ms: float
 
 
+def measured_by(
+    code: str, *arguments: str, failed: str, environment: Mapping[str, str] | None = None
+) -> list[float]:
+    """What a fresh process measured: the list of numbers in JSON that it printed last.
+
+    Args:
+        code: what it runs.
+        arguments: of the code.
+        failed: what is said if it fails, before its own last line.
+        environment: of the process; None for this one's.
+
+    Raises:
+        SmoothOperatorError: it failed.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True, text=True, check=False, env=environment,
+    )  # fmt: skip
+    if done.returncode:
+        said = (done.stderr.strip().splitlines() or ["-"])[-1]
+        raise SmoothOperatorError(f"{failed}: {said}")
+    found: list[float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
 def start_times(hand: str, side: str | None, method: str, preset: str | None) -> StartTimes:
     """Starts a process as a script of the user's would be, and times its parts.
 
@@ -81,14 +107,8 @@ def start_times(hand: str, side: str | None, method: str, preset: str | None) ->
     """
     landmarks = SyntheticOperator(side="left" if side == "left" else "right").record(0.1).landmarks
     job = [hand, side, method, preset, landmarks[-1].tolist(), time.time()]
-    done = subprocess.run(
-        [sys.executable, "-c", _CHILD, json.dumps(job)], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise SmoothOperatorError(
-            f"a fresh process could not retarget: {(done.stderr.strip().splitlines() or ['-'])[-1]}"
-        )
-    interpreter, jax, package, build, frame = parts = json.loads(done.stdout.splitlines()[-1])
+    times = measured_by(_CHILD, json.dumps(job), failed="a fresh process could not retarget")
+    interpreter, jax, package, build, frame = parts = times
     return StartTimes(interpreter, jax, package, build, frame, sum(parts))
 
 

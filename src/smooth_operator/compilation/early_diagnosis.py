@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.compilation.diagnosis import measured_by
 from smooth_operator.synthetic import SyntheticOperator
 
 RATE_HZ: Final = 50.0
@@ -108,12 +106,12 @@ def early_start(hand: str, side: str | None, method: str, preset: str | None) ->
             "JAX_ENABLE_COMPILATION_CACHE": "false",
         }
         job = json.dumps([hand, side, method, preset, str(frames), RATE_HZ, _LONGEST_S])
-        done = subprocess.run(
-            [sys.executable, "-c", _CHILD, job, str(time.time())],
-            capture_output=True, text=True, check=False, env=environment,
-        )  # fmt: skip
-    if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["-"])[-1]
-        raise SmoothOperatorError(f"a fresh process could not answer early: {said}")
-    first, full, own, count, worst, step = json.loads(done.stdout.splitlines()[-1])
-    return EarlyStart(first, full, own, count, worst, step)
+        measured = measured_by(
+            _CHILD,
+            job,
+            str(time.time()),
+            failed="a fresh process could not answer early",
+            environment=environment,
+        )
+    first, full, own, count, worst, step = measured
+    return EarlyStart(first, full, own, int(count), worst, step)

@@ -10,7 +10,7 @@ from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
 from typing import Final
 
-from smooth_operator.compilation.building import build_beside_loop
+from smooth_operator.compilation.building import build_for_running_loop
 from smooth_operator.compilation.collection import uncollected
 from smooth_operator.compilation.kept_program import find_lapack
 from smooth_operator.errors import ConfigError, SmoothOperatorError
@@ -189,7 +189,7 @@ class MethodSwitcher:
     def _build(self, spec: DriverSpec, used: DriverSpec) -> dict[Side, Retargeter]:
         with uncollected(freeze=True):
             return {
-                side: build_beside_loop(self._hands[side], config, self._asked.seed)
+                side: build_for_running_loop(self._hands[side], config, self._asked.seed)
                 for side, config in spec.configs.items()
                 if config != used.configs[side]
             }
