@@ -341,12 +341,16 @@ def test_blind_the_panel_has_no_switch(stage: Stage) -> None:
         sent = io.BytesIO()
         panel = LivePanel(server, hands, Link(io.BytesIO(), sent), scene, None)
         stage.do("method", method="geort")
-        panel.show(json.loads(json.dumps(stage.session.look(text=True, fields=-1))))
+
+        def tracking() -> bool:
+            panel.show(json.loads(json.dumps(stage.session.look(text=True, fields=-1))))
+            return "tracking" in panel._modes.content
+
+        until(tracking, LONG)
         texts = (panel._modes, panel._summary, panel._timing, panel._notice)
         shown = " ".join(text.content for text in texts)
         assert not [name for name in method_names() if name in shown]
         assert "latches" not in shown
-        assert "tracking" in shown
         assert not hasattr(panel, "_method")
         assert panel.fields_number == stage.session.fields_number
         assert not sent.getvalue()

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -32,7 +33,8 @@ from smooth_operator.teleop.pages.meshes import body_meshes, finger_of_body, geo
 from smooth_operator.teleop.pages.page_layout import FOV, plan, view_axes
 from smooth_operator.teleop.pages.palette import FINGER_COLORS, HIGHLIGHT, linear
 from smooth_operator.teleop.pages.status_panel import metrics_table, status_line
-from smooth_operator.teleop.pages.timeline import GapCurves
+from smooth_operator.teleop.pages.timeline import GapCurves, Timeline, cursor_line
+from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import Status
 from smooth_operator.web import browser
 
@@ -397,6 +399,30 @@ def test_the_timeline_holds_the_whole_recording() -> None:
     rows = np.searchsorted(playback.times, times)
     np.testing.assert_allclose(gaps[2], 1e3 * playback.robot_gaps()[rows, 0], rtol=1e-5)
     assert max(gap.max() for gap in gaps) <= curves.top
+
+
+def test_the_cursor_is_replaced_while_playback_moves_it() -> None:
+    server = open_server("127.0.0.1", 0)
+    try:
+        timeline = Timeline(server.gui, [make_playback(101)], lambda frame: None)
+        timeline.fit(0, 900.0)
+        old, add = timeline._cursor, timeline._add_plot
+        before = old.content
+        with ThreadPoolExecutor() as playback:
+
+            def meanwhile() -> None:
+                moves.append(playback.submit(timeline.show, 50))
+                wait(moves, 0.2)
+                add()
+
+            moves: list[Future[None]] = []
+            timeline._add_plot = meanwhile  # type: ignore[method-assign]
+            timeline.fit(0, 500.0)  # a narrower browser
+            moves[0].result()
+        assert old.content == before  # a browser knows no handle that was removed
+        assert timeline._cursor.content == cursor_line(0.5)
+    finally:
+        close_server(server)
 
 
 def test_several_runs_are_compared_by_one_finger() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -107,6 +108,8 @@ class Timeline:
         self._curves = GapCurves(runs)
         count = len(runs[0])
         self._frame = 0
+        # Playback moves the cursor in its thread while a browser's thread may replace it.
+        self._lock = threading.Lock()
         self._widths: dict[int, float] = {}
         self._gui, self._end = gui, float(max(runs[0].times[-1], 1e-3))
         self._panel = gui.add_panel()
@@ -129,7 +132,8 @@ class Timeline:
         """Move slider and cursor."""
         self._frame = frame
         self.slider.value = frame  # type: ignore[misc]  # it has a setter; mypy loses sight of it
-        self._cursor.content = cursor_line(self._curves.times[frame] / self._end)
+        with self._lock:
+            self._cursor.content = cursor_line(self._curves.times[frame] / self._end)
 
     def fit(self, client: int, canvas_width: float | None) -> None:
         """Make the panel as wide as the narrowest browser's canvas.
@@ -138,19 +142,20 @@ class Timeline:
             client: number of the browser.
             canvas_width: of its canvas [px]; None once it has left.
         """
-        before = min(self._widths.values(), default=0.0)
-        if canvas_width is None:
-            self._widths.pop(client, None)
-        else:
-            self._widths[client] = max(canvas_width - _EDGE, _LEAST)
-        now = min(self._widths.values(), default=0.0)
-        if not now or now == before:
-            return
-        self._panel.set_width(now)
-        if now < before:  # the browser makes a plot wider with its panel, but not narrower
-            self._plot.remove()
-            self._cursor.remove()
-            self._add_plot()
+        with self._lock:
+            before = min(self._widths.values(), default=0.0)
+            if canvas_width is None:
+                self._widths.pop(client, None)
+            else:
+                self._widths[client] = max(canvas_width - _EDGE, _LEAST)
+            now = min(self._widths.values(), default=0.0)
+            if not now or now == before:
+                return
+            self._panel.set_width(now)
+            if now < before:  # the browser makes a plot wider with its panel, but not narrower
+                self._plot.remove()
+                self._cursor.remove()
+                self._add_plot()
 
     def _add_plot(self) -> None:
         with self._tab:
@@ -170,8 +175,9 @@ class Timeline:
             self._cursor = self._gui.add_html(cursor_line(share))
 
     def _choose(self, finger: str) -> None:
-        self._curves.show(self._curves.fingers.index(finger))
-        self._plot.data = self._curves.data()
+        with self._lock:
+            self._curves.show(self._curves.fingers.index(finger))
+            self._plot.data = self._curves.data()
 
 
 def cursor_line(share: float) -> str:
