@@ -92,8 +92,8 @@ class Rig:
         self.hand.servos.stuck.add(motor)
 
     def slow(self) -> None:
-        """Make the motors so slow that they can be stopped on their way."""
-        self.hand.servos.speed *= 0.1
+        """Make the motors so slow that they can be stopped on their way, on a stalled machine too."""
+        self.hand.servos.moves_when_looked_at(1e-4)
 
     def start(self) -> None:
         """Put the hand on its wire."""

@@ -75,7 +75,13 @@ class Stage:
     ticks: list[Tick] = field(default_factory=list)
 
     def do(self, word: str, **fields: Any) -> dict[str, Any]:
-        return self.teleop.request(word, **fields)
+        end = time.monotonic() + LONG
+        while True:
+            try:
+                return self.teleop.request(word, **fields)
+            except RemoteRefusedError as error:  # of a stalled machine it is true
+                if "the loop does not answer" not in str(error) or time.monotonic() > end:
+                    raise
 
     def config(self) -> Any:
         return self.loop.pipelines["right"].retargeter.config
