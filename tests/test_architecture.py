@@ -74,7 +74,7 @@ DRAWERS = {"util", "utils", "helpers", "misc"}
 
 def modules(source: Path) -> list[Path]:
     """Source files, and the stubs from which packages load their public names."""
-    return sorted(source.rglob("*.py*"))
+    return sorted([*source.rglob("*.py"), *source.rglob("*.pyi")])
 
 
 def top_level(source: Path, path: Path) -> str:
