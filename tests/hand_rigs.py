@@ -92,7 +92,7 @@ class Rig:
         self.hand.servos.stuck.add(motor)
 
     def slow(self) -> None:
-        """Make the motors so slow that they can be stopped on their way, on a stalled machine too."""
+        """Make the motors so slow that even a stalled machine can stop them on their way."""
         self.hand.servos.moves_when_looked_at(1e-4)
 
     def start(self) -> None:
