@@ -15,6 +15,7 @@ the same p-value.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -53,8 +54,10 @@ _FACTOR_NODES: Final = 160
 _MOST_SHARED: Final = 0.95
 """Largest share of a variable that its factor explains in the one-factor approximation."""
 _CHI_NODES: Final = 14
-_BLOCK: Final = 2_000_000
-"""Nodes evaluated per block, so that memory stays small."""
+_BLOCK: Final = 65_536
+"""Nodes evaluated together, so that they stay in the processor's cache."""
+_ENTRIES: Final = 1024
+"""Of the table of the normal distribution, for one standard deviation."""
 
 
 def outside(
@@ -254,41 +257,75 @@ def _boxes(
 ) -> Float[np.ndarray, " k"]:
     """P(|L z| <= limit) of independent normal z, with L lower triangular, for each limit."""
     points, weights = _legendre(nodes)
-    block = max(1, _BLOCK // nodes ** (len(factor) - 1))
-    found = []
-    for start in range(0, len(limits), block):
-        part = limits[start : start + block]
-        # By symmetry z_1 and -z_1 hold the same.
-        top = np.minimum(part / factor[0, 0], _FAR)[:, None]
-        first = top / 2 * (points + 1)
-        weight = top * weights * np.exp(-(first**2) / 2) / np.sqrt(2 * np.pi)
-        found.append(_rest(first[None], weight, part[:, None], factor, points, weights))
-    return np.concatenate(found)
+    # By symmetry z_1 and -z_1 hold the same.
+    top = np.minimum(limits / factor[0, 0], _FAR)[:, None]
+    first = top / 2 * (points + 1)
+    weight = top * weights * np.exp(-(first**2) / 2) / np.sqrt(2 * np.pi)
+    known, limit = first.ravel(), np.repeat(limits, nodes)
+    block = max(1, _BLOCK // nodes ** (len(factor) - 2))
+    inside = []
+    for start in range(0, len(known), block):
+        part = slice(start, start + block)
+        means = [own * known[part] for own in factor[1:, 0]]
+        inside.append(_rest(means, limit[part], factor[1:, 1:], points, weights))
+    return np.asarray(np.sum(weight * np.concatenate(inside).reshape(weight.shape), axis=1))
 
 
 def _rest(
-    known: Float[np.ndarray, "j ..."],
-    weight: Float[np.ndarray, "..."],
+    means: Sequence[Float[np.ndarray, "..."]],
     limit: Float[np.ndarray, "..."],
-    factor: Float[np.ndarray, "m m"],
+    factor: Float[np.ndarray, "j j"],
     points: Float[np.ndarray, " q"],
     weights: Float[np.ndarray, " q"],
-) -> Float[np.ndarray, " k"]:
-    at = len(known)
-    mean = np.tensordot(factor[at, :at], known, axes=1)
-    low = (-limit - mean) / factor[at, at]
-    high = (limit - mean) / factor[at, at]
-    if at == len(factor) - 1:
-        total = weight * (ndtr(high) - ndtr(low))
-        return np.asarray(total.reshape(len(total), -1).sum(axis=1))
+) -> Float[np.ndarray, "..."]:
+    """P(|mean + L z| <= limit) of the variables that are left, given their means so far."""
+    low = (-limit - means[0]) / factor[0, 0]
+    high = (limit - means[0]) / factor[0, 0]
+    if len(means) == 1:
+        return _normal(high) - _normal(low)
     low, high = np.clip(low, -_FAR, _FAR), np.clip(high, -_FAR, _FAR)
     half = (high - low) / 2
-    here = ((low + high) / 2)[..., None] + half[..., None] * points
-    weight = (weight * half)[..., None] * weights * np.exp(-(here**2) / 2) / np.sqrt(2 * np.pi)
-    known = np.concatenate(
-        [np.broadcast_to(known[..., None], (at, *here.shape)), here[None]], axis=0
-    )
-    return _rest(known, weight, limit[..., None], factor, points, weights)
+    # Nodes along a new first axis: rows stay together in memory.
+    here = np.multiply.outer(points, half)
+    here += (low + high) / 2
+    further = []
+    for mean, own in zip(means[1:], factor[1:, 0], strict=True):
+        further.append(own * here)
+        further[-1] += mean
+    inside = _rest(further, limit, factor[1:, 1:], points, weights)
+    here *= here
+    here *= -0.5
+    inside *= np.exp(here, out=here)
+    within = weights @ inside.reshape(len(weights), -1)
+    return np.asarray(half * within.reshape(half.shape) / np.sqrt(2 * np.pi))
+
+
+def _normal(x: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """The distribution function, by Taylor's series about the nearest entry of a table.
+
+    To 2e-15, in a third of the time of ``ndtr``.
+    """
+    values, slopes = _normal_table()
+    scaled = np.clip(x, -_FAR, _FAR)
+    scaled *= _ENTRIES
+    nearest = np.rint(scaled)
+    away = (scaled - nearest) * (1 / _ENTRIES)
+    place = nearest.astype(np.intp)
+    place += len(values) // 2
+    nearest *= 1 / _ENTRIES
+    series = away * (away * (nearest * nearest - 1) * (1 / 3) - nearest) * 0.5
+    series += 1
+    series *= away
+    series *= slopes.take(place)
+    series += values.take(place)
+    return series
+
+
+@lru_cache(maxsize=1)
+def _normal_table() -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    most = int(np.ceil(_FAR * _ENTRIES))
+    at = np.arange(-most, most + 1) / _ENTRIES
+    return np.asarray(ndtr(at)), np.exp(-(at**2) / 2) / np.sqrt(2 * np.pi)
 
 
 def _by_angle(
