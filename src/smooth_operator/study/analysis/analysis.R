@@ -8,7 +8,7 @@
 # no figures there), writes R_emm.csv, R_dunnett.csv, R_pairs.csv and R_coefficients.csv, and prints
 # the largest difference from smooth-operator's tables of the same names without "R_". Then it goes
 # on with readings.R: learning, correlations with simulation metrics, further readings (packages
-# survival, ordinal).
+# survival, ordinal), with bootstrap intervals from the samples that smooth-operator drew.
 
 suppressMessages({
   library(lme4); library(lmerTest); library(geepack); library(emmeans); library(mvtnorm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -12,8 +12,15 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
+from smooth_operator.study.analysis import spearman
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.readings import Refused
+from smooth_operator.study.analysis.readings.covariates import field_answers, usable_fields
+from smooth_operator.study.analysis.readings.resampling import (
+    DRAWS,
+    operator_signs,
+    operator_weights,
+)
 from smooth_operator.study.data.rows import Questionnaires, SimulationMetrics, StudyData
 
 SCRIPT: Final = "analysis.R"
@@ -23,6 +30,9 @@ TRIALS: Final = "rows_trials.csv"
 TLX: Final = "rows_tlx.csv"
 METRICS: Final = "rows_metrics.csv"
 RANKINGS: Final = "rows_rankings.csv"
+FORMS: Final = "rows_forms.csv"
+DRAWN: Final = "rows_draws.csv"
+SIGNS: Final = "rows_signs.csv"
 
 
 def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
@@ -39,7 +49,8 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
     Raises:
         OutputError: a file can't be written.
     """
-    data, asked = analysis.data, analysis.data.questionnaires
+    data, asked, seed = analysis.data, analysis.data.questionnaires, analysis.seed
+    drawn, of_rho = _sizes(analysis)
     filled = {
         "@BASELINE@": json.dumps(analysis.baseline),
         "@LIMITS@": _named(_limits(analysis)),
@@ -53,7 +64,15 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         TLX: None if asked is None else _csv(_questionnaires(asked)),
         METRICS: None if data.metrics is None else _csv(_metrics(data.metrics)),
         RANKINGS: None,
+        FORMS: None,
+        DRAWN: _samples(
+            drawn, lambda count, draws: operator_weights(count, seed=seed, draws=draws)[1:]
+        ),
+        SIGNS: _samples(of_rho, lambda count, draws: operator_signs(count, seed=seed, draws=draws)),
     }
+    if fields := usable_fields(data.forms, data.plan.forms if data.plan else ()):
+        answers = list(_answers(data, fields))
+        texts[FORMS] = csv_text(list(answers[0]), answers)
     if data.ranking:
         texts[RANKINGS] = csv_text(["operator", "retargeter", "rank"], _rankings(data.ranking))
     for name, text in texts.items():
@@ -138,6 +157,40 @@ def _rankings(ranking: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
         for who, order in ranking.items()
         for place, name in enumerate(order, 1)
     ]
+
+
+def _answers(data: StudyData, fields: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Answers to forms, as far as they are covariates."""
+    for name in fields:
+        answers, kind = field_answers(data.forms, name)
+        for who, answer in answers.items():
+            yield {"operator": who, "field": name, "kind": kind, "answer": answer}
+
+
+def _samples(sizes: Mapping[int, int], draw: Callable[[int, int], np.ndarray]) -> str | None:
+    """Samples of each number of operators, a row each; further columns than operators are empty."""
+    most = max(sizes, default=0)
+    rows = [
+        {"operators": count, "draw": number} | {str(j): x for j, x in enumerate(sample, 1)}
+        for count, draws in sorted(sizes.items())
+        for number, sample in enumerate(draw(count, draws).astype(int).tolist(), 1)
+    ]
+    columns = ["operators", "draw", *(str(j) for j in range(1, most + 1))]
+    return csv_text(columns, rows) if rows else None
+
+
+def _sizes(analysis: Analysis) -> tuple[dict[int, int], dict[int, int]]:
+    """Operators that readings drew, and how many samples; and of correlations alone."""
+    of_rho = {
+        int(entry["operators"]): spearman.DRAWS
+        for entry in analysis.spearman.values()
+        if "rho" in entry
+    }
+    readings = analysis.readings
+    drew = (*readings.time_to_success.values(), readings.second_rater, readings.preference)
+    return {
+        one.operators: DRAWS for one in drew if one is not None and not isinstance(one, Refused)
+    } | of_rho, of_rho
 
 
 def _csv(columns: dict[str, np.ndarray]) -> str:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from smooth_operator.study.analysis.dunnett import quantile, two_sided
 from smooth_operator.study.analysis.effects import correlation_in_words
 from smooth_operator.study.analysis.holm import holm
-from smooth_operator.study.analysis.readings.resampling import operator_weights
+from smooth_operator.study.analysis.readings.resampling import operator_signs, operator_weights
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9
@@ -63,8 +63,7 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
                 if np.isfinite(value) and (operator, retargeter) in mean
             ]
             # Each pair draws the same operators, so that figures are comparable.
-            rng = np.random.default_rng(seed)
-            entry = _correlate([(p[0], p[2], p[3]) for p in points], rng, draws)
+            entry = _correlate([(p[0], p[2], p[3]) for p in points], seed, draws)
             if "rho" in entry:
                 entry["within"] = correlation_within(points, seed=seed, draws=draws)
                 entry["means"] = _over_means(points)
@@ -104,7 +103,7 @@ def correlation_within(points: Sequence[Point], *, seed: int, draws: int) -> dic
     scale = np.sqrt(drawn[:, 1] * drawn[:, 2])
     rho = np.divide(drawn[:, 0], scale, out=np.full(len(scale), np.nan), where=scale > 0)
     low, high = np.nanpercentile(rho[1:], [2.5, 97.5])
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (draws, len(sums)))
+    signs = operator_signs(len(sums), seed=seed, draws=draws)
     as_far = np.abs(signs @ sums[:, 0]) >= abs(sums[:, 0].sum()) - 1e-9
     return {
         "rho": float(rho[0]),
@@ -179,9 +178,7 @@ def _ranks(
     return np.asarray((below + (counts + 1) / 2)[:, level])
 
 
-def _correlate(
-    points: list[tuple[str, float, float]], rng: np.random.Generator, draws: int
-) -> dict[str, Any]:
+def _correlate(points: list[tuple[str, float, float]], seed: int, draws: int) -> dict[str, Any]:
     count = len(points)
     operators = sorted({operator for operator, _, _ in points})
     if count < _FEWEST or len(operators) < 2:
@@ -196,9 +193,8 @@ def _correlate(
         return {"refused": "the metric or the outcome is constant", "n": count}
     place = {operator: i for i, operator in enumerate(operators)}
     owner = np.array([place[operator] for operator, _, _ in points])
-    drawn_operators = rng.integers(len(operators), size=(draws, len(operators)))
-    times = np.array([np.bincount(row, minlength=len(operators)) for row in drawn_operators])
-    drawn = _weighted(x, y, times[:, owner].astype(float))
+    times = operator_weights(len(operators), seed=seed, draws=draws)[1:]
+    drawn = _weighted(x, y, times[:, owner])
     low, high = np.nanpercentile(drawn, [2.5, 97.5])
     reach = quantile(np.inf) / np.sqrt(count - 3)
     exact = abs(rho) >= 1 - 1e-12

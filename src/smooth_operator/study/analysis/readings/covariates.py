@@ -61,7 +61,7 @@ def usable_fields(forms: Mapping[str, Mapping[str, Any]], plan: Sequence[Form] =
     return [
         name
         for name in names
-        if (name in asked or not plan) and _kind(_answers(forms, name)) is not None
+        if (name in asked or not plan) and field_answers(forms, name)[1] is not None
     ]
 
 
@@ -76,12 +76,22 @@ def covariate(
         forms: operator -> field -> answer.
         name: of the field.
     """
-    return found_or_refused(lambda: _covariate(outcome, frame, _answers(forms, name)))
+    answers, kind = field_answers(forms, name)
+    return found_or_refused(lambda: _covariate(outcome, frame, answers, number=kind == "number"))
 
 
-def _answers(forms: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, Any]:
+def field_answers(
+    forms: Mapping[str, Mapping[str, Any]], name: str
+) -> tuple[dict[str, Any], str | None]:
+    """Operator -> answer to a field, and whether it is a ``number`` or a ``choice``; else None.
+
+    Args:
+        forms: operator -> field -> answer.
+        name: of the field.
+    """
     given = {who: answers.get(name) for who, answers in forms.items()}
-    return {who: answer for who, answer in given.items() if answer not in (None, "")}
+    found = {who: answer for who, answer in given.items() if answer not in (None, "")}
+    return found, _kind(found)
 
 
 def _number(answer: Any) -> float | None:
@@ -105,13 +115,14 @@ def _kind(answers: Mapping[str, Any]) -> str | None:
     return "choice" if len(words) <= _MOST_LEVELS and counts.min() >= _FEWEST else None
 
 
-def _covariate(outcome: Outcome, frame: Frame, answers: Mapping[str, Any]) -> Covariate:
+def _covariate(
+    outcome: Outcome, frame: Frame, answers: Mapping[str, Any], *, number: bool
+) -> Covariate:
     rows = np.array([frame.operators[g] in answers for g in frame.group], bool)
     kept = keep_rows(frame, rows)
     if kept.retargeters[:1] != (frame.baseline,):
         raise StudyError(f"no rows of the baseline, {frame.baseline}")
     of_rows = [answers[kept.operators[g]] for g in kept.group]
-    number = _kind(answers) == "number"
     columns = _columns(of_rows, number=number)
     fit = fit_with(outcome, kept, columns)
     last = slice(-columns.shape[1], None)

@@ -1,4 +1,4 @@
-"""Bootstrap over operators: whole operators are drawn, with all of their rows."""
+"""Samples of operators: whole operators are drawn, or change sign, with all of their rows."""
 
 from __future__ import annotations
 
@@ -24,3 +24,14 @@ def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[
     counts[0] = 1
     np.add.at(counts, (np.arange(1, draws + 1)[:, None], chosen), 1)
     return counts
+
+
+def operator_signs(operators: int, *, seed: int, draws: int) -> Float[np.ndarray, "k g"]:
+    """1 or -1 for each operator of each sample, for tests that change operators' signs.
+
+    Args:
+        operators: how many there are.
+        seed: of the draws.
+        draws: samples.
+    """
+    return np.random.default_rng(seed).choice([-1.0, 1.0], (draws, operators))
