@@ -13,7 +13,7 @@ from test_study_console_browser import Pages, mark
 
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.default_forms import DEFAULT_FORMS
-from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
+from smooth_operator.study.store.nasa_tlx import PAIRS, SCALE_NAMES
 from smooth_operator.study.store.opening import open_study
 
 pytest.importorskip("segno", reason="the extra study is not installed")
@@ -127,5 +127,48 @@ def test_forms_from_paper_and_what_a_question_was_asked_for(chromium: Any, tmp_p
             page.locator("#ask-yes").click()
             page.get_by_text("it is for operator P01, but operator P02 is on").wait_for()
             assert store.progress("P02").withdrawn is None
+            assert not pages.problems
+            pages.context.close()
+
+
+@pytest.mark.browser
+def test_a_tlx_that_was_filled_in_on_paper_is_typed_in(chromium: Any, tmp_path: Path) -> None:
+    with open_study(tmp_path, console_plan(weights=True)) as store:
+        service = SessionService(store, operator="P01")
+        walk(service, store, "questionnaire")
+        with served(service) as port:
+            pages = Pages(chromium, port)
+            page = pages.experimenter
+            page.bring_to_front()
+            paper = page.locator("#paper")
+            save = paper.get_by_role("button", name="Save")
+            pages.step("Questionnaire")
+            page.locator('[data-key="from-paper"]').click()
+            for k, name in enumerate(SCALE_NAMES):
+                paper.locator(f"#field-{name}").fill(str(10 * k + 5))
+            paper.locator("#field-effort").fill("42")  # between two marks
+            paper.get_by_text("Still to answer: Effort").wait_for()
+            assert save.is_disabled()
+            paper.locator("#field-effort").fill("45")
+            paper.get_by_text("Nothing is missing.").wait_for()
+            paper.locator("#paper-who").fill("AB")
+            save.click()
+            pages.step("Trial 2 of 3")
+            page.locator("#log", has_text="(initial) typed in from paper by AB").wait_for()
+            assert "workload" not in page.locator("#log").inner_text()
+            [filled] = store.progress("P01").questionnaires
+            assert filled.ratings == {n: 10 * k + 5 for k, n in enumerate(SCALE_NAMES)}
+
+            walk(service, store, "weights")
+            pages.step("Pairs of scales")
+            page.locator('[data-key="from-paper"]').click()
+            for first, second in PAIRS:
+                paper.locator(f'input[name="{first}-{second}"]').last.check()
+            paper.locator("#paper-who").fill("CD")
+            save.click()
+            pages.step("Block 2 of 2")
+            block = store.progress("P01").blocks[0]
+            chosen = store.progress("P01").winners[block.task.name, block.number]
+            assert chosen == tuple(second for _, second in PAIRS)
             assert not pages.problems
             pages.context.close()

@@ -11,7 +11,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from study_console import command, console_plan, due_command, served
+from study_console import command, console_plan, due_command, ratings, served
 from test_study_console import kinds, walk
 from test_study_console_browser import Pages
 
@@ -131,11 +131,63 @@ def test_forms_on_paper_are_typed_in_at_any_later_time(store: StudyStore) -> Non
     jsonschema.validate(study_json(store), export_schema())
 
 
-@pytest.mark.parametrize(("role", "who"), [("operator", {"who": "AB"}), ("experimenter", {})])
-def test_who_types_a_form_in_is_said_by_the_experimenter_alone(role: Any, who: Any) -> None:
-    said = {"token": "t" * 8, "do": "form", "operator": "P01", "fields": {"form": "a", **who}}
+@pytest.mark.parametrize("do", ["form", "answer", "weigh"])
+@pytest.mark.parametrize(
+    ("role", "who"),
+    [("operator", {"who": "AB"}), ("experimenter", {}), ("experimenter", {"who": "  "})],
+)
+def test_who_types_in_is_said_by_the_experimenter_alone(do: str, role: Any, who: Any) -> None:
+    said = {"token": "t" * 8, "do": do, "operator": "P01", "fields": {"form": "a", **who}}
     with pytest.raises(StudyError, match="initials"):
         command_of(said, role)
+
+
+def test_the_tlx_is_typed_in_from_paper(tmp_path: Path) -> None:
+    with open_study(tmp_path / "paper", console_plan(weights=True)) as store:
+        service = SessionService(store, operator="P01")
+
+        def from_paper(do: str, **fields: Any) -> None:
+            asked = command(store.progress("P01"), do, who="AB", **fields)
+            said = {"token": asked.token, "do": do, "operator": "P01", "after": asked.after,
+                    "fields": asked.fields}  # fmt: skip
+            service.carry_out(command_of(said, "experimenter"), "experimenter")
+
+        walk(service, store, "questionnaire")
+        asked = service.look()[0]["now"]["asked"]
+        assert [scale["name"] for scale in asked["scales"]] == [scale.name for scale in SCALES]
+        with pytest.raises(StudyError, match="steps of 5"):
+            from_paper("answer", ratings=ratings(1) | {"effort": 42})
+        from_paper("answer", ratings=ratings(1))
+        with pytest.raises(StudyError, match="not due"):
+            from_paper("answer", ratings=ratings(2), point="initial")
+        [filled] = store.progress("P01").questionnaires
+        assert (filled.ratings, filled.who) == (ratings(1), "AB")
+        view = service.look()[0]
+        assert view["log"][0]["text"] == "Questionnaire (initial) typed in from paper by AB"
+        assert view["now"]["asked"] is None
+        while store.progress("P01").step.what != "weights":
+            walk(service, store, "questionnaire")
+            from_paper("answer", ratings=ratings(2))
+        assert "workload" not in json.dumps(service.look()[0]["log"])
+        pairs = service.look()[0]["now"]["asked"]["pairs"]
+        sides = [tuple(scale["name"] for scale in pair["scales"]) for pair in pairs]
+        assert sides == list(PAIRS)
+        from_paper("weigh", winners=[pair[1] for pair in PAIRS])
+        log = [entry["text"] for entry in service.look()[0]["log"]]
+        assert log[0] == "Pairs of scales typed in from paper by AB"
+        assert log[1].startswith("Questionnaire (final): workload ")
+        assert log[1].endswith(", typed in from paper by AB")
+        weighed = store.progress("P01").records[-1].event
+        assert isinstance(weighed, Weighed)
+        assert (weighed.winners[0], weighed.shown, weighed.who) == ("physical", (), "AB")
+        walk(service, store, "questionnaire")
+        asked_again = command(store.progress("P01"), "answer", ratings=ratings(3))
+        service.carry_out(asked_again, "operator")
+        made = study_json(store)
+        assert [one["typed_by"] for one in made["questionnaires"]] == ["AB", "AB", "AB", None]
+        jsonschema.validate(made, export_schema())
+    with open_study(tmp_path / "paper") as store:  # what was stored is read again
+        assert [one.who for one in store.progress("P01").questionnaires] == ["AB"] * 3 + [""]
 
 
 @pytest.mark.parametrize(

@@ -97,10 +97,12 @@ def command_of(said: Mapping[str, Any], role: Role) -> Command:
     number = isinstance(waited, int | float) and not isinstance(waited, bool)
     if not number or not math.isfinite(waited) or not 0 <= waited <= _LONGEST_WAIT:
         raise StudyError(f"waited_s must be 0 to {_LONGEST_WAIT:g} s, not {waited!r}")
-    if do == "form" and bool(fields.get("who")) != (role == "experimenter"):
+    who = fields.get("who", "")
+    typed = bool(who.strip()) if isinstance(who, str) else bool(who)
+    if do in OPERATOR_MAY and typed != (role == "experimenter"):
         raise StudyError(
-            "a form needs the initials of who types it in for the operator, on the experimenter's "
-            "page and nowhere else"
+            "what an operator answers needs the initials of who types it in for them, on the "
+            "experimenter's page and nowhere else"
         )
     return Command(token, do, operator, after, dict(fields), float(waited))
 
@@ -134,7 +136,7 @@ def event_for(
     elif command.do == "start_block":
         block = progress.step.block
         values["condition"] = "" if block is None else block.condition.name
-    elif command.do == "weigh":
+    elif command.do == "weigh" and not values.get("who"):  # paper has an order of its own
         pairs = shown_pairs(progress.plan.protocol.seed, progress.operator)
         values["shown"] = ["-".join(pair) for pair in pairs]
     elif command.do == "amend":

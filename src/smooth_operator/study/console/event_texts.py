@@ -100,11 +100,14 @@ def event_in_words(record: Record, named: Named, *, sums: bool = True) -> str:
         case TrialVoided():
             return f"Trial {event.trial} void: {event.reason or 'no reason given'}"
         case Answered():
+            how = _how(event.who)
             if not sums:  # who scores the rest of the block is not to know
-                return f"Questionnaire ({event.point}) answered"
-            return f"Questionnaire ({event.point}): workload {raw_workload(event.ratings):.0f}"
+                return f"Questionnaire ({event.point}) {how}"
+            workload = f"workload {raw_workload(event.ratings):.0f}"
+            more = f", {how}" if event.who else ""
+            return f"Questionnaire ({event.point}): {workload}{more}"
         case Weighed():
-            return "Pairs of scales answered"
+            return f"Pairs of scales {_how(event.who)}"
         case BreakStarted():
             return "Break began"
         case BreakEnded():
@@ -149,6 +152,10 @@ def _of_the_day(record: Record) -> str:
         case FormOnPaper():
             return f"Form {event.form} is on paper ({event.who})"
     return event.kind
+
+
+def _how(who: str) -> str:
+    return f"typed in from paper by {who}" if who else "answered"
 
 
 def _why(text: str) -> str:

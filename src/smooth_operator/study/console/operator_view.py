@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -38,29 +39,33 @@ def operator_view(
         return view
     view |= place(step.block, None, current)
     if step.what == "questionnaire":
-        view |= {
-            "what": "questionnaire",
-            "point": step.point,
-            "trial": step.trial,
-            "scales": [asdict(scale) for scale in words.scales],
-            "step_of_scale": STEP,
-            "highest": HIGHEST,
-        }
+        view |= {"what": "questionnaire", "point": step.point, "trial": step.trial}
+        view |= scales_view(words)
     elif step.what == "weights":
-        scales = {scale.name: asdict(scale) for scale in words.scales}
-        view |= {
-            "what": "weights",
-            "pairs": [
-                {
-                    "place": PAIRS.index(
-                        (left, right) if (left, right) in PAIRS else (right, left)
-                    ),
-                    "scales": [scales[left], scales[right]],
-                }
-                for left, right in shown_pairs(plan.protocol.seed, current.operator)
-            ],
-        }
+        shown = shown_pairs(plan.protocol.seed, current.operator)
+        view |= {"what": "weights", "pairs": pairs_view(words, shown)}
     return view
+
+
+def scales_view(words: TlxWords) -> dict[str, Any]:
+    """The six scales of NASA-TLX."""
+    return {
+        "scales": [asdict(scale) for scale in words.scales],
+        "step_of_scale": STEP,
+        "highest": HIGHEST,
+    }
+
+
+def pairs_view(words: TlxWords, shown: Sequence[tuple[str, str]] = PAIRS) -> list[dict[str, Any]]:
+    """Pairs of scales, each with its place among those of the instrument."""
+    scales = {scale.name: asdict(scale) for scale in words.scales}
+    return [
+        {
+            "place": PAIRS.index((left, right) if (left, right) in PAIRS else (right, left)),
+            "scales": [scales[left], scales[right]],
+        }
+        for left, right in shown
+    ]
 
 
 def _nothing_follows(step: Step) -> bool:

@@ -11,7 +11,12 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.console.event_texts import Named, event_in_words, naming, step_in_words
 from smooth_operator.study.console.expected_time import break_is_due, time_left
 from smooth_operator.study.console.form_views import forms_view
-from smooth_operator.study.console.operator_view import place
+from smooth_operator.study.console.operator_view import (
+    asked_key,
+    pairs_view,
+    place,
+    scales_view,
+)
 from smooth_operator.study.design.plan import Block, Plan
 from smooth_operator.study.store.events import (
     Answered,
@@ -23,6 +28,7 @@ from smooth_operator.study.store.events import (
     Undone,
 )
 from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.tlx_words import ENGLISH, TlxWords
 
 _LONGEST_LOG: Final = 250
 
@@ -83,8 +89,11 @@ def overview(progress: Progress, named: Named) -> dict[str, Any]:
     }
 
 
-def step_view(progress: Progress, named: Named) -> dict[str, Any]:
-    """What is due for an operator, with the rubric of the current task."""
+def step_view(progress: Progress, named: Named, words: TlxWords = ENGLISH) -> dict[str, Any]:
+    """What is due for an operator, with the rubric of the current task.
+
+    ``asked`` is NASA-TLX as it is asked now, for typing in what stands on paper.
+    """
     step, protocol = progress.step, progress.plan.protocol
     view: dict[str, Any] = {
         "operator": progress.operator,
@@ -95,6 +104,7 @@ def step_view(progress: Progress, named: Named) -> dict[str, Any]:
         "after": progress.number,
         "words": step_in_words(step),
         "form": step.form,
+        "asked": asked_view(progress, words),
         "break_possible": can_happen(progress, BreakStarted()),
         "break_due": break_is_due(progress),
         "left_s": time_left(progress),
@@ -129,6 +139,15 @@ def step_view(progress: Progress, named: Named) -> dict[str, Any]:
         "rubric": rubric_view(step.block, resets, protocol.reset_cap),
     }
     return view
+
+
+def asked_view(progress: Progress, words: TlxWords) -> dict[str, Any] | None:
+    """The scales or the pairs that are due, in the order of the instrument; None without them."""
+    what = progress.step.what
+    if what not in ("questionnaire", "weights"):
+        return None
+    asked = scales_view(words) if what == "questionnaire" else {"pairs": pairs_view(words)}
+    return {"key": asked_key(progress, progress.step), **asked}
 
 
 def scored_view(progress: Progress, named: Named) -> list[dict[str, Any]]:
@@ -208,14 +227,18 @@ def _known(progress: Progress, record: Record) -> bool:
 
 
 def experimenter_view(
-    plan: Plan, everyone: Sequence[Progress], current: Progress | None, blind: bool
+    plan: Plan,
+    everyone: Sequence[Progress],
+    current: Progress | None,
+    blind: bool,
+    words: TlxWords = ENGLISH,
 ) -> dict[str, Any]:
     """All of the experimenter's page that comes from the store."""
     named = naming(plan, blind)
     return {
         "study": study_view(plan, blind),
         "overview": [overview(progress, named) for progress in everyone],
-        "now": None if current is None else step_view(current, named),
+        "now": None if current is None else step_view(current, named, words),
         "log": [] if current is None else log_view(current, named),
     }
 

@@ -221,7 +221,7 @@ class SessionService:
             plan = self._store.plan
             everyone = [self._seen(code, (version, counts.get(code, 0))) for code in plan.codes]
         current = next((p for p in everyone if p.operator == self.operator), None)
-        view = experimenter_view(plan, everyone, current, self._blind)
+        view = experimenter_view(plan, everyone, current, self._blind, self._words)
         view["teleop"] = None if self._hand is None else self._hand.view(current)
         return view, operator_view(plan, current, self._words)
 

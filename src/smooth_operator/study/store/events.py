@@ -268,11 +268,18 @@ class FormOnPaper(_Event):
 
 @dataclass(frozen=True)
 class Answered(_OfBlock):
-    """NASA-TLX was filled in."""
+    """NASA-TLX was filled in, by the operator or from paper.
+
+    Attributes:
+        point: which of the block's questionnaires.
+        ratings: scale -> 0 to 100.
+        who: typed it in for the operator; initials. Empty where the operator did it.
+    """
 
     kind: ClassVar[str] = "questionnaire_answered"
     point: Point
     ratings: Mapping[str, int]
+    who: str = ""
 
 
 @dataclass(frozen=True)
@@ -282,11 +289,13 @@ class Weighed(_OfBlock):
     Attributes:
         winners: of each of ``PAIRS``, in that order.
         shown: the pairs as the operator saw them, ``left-right``, in that order; empty if unknown.
+        who: typed them in for the operator; initials. Empty where the operator did it.
     """
 
     kind: ClassVar[str] = "weights_answered"
     winners: tuple[str, ...]
     shown: tuple[str, ...] = field(default=(), compare=False)
+    who: str = ""
 
 
 @dataclass(frozen=True)

@@ -159,6 +159,7 @@ def _questionnaires(progress: Progress) -> Iterator[dict[str, Any]]:
             "raw_workload": raw_workload(asked.ratings),
             "weighted_workload": winners and weighted_workload(asked.ratings, winners),
             "answered_at": asked.at.isoformat(),
+            "typed_by": asked.who or None,
         }
 
 

@@ -107,12 +107,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class Questionnaire:
-    """An answered one."""
+    """An answered one; ``who`` typed it in from paper, empty where the operator answered."""
 
     block: Block
     point: Point
     at: datetime
     ratings: Mapping[str, int]
+    who: str = ""
 
 
 @dataclass(frozen=True)

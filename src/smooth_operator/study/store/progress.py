@@ -115,7 +115,7 @@ class Progress(OperatorState):
                 self._moved.add((event.task, event.block))
             case Answered():
                 self.questionnaires.append(
-                    Questionnaire(self._on(), event.point, at, dict(event.ratings))
+                    Questionnaire(self._on(), event.point, at, dict(event.ratings), event.who)
                 )
                 self._answered.add((event.task, event.block, event.point))
             case Weighed():

@@ -55,6 +55,7 @@ def export_schema() -> dict[str, Any]:
                     raw_workload=workload,
                     weighted_workload=workload,
                     answered_at=moment,
+                    typed_by={"type": ["string", "null"]},
                 ),
                 "weights": rows(
                     **where,

@@ -4,6 +4,7 @@ import { ask } from './ask.js';
 import { clock, h, fill, part } from './dom.js';
 import { drawForms } from './forms.js';
 import { keep, kept, Link, moment } from './link.js';
+import { typeTlx } from './paper_tlx.js';
 import { drawPeople } from './people.js';
 import { drawScored } from './scored.js';
 import { drawStep } from './step.js';
@@ -163,6 +164,10 @@ const actions = {
   typeIn(operator, fields) {
     refusal = '';
     link.command('form', operator, fields);
+  },
+  /** NASA-TLX of the operator who is on, from paper. */
+  typeTlx() {
+    typeTlx(link.state, actions);
   },
   async enrol() {
     const tasks = link.state.study.tasks;

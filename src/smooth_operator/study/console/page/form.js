@@ -46,7 +46,7 @@ const DRAWN = {
   },
   number(field, value, set, off) {
     const id = `field-${field.name}`;
-    return [label(id, field), h('input', { id, type: 'number', inputMode: 'decimal', step: 'any', disabled: off, min: text(field.least), max: text(field.most),
+    return [label(id, field), h('input', { id, type: 'number', inputMode: 'decimal', step: text(field.step) ?? 'any', disabled: off, min: text(field.least), max: text(field.most),
       value: text(value) ?? '', oninput: ({ target }) => set(target.value === '' || !target.validity.valid ? null : Number(target.value)) })];
   },
   choice(field, value, set, off) {

@@ -32,18 +32,26 @@ function said({ state, at, who }) {
 
 /** A form to read, or to type in what stands on paper; answers that are there are replaced with a reason only. */
 function open(one, now, study, actions) {
+  typeIn({ ...one, key: `${now.operator}/${one.form}/${one.at}` }, {
+    name: `${study.name}/${now.operator}/${one.form}`, about: `Operator ${now.operator}, ${said(one)}.`, answers: one.answers,
+    send: (answers, more) => actions.typeIn(now.operator, { form: one.form, answers, ...more }),
+  });
+}
+
+/** Opens the dialog in which somebody types in what stands on paper, and says who. name: of the draft. */
+export function typeIn(asked, { name, about, answers = null, send }) {
   const dialog = part('paper');
-  const name = `smooth-operator:paper:${study.name}/${now.operator}/${one.form}`;
-  const own = (id, label, required) => h('input', { id, maxLength: 400, autocomplete: 'off', required, 'aria-label': label, placeholder: label });
-  const who = own('paper-who', 'Typed in by (initials)', true);
-  const reason = one.answers && own('paper-reason', 'Why the answers are replaced', true);
-  form(part('paper-form'), { ...one, key: `${now.operator}/${one.form}/${one.at}`, texts: TEXTS }, {
-    name, sending: false, answers: one.answers ?? {},
-    more: h('section', { class: 'card field' }, h('p', { class: 'soft' }, `Operator ${now.operator}, ${said(one)}.`), who, reason),
-    send: (answers) => {
+  const draft = `smooth-operator:paper:${name}`;
+  const own = (id, label) => h('input', { id, maxLength: 400, autocomplete: 'off', required: true, 'aria-label': label, placeholder: label });
+  const who = own('paper-who', 'Typed in by (initials)');
+  const reason = answers && own('paper-reason', 'Why the answers are replaced');
+  form(part('paper-form'), { ...asked, texts: TEXTS }, {
+    name: draft, sending: false, answers: answers ?? {},
+    more: h('section', { class: 'card field' }, h('p', { class: 'soft' }, about), who, reason),
+    send: (given) => {
       dialog.close();
-      keep(name, null);
-      actions.typeIn(now.operator, { form: one.form, answers, who: who.value.trim(), ...(reason ? { reason: reason.value.trim() } : {}) });
+      keep(draft, null);
+      send(given, { who: who.value.trim(), ...(reason ? { reason: reason.value.trim() } : {}) });
     },
   });
   dialog.showModal();

@@ -130,14 +130,14 @@ const STEPS = {
       by ? h('p', {}, `${by.operator} has the rows now.`)
         : h('div', { class: 'row' }, button('Replace', { id: 'replace', disabled: blocked, onclick: actions.replace }))];
   },
-  questionnaire(now, state) {
+  questionnaire(now, state, actions, blocked) {
     return [h('h2', {}, 'Questionnaire'),
       h('p', {}, `The operator fills in NASA-TLX (${POINTS[now.point] ?? now.point}) on the tablet. This page goes on by itself.`),
-      ...tablet(state)];
+      ...tablet(state), fromPaper(actions, blocked)];
   },
-  weights(now, state) {
+  weights(now, state, actions, blocked) {
     return [h('h2', {}, 'Pairs of scales'),
-      h('p', {}, 'The operator compares the six scales in pairs on the tablet. This page goes on by itself.'), ...tablet(state)];
+      h('p', {}, 'The operator compares the six scales in pairs on the tablet. This page goes on by itself.'), ...tablet(state), fromPaper(actions, blocked)];
   },
   break(now, state, actions, blocked) {
     return [
@@ -196,6 +196,10 @@ function aside(now, actions, blocked) {
     now.can_end_block && quiet('End block', 'end-block', actions.endBlock),
     !now.withdrawn && quiet('Withdraw', 'withdraw', actions.withdraw),
     minutes > 0 && h('span', { class: 'soft left' }, `About ${minutes} min left`));
+}
+
+function fromPaper(actions, blocked) {
+  return h('div', { class: 'row' }, button('Type it in from paper', { id: 'from-paper', kind: 'quiet', disabled: blocked, onclick: actions.typeTlx }));
 }
 
 function tablet({ links, pages }) {
