@@ -33,6 +33,7 @@ from study_console import (
 
 from smooth_operator.cli import main
 from smooth_operator.errors import RemoteRefusedError, StudyError, UnknownNameError
+from smooth_operator.study.console import scene_trials
 from smooth_operator.study.console.access import ConsoleAuth, auth_for, qr_code
 from smooth_operator.study.console.commands import command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
@@ -825,6 +826,57 @@ def test_what_can_not_be_run_is_told(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "unknown operator" in complaint()
     assert main(["study", "run", str(tmp_path), "--host", "203.0.113.9"]) == 2
     assert "can't listen" in complaint()
+
+
+def test_a_look_that_fails_takes_no_answer_with_it(store: StudyStore) -> None:
+    """A page that never hears of its command would wait for it, with all buttons off."""
+    service = SessionService(store, operator="P01")
+    look, broken = service.look, threading.Event()
+
+    def failing() -> tuple[dict[str, Any], dict[str, Any]]:
+        if broken.is_set():
+            raise RuntimeError("a fault")
+        return look()
+
+    service.look = failing  # type: ignore[method-assign]
+    with served(service) as port:
+        tab = Tab(port)
+        tab.until(lambda state: state["now"])
+        broken.set()
+        service._changed()  # redrawn by itself, too
+        tab.until(lambda state: "RuntimeError" in state["trouble"])
+        assert tab.ask(command(store.progress("P01"), "calibrated"))["type"] == "done"
+        broken.clear()
+        service._changed()
+        tab.until(lambda state: state["now"]["what"] == "start_block")
+        tab.close()
+
+
+def test_a_start_that_is_sent_again_and_again_can_be_cancelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_trials, "CLEAR_WAIT_S", PATIENCE_S)
+    teleop = FakeSimulation("card")
+    with open_study(tmp_path / "waiting", console_plan()) as store:
+        service = SessionService(store, operator="P01", teleop=teleop)
+        walk(service, store, "start_trial")
+        teleop.in_the_way = True
+        start = command(store.progress("P01"), "start_trial")
+        with served(service) as port:
+            tab = Tab(port)
+            for _ in range(12):  # a page that is loaded again, more often than there are threads
+                tab.send(start)
+            tab.until(lambda state: state["teleop"]["waiting"])
+            cancel = command(store.progress("P01"), "cancel_start")
+            tab.send(cancel)
+            answers: dict[str, list[dict[str, Any]]] = {start.token: [], cancel.token: []}
+            while len(answers[start.token]) < 12 or not answers[cancel.token]:
+                said = tab.hear()
+                if said.get("token") in answers:
+                    answers[said["token"]].append(said)
+            assert all("was cancelled" in said["error"] for said in answers[start.token])
+            tab.close()
+        assert store.progress("P01").running is None
 
 
 def test_what_comes_late_does_not_replace_what_is_newer(store: StudyStore) -> None:

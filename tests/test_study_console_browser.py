@@ -186,6 +186,7 @@ def test_two_tabs_keep_what_both_could_not_send(chromium: Any, tmp_path: Path) -
         page.bring_to_front()
         page.keyboard.press("1")
         page.get_by_text("What you entered is kept here").wait_for()
+        assert page.locator(".rubric button:enabled").count() == 0  # it is scored once
         other.bring_to_front()
         other.locator("#note").fill("seen from the other tab")
         other.locator("#noting button").click()

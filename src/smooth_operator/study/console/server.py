@@ -22,10 +22,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
-from smooth_operator.errors import MissingExtraError, SmoothOperatorError
+from smooth_operator.errors import MissingExtraError, SmoothOperatorError, StudyError
 from smooth_operator.io.documents import json_object
 from smooth_operator.study.console.access import HOME, LINK, ConsoleAuth, qr_code
-from smooth_operator.study.console.commands import Role, command_of
+from smooth_operator.study.console.commands import Command, Role, command_of
 from smooth_operator.study.console.session_service import SessionService, StoreFailedError
 from smooth_operator.web.files import answer_with, page_files, shielded
 
@@ -82,6 +82,7 @@ class Console:
         self._looks = self._shown = 0
         self._states: dict[Role, dict[str, Any]] = {}
         self._troubles: dict[str, tuple[str, float]] = {}
+        self._under_way: dict[tuple[str, ...], asyncio.Future[int]] = {}
         self._stale = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._threads = ThreadPoolExecutor(8, "study-console")
@@ -188,8 +189,7 @@ class Console:
     async def _command(self, page: _Page, said: dict[str, Any]) -> None:
         answer: dict[str, Any] = {"type": "done", "token": said.get("token")}
         try:
-            command = command_of(said, page.role)
-            answer["number"] = await self._in_thread(self._service.carry_out, command, page.role)
+            answer["number"] = await self._carried_out(command_of(said, page.role), page.role)
             self._note_trouble("command", None)
         except SmoothOperatorError as error:
             again = isinstance(error, StoreFailedError)
@@ -203,6 +203,20 @@ class Console:
         await self._draw()  # so that "done" comes with the state after it
         page.answers.append(answer)
         page.news.set()
+
+    def _carried_out(self, command: Command, role: Role) -> asyncio.Future[int]:
+        """Number of the event that a command causes; sent again meanwhile, it takes no new thread.
+
+        A start may wait for minutes, and a page that is loaded again sends it again: the threads
+        would all wait for it, and nobody could cancel it.
+        """
+        key = (role, command.token, command.do, command.operator)
+        job = self._under_way.get(key)
+        if job is None:
+            job = self._in_thread(self._service.carry_out, command, role)
+            self._under_way[key] = job
+            job.add_done_callback(lambda _: self._under_way.pop(key))
+        return job
 
     async def _send_news(self, page: _Page) -> None:
         """Sends what is new; a slow page gets the newest state, not all of them."""
@@ -242,7 +256,11 @@ class Console:
         try:
             experimenter, operator = await self._in_thread(self._service.look)
             self._note_trouble("look", None)
-        except SmoothOperatorError as error:
+        except Exception as error:
+            # Whatever it is: who waits for an answer gets it, and the next look is tried.
+            if not isinstance(error, SmoothOperatorError):
+                _LOGGER.exception("a look at the study failed")
+                error = StudyError(f"a fault of this program, {type(error).__name__}")
             self._note_trouble("look", error)
             experimenter = self._states.get("experimenter", {})
             operator = self._states.get("operator", {"what": "wait"})

@@ -198,11 +198,11 @@ function draw() {
   if (!state?.study) return;
   drawHead(state);
   const blocked = !link.connected || link.pending;
-  const key = JSON.stringify([state.now, state.teleop?.trial, state.teleop?.waiting, state.links, state.pages, blocked, link.connected, stopped.at]);
+  const key = JSON.stringify([state.now, state.teleop?.trial, state.teleop?.waiting, state.links, state.pages, blocked, link.connected, link.pending, stopped.at]);
   if (key !== drawn) {
-    drawn = key;
     drawStep(part('step'), state, actions, blocked);
     drawLog(state.log);
+    drawn = key;
   }
   drawPeople(part('people'), state, actions);
   drawScored(part('scored'), state, actions, blocked);

@@ -11,11 +11,12 @@ let typed = { name: '', text: '' }; // as it stands, when the page is drawn anew
 export function drawStep(card, state, actions, blocked) {
   const { now } = state;
   if (!now) {
+    delete card.dataset.what;
     fill(card, h('h2', {}, 'Who takes part?'), h('p', {}, 'Choose an operator from the list, or enrol one.'));
     return;
   }
-  card.dataset.what = now.what;
   fill(card, where(now), rest(now, state), ...(STEPS[now.what] ?? (() => []))(now, state, actions, blocked), aside(now, actions, blocked));
+  card.dataset.what = now.what;
 }
 
 const STEPS = {
