@@ -150,9 +150,9 @@ def test_r_reads_the_rest_the_same(by_r: Path) -> None:
     # R's intervals of bootstraps are of the same samples, so none of them is missing.
     for (reading, _, term), found in rows(by_r / "R_readings.csv", MORE["readings"]).items():
         if reading in ("time_to_success", "preference", "second_rater") and term:
-            assert found["lower"] and found["upper"], (reading, term)
+            assert all(found[end] for end in ("lower", "upper")), (reading, term)
     for found in rows(by_r / "R_spearman.csv", MORE["spearman"]).values():
-        assert found["ci_boot_operators_lcl"] and found["within_ucl"] and found["within_p_holm"]
+        assert all(found[n] for n in ("ci_boot_operators_lcl", "within_ucl", "within_p_holm"))
     asked = {where for reading, where, _ in rows(by_r / "R_readings.csv", MORE["readings"])
              if reading == "covariates"}  # fmt: skip
     assert {where.split("/")[0] for where in asked} == {"years", "glove"}
