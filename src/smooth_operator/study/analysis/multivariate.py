@@ -54,8 +54,9 @@ _FACTOR_NODES: Final = 160
 _MOST_SHARED: Final = 0.95
 """Largest share of a variable that its factor explains in the one-factor approximation."""
 _CHI_NODES: Final = 14
-_BLOCK: Final = 65_536
-"""Nodes evaluated together, so that they stay in the processor's cache."""
+_BLOCK: Final = 15_000
+"""Nodes evaluated together: they stay in the processor's cache, and their arrays below the 128 KiB
+from which on the C library has each mapped by the system, page by page."""
 _ENTRIES: Final = 1024
 """Of the table of the normal distribution, for one standard deviation."""
 
