@@ -652,7 +652,7 @@ def test_two_tabs_and_a_tablet_see_what_happens(store: StudyStore) -> None:
         stale = command(store.progress("P01"), "start_trial", after=1)
         assert "another page" in other.ask(stale)["error"]
         one.close()
-        again = Tab(port)
+        again = Tab(port, "operator")
         assert again.ask(asked)["type"] == "done"  # whose answer got lost
         assert kinds(store).count("questionnaire_answered") == 1
         for tab in (other, tablet, again):
