@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -148,17 +150,31 @@ def test_points_with_derivatives(seed: int) -> None:
     step = 1e-6
     around = [q + sign * step * e for e in np.eye(len(q))[order] for sign in (1, -1)]
     with float64():
-        program = jax.jit(motion_of.__call__)
-        motion = program(q)
-        bend = motion_of.curvature(motion, jnp.asarray(force))
-        slopes = np.array([np.einsum("fc,fjc->j", force, program(p).jacobian) for p in around])
+
+        def derivatives(q: Any) -> Any:
+            motion = motion_of(q)
+            jacobian = motion_of.jacobian(motion)
+            some = motion_of.jacobian(motion, np.array([2, 1]))
+            along = motion.along(motion.points[-1:], jnp.asarray(force[-1:]))
+            return motion.points, jacobian, some, along, motion_of.derivatives(motion, force)
+
+        program = jax.jit(derivatives)
+        found, jacobian, some, along, (slope, bend) = program(q)
+        slopes = np.array([program(p)[-1][0] for p in around])
+        jacobian, some, along = (np.asarray(each) for each in (jacobian, some, along))
     points = tree.positions(np.stack(around))[:, at]
-    np.testing.assert_allclose(motion.points, tree.positions(q)[at], atol=1e-12)
+    np.testing.assert_allclose(found, tree.positions(q)[at], atol=1e-12)
     velocities = (points[0::2] - points[1::2]) / (2 * step)
-    np.testing.assert_allclose(motion.jacobian, np.moveaxis(velocities, 0, 1), atol=1e-8)
+    np.testing.assert_allclose(jacobian, np.moveaxis(velocities, 0, 1), atol=1e-8)
     hessian = (slopes[0::2] - slopes[1::2]) / (2 * step)
     np.testing.assert_allclose(bend, hessian, atol=1e-8)
-    assert not np.asarray(motion.jacobian[0]).any()
+    np.testing.assert_array_equal(some, jacobian[np.array([2, 1])])
+    np.testing.assert_allclose(slope, np.einsum("fc,fjc->j", force, jacobian), atol=1e-12)
+    carried = motion_of.moves[-1]
+    np.testing.assert_allclose(
+        np.where(carried, along[0], 0.0), jacobian[-1] @ force[-1], atol=1e-12
+    )
+    assert not np.asarray(jacobian[0]).any()
     assert abs(hessian).max() > 1e-3
 
 

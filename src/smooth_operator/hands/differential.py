@@ -28,13 +28,18 @@ class PointMotion(NamedTuple):
 
     Attributes:
         points: (F, 3) positions in the palm frame [m].
-        jacobian: (F, J, 3) dp_f/dq_j [m/rad], zero where joint j does not move point f.
         hinge_axes: (J, 3) hinge axes, zero for slides.
+        origin_speeds: (J, 3) how joints move what they carry at the palm frame's origin [m/rad].
     """
 
     points: Float[Array, "F 3"]
-    jacobian: Float[Array, "F J 3"]
     hinge_axes: Float[Array, "J 3"]
+    origin_speeds: Float[Array, "J 3"]
+
+    def along(self, points: Float[Array, "R 3"], directions: Float[Array, "R 3"]) -> Array:
+        """(R, J) how each joint moves a point that it carries, along a direction [m/rad]."""
+        wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
+        return wrenches @ jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,64 +98,68 @@ class PointKinematics:
         Args:
             q: (n,) positions of all joints [rad].
         """
-        joints = self.tree.joints
-        rotation, origin = jnp.eye(3)[None], jnp.zeros((1, 3))  # the palm, above the first level
+        joints, flat = self.tree.joints, [i for level in self.levels for i in level]
+        angle = q[np.array([joints[i].source for i in flat])][:, None]
+        slide = np.array([joints[i].slide for i in flat])[:, None]
+        fixed = jnp.asarray(np.stack([joints[i].rotation for i in flat]), q.dtype)
+        moved = jnp.asarray(np.stack([joints[i].translation for i in flat]), q.dtype)
+        turn = jnp.where(slide, 0.0, angle + jnp.asarray([[joints[i].offset] for i in flat]))
+        c, s, (x, y, z) = jnp.cos(turn), jnp.sin(turn), jnp.moveaxis(fixed, 2, 0)
+        # columns of rotations, and origins, in the frame above
+        columns = (x * c + y * s, y * c - x * s, z, moved + jnp.where(slide, angle, 0.0) * z)
+        local = jnp.stack(columns, axis=-1)
+        frame = jnp.eye(3, 4)[None]  # the palm, above the first level
         above: Sequence[int] = (-1,)
-        rotations, origins = [], []
+        frames, done = [], 0
         for level in self.levels:
-            parent = np.array([above.index(joints[i].parent) for i in level])
-            angle = q[np.array([joints[i].source for i in level])]
-            slide = np.array([joints[i].slide for i in level])
-            fixed = jnp.asarray(np.stack([joints[i].rotation for i in level]), q.dtype)
-            moved = jnp.asarray(np.stack([joints[i].translation for i in level]), q.dtype)
-            offset = jnp.asarray(np.array([joints[i].offset for i in level]), q.dtype)
-            before = rotation[parent]
-            origin = origin[parent] + jnp.einsum("nij,nj->ni", before, moved)
-            before = jnp.einsum("nij,njk->nik", before, fixed)
-            turn = jnp.where(slide, 0.0, angle + offset)
-            rotation = jnp.einsum("nij,njk->nik", before, _rz(turn))
-            if slide.any():
-                origin = origin + jnp.where(slide, angle, 0.0)[:, None] * before[:, :, 2]
-            above = level
-            rotations.append(rotation)
-            origins.append(origin)
-        all_rotations = jnp.concatenate([*rotations, jnp.eye(3)[None]])
-        all_origins = jnp.concatenate([*origins, jnp.zeros((1, 3))])
+            frame = frame[np.array([above.index(joints[i].parent) for i in level])]
+            # a sum, which fuses with what is around it, where a product does not
+            turned = frame[:, :, :3, None] * local[done : done + len(level)][:, None]
+            frame = turned.sum(axis=2) + frame[:, :, 3:] * np.eye(1, 4, 3, dtype=np.float32)
+            frames.append(frame)
+            above, done = level, done + len(level)
+        every = jnp.concatenate([*frames, jnp.eye(3, 4)[None]])
 
-        flat = [i for level in self.levels for i in level]
         keypoints = [self.tree.keypoints[name] for name in self.names]
         at = np.array([flat.index(k.joint) if k.joint >= 0 else len(flat) for k in keypoints])
-        local = jnp.asarray(np.stack([k.position for k in keypoints]), q.dtype)
-        points = all_origins[at] + jnp.einsum("fij,fj->fi", all_rotations[at], local)
+        spots = jnp.asarray(np.stack([k.position for k in keypoints]), q.dtype)
+        points = (every[at][:, :, :3] * spots[:, None, :]).sum(-1) + every[at][:, :, 3]
 
-        axes = all_rotations[:-1, :, 2]
-        hinge = jnp.asarray([not joints[i].slide for i in flat])[:, None]
-        arm = points[:, None, :] - all_origins[None, :-1, :]
-        jacobian = jnp.where(hinge, _cross(axes[None], arm), axes[None])
-        jacobian = jnp.where(jnp.asarray(self.moves)[:, :, None], jacobian, 0.0)
-        return PointMotion(points, jacobian, jnp.where(hinge, axes, 0.0))
+        axes = every[:-1, :, 2]
+        speeds = jnp.where(slide, axes, _cross(every[:-1, :, 3], axes))
+        return PointMotion(points, jnp.where(slide, 0.0, axes), speeds)
 
-    def curvature(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "J J"]:
-        """Second derivative of sum_f gradient_f . p_f with respect to the J joints.
+    def jacobian(self, motion: PointMotion, of: slice | np.ndarray = slice(None)) -> Array:
+        """(F, J, 3) dp_f/dq_j [m/rad] of some points or all, zero where joint j does not move f."""
+        axes, points = motion.hinge_axes, motion.points[of]
+        found = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
+        return jnp.where(jnp.asarray(self.moves[of])[:, :, None], found, 0.0)
+
+    def derivatives(
+        self, motion: PointMotion, gradient: Float[Array, "F 3"]
+    ) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
+        """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints.
 
         Args:
             motion: at the pose.
             gradient: (F, 3) of a cost with respect to the points, held fixed.
         """
-        # g . (a_i x w_fj) = (g x a_i) . w_fj, for i above j
-        torque = _cross(gradient[:, None, :], motion.hinge_axes[None])
-        upper = jnp.einsum("fic,fjc->ij", torque, motion.jacobian)
-        return jnp.where(
-            jnp.asarray(self.above), upper, jnp.where(jnp.asarray(self.above.T), upper.T, 0.0)
-        )
-
-
-def _rz(angle: Float[Array, " n"]) -> Float[Array, "n 3 3"]:
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    zero, one = jnp.zeros_like(c), jnp.ones_like(c)
-    rows = ((c, -s, zero), (s, c, zero), (zero, zero, one))
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+        # With w_fj = a_j x p_f + o_j, they are sums of g . w_fj, and of g . (a_i x w_fj) for i
+        # above j. Points enter by their moments p g^T and g alone, summed over what j moves.
+        axes, speeds, points = motion.hinge_axes, motion.origin_speeds, motion.points
+        moments = (points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
+        each = jnp.concatenate([moments, gradient], axis=1)
+        total = jnp.asarray(self.moves.T, points.dtype) @ each
+        moment, force = total[:, :9].reshape(-1, 3, 3), total[:, 9:]
+        trace = jnp.trace(moment, axis1=1, axis2=2)
+        turned = (moment * axes[:, None, :]).sum(-1) - trace[:, None] * axes + _cross(speeds, force)
+        twist = jnp.stack([moment[:, i - 2, i - 1] - moment[:, i - 1, i - 2] for i in range(3)], 1)
+        upper = (axes[:, None, :] * turned[None]).sum(-1)
+        above = jnp.asarray(self.above)
+        second = jnp.where(above, upper, jnp.where(above.T, upper.T, 0.0))
+        return (axes * twist).sum(-1) + (speeds * force).sum(-1), second
 
 
 def _cross(a: Array, b: Array) -> Array:
-    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+    turned = [a[..., i - 2] * b[..., i - 1] - a[..., i - 1] * b[..., i - 2] for i in range(3)]
+    return jnp.stack(turned, axis=-1)

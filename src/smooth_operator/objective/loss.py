@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
-from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.differential import PointKinematics, PointMotion
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
@@ -259,18 +259,19 @@ class Objective:
         motion = self.kinematics(matrix @ q + offset)
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
-            term.expand(at.take(motion.points), at.take(motion.jacobian), goal)
+            term.expand(motion.points[at.at], self.kinematics.jacobian(motion, at.at), goal)
             for term, at in zip(self.point_terms, chosen, strict=True)
         ]
         cost = functools.reduce(operator.add, [one.cost for one in near])
         gradient = jnp.zeros((0, 3), q.dtype)  # with respect to the points of the terms so far
         for one, at in zip(near, chosen, strict=True):
             gradient = at.added(gradient, one.gradient)
-        hessian = _gauss_newton(near) + self.kinematics.curvature(motion, gradient)
+        slope, curvature = self.kinematics.derivatives(motion, gradient)
+        hessian = _gauss_newton(near, motion) + curvature
         first, second = self.regularisation_derivatives(q, goal)
         return (
             cost + self.regularisation(q, goal),
-            jnp.einsum("fc,fjc->j", gradient, motion.jacobian) @ joints + first,
+            slope @ joints + first,
             joints.T @ hessian @ joints + second * jnp.eye(len(q), dtype=q.dtype),
         )
 
@@ -305,10 +306,6 @@ class _Chosen(NamedTuple):
         neighbours = index == list(range(first, last + 1))
         return cls(slice(first, last + 1) if neighbours else np.array(index), last + 1)
 
-    def take(self, values: Array) -> Array:
-        """(P, ...) of all points to those of the term."""
-        return values[self.at]
-
     def added(self, total: Float[Array, "T 3"], values: Float[Array, "P 3"]) -> Array:
         """The sum of the terms so far, and the term's; longer where the term names new points."""
         known = len(total)
@@ -321,14 +318,17 @@ class _Chosen(NamedTuple):
         return total.at[self.at].add(values)
 
 
-def _gauss_newton(near: Sequence[Quadratic]) -> Float[Array, "J J"]:
+def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> Float[Array, "J J"]:
     """Sum over the terms of rows^T weights rows; single rows in one product."""
+    near = [n._replace(rows=n.rows(motion)) if callable(n.rows) else n for n in near]
     single = [one for one in near if one.weights.ndim == 1]
     parts = []
     if single:
         rows = jnp.concatenate([one.rows for one in single])
         weights = jnp.concatenate([one.weights for one in single])
-        parts.append((rows * weights[:, None]).T @ rows)
+        # XLA folds a transpose into the product, and then multiplies by a slower kernel
+        left = jax.lax.optimization_barrier((rows * weights[:, None]).T)
+        parts.append(left @ rows)
     parts += [
         jnp.einsum("kcj,kcd,kdi->ji", one.rows, one.weights, one.rows)
         for one in near

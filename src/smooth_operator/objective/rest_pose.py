@@ -126,18 +126,19 @@ class RestPose:
         )
         motion = self.kinematics(matrix @ q + offset)
         actuated = matrix[np.array(self.kinematics.order)]
-        jacobian = jnp.einsum("fjc,jm->fcm", motion.jacobian, actuated)
+        jacobian = jnp.einsum("fjc,jm->fcm", self.kinematics.jacobian(motion), actuated)
         tips, neutral = motion.points[:count], jnp.asarray(hand.neutral, q.dtype)
         error = tips + moves - places
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
         # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
-        inner, pull = jnp.eye(len(q), dtype=q.dtype), neutral - q
+        pull, rows = neutral - q, jacobian[:count].reshape(-1, len(q))
         if self.segments and not is_off(config.segment):
             found = self._directions(motion, jacobian, aligned)
-            inner = inner + config.segment * found.slopes.T @ found.slopes
             pull = pull + config.segment * found.slopes.T @ found.error
-        rows = jacobian[:count].reshape(-1, len(q))
-        factor = jnp.linalg.cholesky(rows.T @ rows + config.damping * inner)
+            segment = np.float32(np.sqrt(config.damping * config.segment))
+            rows = jnp.concatenate([rows, segment * found.slopes])
+        damping = config.damping * jnp.eye(len(q), dtype=q.dtype)
+        factor = jnp.linalg.cholesky(jax.lax.optimization_barrier(rows.T) @ rows + damping)
         step = jax.scipy.linalg.cho_solve((factor, True), config.damping * pull)
         # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
         share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)

@@ -239,7 +239,7 @@ class Search:
             )
             motion = self._kinematics(matrix @ q + offset)
             spread = matrix[np.array(self._kinematics.order)]
-            jacobian = jnp.einsum("fjc,jm->fcm", motion.jacobian, spread)
+            jacobian = jnp.einsum("fjc,jm->fcm", self._kinematics.jacobian(motion), spread)
             wrist = jnp.asarray(self.hand.wrist, q.dtype)
             vectors = self.layout.among([wrist, *motion.points[:fingers]])
             moved = self.layout.among(

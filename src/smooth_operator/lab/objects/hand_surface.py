@@ -108,7 +108,7 @@ class HandSurface:
         matrix = jnp.asarray(hand.coupling_matrix, q.dtype)
         motion = kinematics(matrix @ q + jnp.asarray(hand.coupling_offset, q.dtype))
         spread = jnp.asarray(hand.coupling_matrix[np.array(kinematics.order)], q.dtype)
-        slopes = jnp.einsum("pjc,jm->pcm", motion.jacobian, spread)
+        slopes = jnp.einsum("pjc,jm->pcm", kinematics.jacobian(motion), spread)
         count = len(self.bodies)
         return motion.points.reshape(count, 4, 3), slopes.reshape(count, 4, 3, -1)
 

@@ -382,7 +382,7 @@ def fingertips(
     kinematics = PointKinematics(hand.tree, hand.tip_names)
     motion = kinematics(matrix @ q + offset)
     spread = matrix[np.array(kinematics.order)]
-    return motion.points, jnp.einsum("fjc,jm->fcm", motion.jacobian, spread)
+    return motion.points, jnp.einsum("fjc,jm->fcm", kinematics.jacobian(motion), spread)
 
 
 def _stacked(goals: list[FrameGoal]) -> FrameGoal:

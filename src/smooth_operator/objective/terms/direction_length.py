@@ -119,15 +119,6 @@ class DirectionLength(PointTerm):
         """Whether both costs are left out."""
         return is_off(self.config.direction) and is_off(self.config.length)
 
-    @property
-    def thumb(self) -> slice:
-        """The vectors from the thumb's tip to the others.
-
-        Raises:
-            ConfigError: if the vectors are not the paper's keyvectors.
-        """
-        return self.vectors.keyvectors("direction and length").thumb
-
     def points(self) -> tuple[str, ...]:
         """Landmarks that the vectors join and a joint moves."""
         return self.vectors.names
@@ -136,16 +127,15 @@ class DirectionLength(PointTerm):
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
         """See ``PointTerm``; what is negative in the Hessian is left out."""
-        thumb = self.thumb
+        thumb = self.vectors.keyvectors("direction and length").thumb
         targets = jnp.asarray(goal.vectors)
         # error + target, not the vectors themselves: a compiler shares the error with the keyvector
         # term, and the rounding decides when Newton steps stop
         vectors = (self.vectors.at(points) - targets) + targets
         found = direction_length_cost(vectors[thumb], targets[thumb], self.config)
-        incidence = jnp.asarray(self.vectors.incidence, points.dtype)
         return Quadratic(
             found.cost,
-            incidence[thumb].T @ found.gradient,
+            self.vectors.spread(found.gradient, thumb),
             self.vectors.jacobian(jacobian)[thumb],
             found.hessian,
         )

@@ -65,29 +65,20 @@ class FingertipPosition(PointTerm):
         """Landmarks that the vectors join and a joint moves."""
         return self.vectors.names
 
-    @property
-    def wrist(self) -> slice:
-        """The vectors from the wrist to the fingertips.
-
-        Raises:
-            ConfigError: if the vectors are not the paper's keyvectors.
-        """
-        return slice(0, len(self.vectors.keyvectors("fingertip positions").fingers))
-
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
     ) -> Quadratic:
         """See ``PointTerm``; what is negative in the Hessian is left out."""
-        wrist, config = self.wrist, self.config
+        config = self.config
+        wrist = slice(0, len(self.vectors.keyvectors("fingertip positions").fingers))
         errors = (self.vectors.at(points) - jnp.asarray(goal.vectors))[wrist]
         squared = (errors * errors).sum(-1)
         share = 1 / (1 + squared / config.width**2)
         stiffness = config.weight / TRANSITION
         weights = stiffness * share**2
-        incidence = jnp.asarray(self.vectors.incidence, points.dtype)[wrist]
         return Quadratic(
             0.5 * stiffness * (squared * share).sum(),
-            incidence.T @ (weights[:, None] * errors),
+            self.vectors.spread(weights[:, None] * errors, wrist),
             self.vectors.jacobian(jacobian)[wrist].reshape(errors.size, jacobian.shape[1]),
             jnp.repeat(weights, 3),
         )

@@ -68,7 +68,7 @@ class Keyvectors(PointTerm):
             rows, weights = rows.reshape(-1, rows.shape[-1]), weights.reshape(-1)
         return Quadratic(
             self.price([errors[:, c] for c in range(3)], lambdas).sum(),
-            jnp.asarray(self.vectors.incidence, points.dtype).T @ slopes.first,
+            self.vectors.spread(slopes.first),
             rows,
             weights,
         )

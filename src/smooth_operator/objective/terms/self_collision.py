@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segment_parameters
+from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.collision import owners
+from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.objective.goal import FrameGoal
@@ -71,6 +72,13 @@ class SelfCollision(PointTerm):
         opposing = (of >= 0).all(axis=1) & ((of == thumb).sum(axis=1) == 1)
         return np.maximum(of, 0), opposing
 
+    @cached_property
+    def carried(self) -> Float[np.ndarray, "P J"]:
+        """Which joints carry the first capsule of each pair alone (1), or the second (-1)."""
+        moves = PointKinematics(self.pairs.tree, self.pairs.names[::2]).moves.astype(np.float32)
+        first, second = self.pairs.pairs.T
+        return np.asarray(moves[first] - moves[second])
+
     @property
     def is_off(self) -> bool:
         """Without weight, and where no parts could touch."""
@@ -90,15 +98,9 @@ class SelfCollision(PointTerm):
         """See ``PointTerm``; nearest points are held fixed on their segments: exact for the first
         derivative. Of the second, only what the kinematics adds is kept."""
         pairs, config = self.pairs, self.config
-        first, second = pairs.pairs.T
-        one, other = ((points[2 * c], points[2 * c + 1]) for c in (first, second))
-        s, t = segment_parameters(one, other)
-        apart = (
-            (1 - s)[:, None] * one[0]
-            + s[:, None] * one[1]
-            - (1 - t)[:, None] * other[0]
-            - t[:, None] * other[1]
-        )
+        ends = points.reshape(-1, 2, 3)[pairs.pairs]
+        one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))
+        apart, s, t = segments_apart(one, other)
         distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
         depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
         if goal.near is not None and not is_off(config.grip):
@@ -107,15 +109,14 @@ class SelfCollision(PointTerm):
         inside = jnp.maximum(depth, 0.0)
         scale = config.weight / TRANSITION
         direction = -apart / distance[:, None]
-        shares = jnp.stack([1 - s, s, t - 1, -t], axis=-1)  # of the four ends
-        at = np.stack([2 * first, 2 * first + 1, 2 * second, 2 * second + 1], axis=-1)
-        chosen = np.zeros((len(first), 4, len(points)))
-        chosen[np.arange(len(first))[:, None], np.arange(4), at] = 1
-        mix = jnp.einsum("pk,pke->pe", shares, jnp.asarray(chosen, points.dtype))
-        depth_slopes = mix[:, :, None] * direction[:, None, :]  # (P, E, 3)
+        force, s, t = (scale * inside)[:, None] * direction, s[:, None], t[:, None]
+        ends_of = [(1 - s) * force, s * force], [(t - 1) * force, -t * force]
+        forces = jnp.concatenate([jnp.concatenate(both, axis=1) for both in ends_of])  # (2 P, 6)
+        capsules = np.arange(len(points) // 2)[:, None] == pairs.pairs.T.ravel()
+        nearest = one[0] + s * (one[1] - one[0])
         return Quadratic(
             0.5 * scale * (inside * inside).sum(),
-            (mix * (scale * inside)[:, None]).T @ direction,
-            jnp.einsum("pec,ejc->pj", depth_slopes, jacobian),
+            (jnp.asarray(capsules, points.dtype) @ forces).reshape(-1, 3),
+            lambda motion: self.carried * motion.along(nearest, direction),
             jnp.where(depth > 0, scale, 0.0),
         )

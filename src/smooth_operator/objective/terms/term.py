@@ -8,7 +8,7 @@ joint positions. ``ObjectiveConfig(terms=(MyTerm(),))`` adds it to a preset.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol, TypeVar
 
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.geometry import AnyArray, AnyKind
+from smooth_operator.hands.differential import PointMotion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.kinematics import Vector
 from smooth_operator.objective.goal import FrameGoal
@@ -34,13 +35,13 @@ class Quadratic(NamedTuple):
         cost: at the pose.
         gradient: (P, 3) of the cost with respect to the term's points.
         rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J), where
-            second derivatives mix residuals in groups of three.
+            second derivatives mix residuals in groups of three. Or what gives them of a motion.
         weights: (R,) second derivatives of the cost with respect to the residuals; or (K, 3, 3).
     """
 
     cost: Float[Array, ""]
     gradient: Float[Array, "P 3"]
-    rows: Float[Array, "R J"] | Float[Array, "K 3 J"]
+    rows: Float[Array, "R J"] | Float[Array, "K 3 J"] | Callable[[PointMotion], Array]
     weights: Float[Array, " R"] | Float[Array, "K 3 3"]
 
 
