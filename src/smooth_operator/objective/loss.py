@@ -320,19 +320,13 @@ class _Chosen(NamedTuple):
 
 def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> Float[Array, "J J"]:
     """Sum over the terms of rows^T weights rows; single rows in one product."""
-    near = [n._replace(rows=n.rows(motion)) if callable(n.rows) else n for n in near]
-    single = [one for one in near if one.weights.ndim == 1]
-    parts = []
+    every = [(o.rows(motion) if callable(o.rows) else o.rows, o.weights) for o in near]
+    single = [one for one in every if one[1].ndim == 1]
+    parts = [jnp.einsum("kcj,kcd,kdi->ji", r, w, r) for r, w in every if w.ndim == 3]
     if single:
-        rows = jnp.concatenate([one.rows for one in single])
-        weights = jnp.concatenate([one.weights for one in single])
+        rows, weights = (jnp.concatenate(each) for each in zip(*single, strict=True))
         # XLA folds a transpose into the product, and then multiplies by a slower kernel
-        left = jax.lax.optimization_barrier((rows * weights[:, None]).T)
-        parts.append(left @ rows)
-    parts += [
-        jnp.einsum("kcj,kcd,kdi->ji", one.rows, one.weights, one.rows)
-        for one in near
-        if one.weights.ndim == 3
-    ]
+        apart: Any = jax.lax.optimization_barrier  # has no types
+        parts.insert(0, apart((rows * weights[:, None]).T) @ rows)
     total: Array = functools.reduce(operator.add, parts)
     return total

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -138,7 +138,8 @@ class RestPose:
             segment = np.float32(np.sqrt(config.damping * config.segment))
             rows = jnp.concatenate([rows, segment * found.slopes])
         damping = config.damping * jnp.eye(len(q), dtype=q.dtype)
-        factor = jnp.linalg.cholesky(jax.lax.optimization_barrier(rows.T) @ rows + damping)
+        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
+        factor = jnp.linalg.cholesky(apart(rows.T) @ rows + damping)
         step = jax.scipy.linalg.cho_solve((factor, True), config.damping * pull)
         # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
         share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)

@@ -113,10 +113,11 @@ class SelfCollision(PointTerm):
         ends_of = [(1 - s) * force, s * force], [(t - 1) * force, -t * force]
         forces = jnp.concatenate([jnp.concatenate(both, axis=1) for both in ends_of])  # (2 P, 6)
         capsules = np.arange(len(points) // 2)[:, None] == pairs.pairs.T.ravel()
+        carried = jnp.asarray(self.carried, points.dtype)
         nearest = one[0] + s * (one[1] - one[0])
         return Quadratic(
             0.5 * scale * (inside * inside).sum(),
             (jnp.asarray(capsules, points.dtype) @ forces).reshape(-1, 3),
-            lambda motion: self.carried * motion.along(nearest, direction),
+            lambda motion: carried * motion.along(nearest, direction),
             jnp.where(depth > 0, scale, 0.0),
         )
