@@ -151,6 +151,11 @@ class WakingTime:
     def median_ms(self) -> float:
         return 1e3 * float(np.median(self._waits))
 
+    @property
+    def periods(self) -> float:
+        """How many periods a thread had that does nothing; ``RATE`` a second, unless it stalls."""
+        return float(len(self._waits))
+
 
 def test_every_frame_is_answered_soon(
     retargeters: dict[Side, Retargeter], frames: list[HandFrame]
@@ -160,7 +165,8 @@ def test_every_frame_is_answered_soon(
     with WakingTime() as machine:
         loop.run(duration=1.0)
     answered = [tick for tick in sink.ticks if tick.status is not None]
-    assert len(answered) >= 0.7 * RATE  # a busy machine may lose some, and says so
+    # a busy machine may lose some, and says so
+    assert len(answered) >= 0.7 * min(RATE, machine.periods)
     assert loop.mailbox.overwritten + len(answered) >= loop.mailbox.received - 1
     stamps = [tick.command.stamp for tick in answered]
     assert stamps == sorted(stamps)
@@ -181,17 +187,19 @@ def test_both_hands_have_their_own_frames(
     left = list(SyntheticOperator(seed=4, rate_hz=RATE, side="left").record(3.0))
     both = [frame for pair in zip(frames, left, strict=True) for frame in pair]
     sink = Keeper()
-    looped(retargeters, Player(both, 2 * RATE), sink, sides=("right", "left")).run(duration=1.0)
+    with WakingTime() as machine:
+        looped(retargeters, Player(both, 2 * RATE), sink, sides=("right", "left")).run(duration=1.0)
     for side in ("right", "left"):
         ticks = [t for t in sink.ticks if t.side == side and t.status is not None]
-        assert len(ticks) >= 0.5 * RATE
+        assert len(ticks) >= 0.5 * min(RATE, machine.periods)
         assert {t.arrival.frame.side for t in ticks if t.arrival} == {side}
 
 
 def test_commands_go_on_when_no_frame_comes(retargeters: dict[Side, Retargeter]) -> None:
     sink = Keeper()
-    looped(retargeters, Player([], 1.0), sink).run(duration=0.6)
-    assert len(sink.ticks) >= 0.6 * RATE / 1.25 * 0.6
+    with WakingTime() as machine:
+        looped(retargeters, Player([], 1.0), sink).run(duration=0.6)
+    assert len(sink.ticks) >= min(0.6 * RATE, machine.periods) / 1.25 * 0.6
     assert {tick.mode for tick in sink.ticks} == {Mode.WAITING}
 
 
