@@ -208,7 +208,7 @@ class Console:
         """Number of the event that a command causes; sent again meanwhile, it takes no new thread.
 
         A start may wait for minutes, and a page that is loaded again sends it again: the threads
-        would all wait for it, and nobody could cancel it.
+        would all wait for it, and no page could cancel it.
         """
         key = (role, command.token, command.do, command.operator)
         job = self._under_way.get(key)
