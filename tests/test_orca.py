@@ -53,7 +53,9 @@ def test_without_orca_core_the_extra_is_named(hand: Hand) -> None:
         pytest.skip("orca-core is installed")
 
 
-def test_the_makers_mock_boots_approaches_and_is_read_back(hand: Hand) -> None:
+def test_the_makers_mock_boots_approaches_and_is_read_back(
+    hand: Hand, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("orca_core", reason="the extra orca (orca-core) is not installed")
     sink = build_sink("orca:mock=true,approach=5")
     sink.open({"right": hand}, {})
@@ -73,6 +75,7 @@ def test_the_makers_mock_boots_approaches_and_is_read_back(hand: Hand) -> None:
         until(lambda: "it rests" in sink.note)
     finally:
         sink.close()
+    assert capsys.readouterr().out == ""  # what the makers' library says is no result
 
 
 def test_a_hand_that_is_not_calibrated_is_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
@@ -80,6 +81,11 @@ class OrcaDevice:
 
     def open(self) -> None:
         """Connect; refuses a hand that is not calibrated, since calibrating moves it."""
+        # orca-core prints what it finds; standard output belongs to the command's results.
+        with contextlib.redirect_stdout(sys.stderr):
+            self._open()
+
+    def _open(self) -> None:
         with self._bus("connecting"):
             hand = self._core.load_hand(mock=self._mock, **self._options)
         names = hand.config.joint_ids
