@@ -188,6 +188,8 @@ def _claims(built_in: Results, real: Results) -> Table:
         for i, verdict in enumerate(built_in.get(name, {}).get("verdicts", [])):
             if name == "fk" or verdict["claim"].startswith("latency"):
                 continue  # times of a machine, which no recording makes others
+            if verdict["paper"] in ("–", "no claim"):
+                continue  # ours; the report has it
             there = cell(others[i]) if i < len(others) else "–"
             rows.append([f"`{name}`: {verdict['claim']}", verdict["paper"], cell(verdict), there])
     return Table("Claims", ["claim", "paper", "built-in operators", "real recordings"], rows)
