@@ -280,6 +280,6 @@ def test_the_constants_of_the_offline_presets_are_the_pages(method: str) -> None
         "bridge": [config.bridge],
     }
     assert config.future.velocity_weight == config.future.jerk_weight == 0.0  # "0 here"
-    for row in rows("| | | `smooth` | `sbr` | without it (of `smooth`) |"):
+    for row in rows("| | | `smooth` | `sbr` |"):
         assert numbers(row[2 if method == "smooth" else 3]) == values.pop(row[0])
     assert not values
