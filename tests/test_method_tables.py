@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.lab.judging import method_tables, setting_rows
 from smooth_operator.lab.tuning.pareto import (
@@ -24,7 +25,6 @@ from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import run_trial
 from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, method_config
-from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.reporting.drawing import name_points
 
 pytestmark = pytest.mark.usefixtures("few_optimisations")

@@ -16,9 +16,9 @@ import pytest
 
 from smooth_operator import Status, load_hand, method_config, read_commands
 from smooth_operator.calibration.operator_file import read_operator
+from smooth_operator.formats.setting_paths import find_setting, with_settings
 from smooth_operator.lab.benchmark import read_results
 from smooth_operator.methods.method import TrajectoryMethodConfig
-from smooth_operator.methods.setting_paths import find_setting, with_settings
 from smooth_operator.study.design.plan_file import read_plan
 from smooth_operator.study.store.opening import open_study
 

@@ -13,6 +13,13 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
+from smooth_operator.formats.preset_file import PresetFile, read_preset_file
+from smooth_operator.formats.setting_paths import (
+    RENAMED,
+    find_setting,
+    numeric_settings,
+    with_settings,
+)
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.tuning import Tuned, TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.held_out import check_held_out
@@ -23,16 +30,9 @@ from smooth_operator.lab.tuning.search import search
 from smooth_operator.lab.tuning.traced import TracedRun
 from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.lab.tuning.variables import parse_variable, values_at
-from smooth_operator.methods.preset_file import PresetFile, read_preset_file
 from smooth_operator.methods.presets import PRESETS, SBR_REALTIME, method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.setting_paths import (
-    RENAMED,
-    find_setting,
-    numeric_settings,
-    with_settings,
-)
 from smooth_operator.objective import LeastSquaresTerm
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig

@@ -43,7 +43,7 @@ class Similarity(NamedTuple, Generic[_Held]):
     def apply(self, points: _Held) -> _Held:
         """Transform (..., n, 3) points."""
         xp = array_namespace(points, self.scale)
-        turned = xp.einsum("...ij,...nj->...ni", self.rotation, points)
+        turned: Any = _product(points, xp.swapaxes(self.rotation, -1, -2), xp)
         moved: _Held = self.scale[..., None, None] * turned + self.translation[..., None, :]
         return moved
 
@@ -85,7 +85,7 @@ def umeyama(
     tiny = xp.finfo(a.dtype).tiny
     # Normalising both sets makes every threshold below free of units.
     size = xp.sqrt(xp.maximum(spread * spread_t, tiny))
-    cov = xp.einsum("...ni,...nj->...ij", a, b) / size[..., None, None]
+    cov = _product(xp.swapaxes(a, -1, -2), b, xp) / size[..., None, None]
     v1, v2, v3 = _principal_axes(cov, xp)
     u1 = _apply(cov, v1, xp)
     s1 = _norm(u1, xp)
@@ -101,7 +101,7 @@ def umeyama(
         ratio = (s1 + s2 + s3) * size / xp.maximum(spread, tiny)
     else:
         ratio = xp.broadcast_to(xp.asarray(scale, a.dtype), spread.shape)
-    translation = centre_t - ratio[..., None] * xp.einsum("...ij,...j->...i", rotation, centre_s)
+    translation = centre_t - ratio[..., None] * _apply(rotation, centre_s, xp)
     # Of coincident points only rounding is left, which has any shape.
     rounding = (4 * xp.finfo(a.dtype).eps) ** 2
     apart = spread > rounding * (source**2).sum(axis=(-2, -1))
@@ -112,7 +112,7 @@ def umeyama(
 
 def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Right singular vectors, by falling singular value, as a right-handed triad."""
-    gram = xp.einsum("...ki,...kj->...ij", cov, cov)
+    gram = _product(xp.swapaxes(cov, -1, -2), cov, xp)
     entries = [gram[..., i, j] for i, j in _ENTRIES]
     columns = [xp.broadcast_to(xp.eye(3, dtype=cov.dtype)[i], gram.shape[:-1]) for i in range(3)]
     state = (*entries, *columns)
@@ -160,9 +160,15 @@ def _jacobi_turn(state: tuple[Any, ...], xp: ModuleType) -> tuple[Any, ...]:
     return g11, g12, g01, g22, g02, g00, v1, v2, v0
 
 
-def _apply(matrix: AnyArray, vector: AnyArray, xp: ModuleType) -> AnyArray:
-    product: AnyArray = xp.einsum("...ij,...j->...i", matrix, vector)
+def _product(a: AnyArray, b: AnyArray, xp: ModuleType) -> AnyArray:
+    if xp is np:
+        return np.asarray(a @ b)
+    product: AnyArray = (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)  # ``one_kernel``
     return product
+
+
+def _apply(matrix: AnyArray, vector: AnyArray, xp: ModuleType) -> AnyArray:
+    return _product(matrix, vector[..., None], xp)[..., 0]
 
 
 def _dot(a: AnyArray, b: AnyArray) -> AnyArray:

@@ -15,6 +15,8 @@ _MOVED: Final = """
 ablations=lab.paper benchmark=lab.benchmark,reporting checkup=lab.validation
 components=plugins,teleop.components documents=io.documents hands.catalogue=hands.registry
 hands.discovery=lab.discovery hands.menagerie=hand_files.menagerie
+hands.stand_ins=hand_files.stand_ins methods.preset_file=formats.preset_file
+methods.setting_paths=formats.setting_paths
 hands.model_files=hand_files.model_files hands.published=hand_files.vendor_model
 hands.renderer=simulation.renderer human.calibration=calibration io.atomic=atomic_files
 io.arrays=formats.arrays io.bounds=formats.bounds io.jsonable=formats.jsonable

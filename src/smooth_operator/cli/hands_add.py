@@ -14,12 +14,12 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hands_add_options import Add
 from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.hand_files.stand_ins import stand_in_note
 from smooth_operator.hand_files.user_hands import save_hand
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.registry import known_hands
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
-from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.hands.user_folder import spec_name, user_hands_folder
 from smooth_operator.lab.discovery import Discovery, Overrules, discover
 from smooth_operator.lab.discovery.findings import SURE, UNSURE

@@ -164,7 +164,7 @@ class LaneProgram:
         Returns:
             the answers, in the order of the recordings.
         """
-        start = jax.tree.map(self._everywhere, initial._replace(stamp=None))
+        start = jax.tree.map(self._everywhere, initial.unpacked()._replace(stamp=None))
         answers = [self._empty(len(one.ticks), initial) for one in tracks]
         queues = _shared_out([len(one.ticks) for one in tracks], self.lanes)
         length = max((sum(len(tracks[i].ticks) for i in queue) for queue in queues), default=0)

@@ -9,7 +9,7 @@ from typing import Any, Final
 import jax
 import numpy as np
 
-_NARROW: Final = {"xla_cpu_use_fusion_emitters": False}
+_NARROW: Final = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
 _WIDE: Final = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
 
 

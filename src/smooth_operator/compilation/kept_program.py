@@ -38,8 +38,9 @@ from smooth_operator.methods.shared import fingerprint
 from smooth_operator.result_cache.code import HOME, code_digest
 
 _CODE: Final = (
-    "compilation", "methods", "baselines", "objective", "solvers", "human", "hands", "geometry.py",
-    "poses.py", "landmarks.py", "types.py",
+    "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
+    "hand_files/stand_ins.py", "geometry.py",
+    "poses.py", "landmarks.py", "one_kernel.py", "types.py",
 )  # fmt: skip
 """What programs are traced from."""
 

@@ -11,6 +11,8 @@ hinge rather than from differentiating code. With axis a_j and arm r_fj from joi
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,7 +41,11 @@ class PointMotion(NamedTuple):
     def along(self, points: Float[Array, "R 3"], directions: Float[Array, "R 3"]) -> Array:
         """(R, J) how each joint moves a point that it carries, along a direction [m/rad]."""
         wrenches = jnp.concatenate([_cross(points, directions), directions], axis=1)
-        return wrenches @ jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1).T
+        screws = jnp.concatenate([self.hinge_axes, self.origin_speeds], axis=1)
+        # a sum, and not a product: that can't stand in ``one_kernel``
+        return functools.reduce(
+            operator.add, [wrenches[:, i, None] * screws[None, :, i] for i in range(6)]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,21 +141,28 @@ class PointKinematics:
         found = _cross(axes[None], points[:, None]) + motion.origin_speeds[None]
         return jnp.where(jnp.asarray(self.moves[of])[:, :, None], found, 0.0)
 
-    def derivatives(
-        self, motion: PointMotion, gradient: Float[Array, "F 3"]
-    ) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
-        """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints.
+    def moments(self, motion: PointMotion, gradient: Float[Array, "F 3"]) -> Float[Array, "F 12"]:
+        """What each point adds to the derivatives of sum_f gradient_f . p_f: p g^T, and g.
 
         Args:
             motion: at the pose.
             gradient: (F, 3) of a cost with respect to the points, held fixed.
         """
+        moments = (motion.points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
+        return jnp.concatenate([moments, gradient], axis=1)
+
+    def derivatives(
+        self, motion: PointMotion, total: Float[Array, "J 12"]
+    ) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
+        """First and second derivatives of sum_f gradient_f . p_f with respect to the J joints.
+
+        Args:
+            motion: at the pose.
+            total: (J, 12) ``moves.T @ moments``.
+        """
         # With w_fj = a_j x p_f + o_j, they are sums of g . w_fj, and of g . (a_i x w_fj) for i
         # above j. Points enter by their moments p g^T and g alone, summed over what j moves.
-        axes, speeds, points = motion.hinge_axes, motion.origin_speeds, motion.points
-        moments = (points[:, :, None] * gradient[:, None, :]).reshape(-1, 9)
-        each = jnp.concatenate([moments, gradient], axis=1)
-        total = jnp.asarray(self.moves.T, points.dtype) @ each
+        axes, speeds = motion.hinge_axes, motion.origin_speeds
         moment, force = total[:, :9].reshape(-1, 3, 3), total[:, 9:]
         trace = jnp.trace(moment, axis1=1, axis2=2)
         turned = (moment * axes[:, None, :]).sum(-1) - trace[:, None] * axes + _cross(speeds, force)
@@ -158,6 +171,19 @@ class PointKinematics:
         above = jnp.asarray(self.above)
         second = jnp.where(above, upper, jnp.where(above.T, upper.T, 0.0))
         return (axes * twist).sum(-1) + (speeds * force).sum(-1), second
+
+
+def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:
+    """``values @ matrix`` for a constant (J, m) matrix of few entries a column, as sums.
+
+    A product costs a call of XLA's library, and can't stand in ``one_kernel``.
+    """
+    most = max(1, int((matrix != 0).sum(axis=0).max(initial=0)))
+    rows = np.argsort(matrix == 0, axis=0, kind="stable")[:most]  # those that count, then any
+    gains = np.take_along_axis(matrix, rows, axis=0)
+    both = zip(rows, gains.astype(values.dtype), strict=True)
+    total: Array = functools.reduce(operator.add, [values[..., row] * gain for row, gain in both])
+    return total
 
 
 def _cross(a: Array, b: Array) -> Array:

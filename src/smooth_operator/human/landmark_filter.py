@@ -105,7 +105,7 @@ def filter_landmarks(
     start = jnp.where(restart, measured, before.points)
     step = measured - last
     # the median over points: fingers that flick are not the tracker's noise
-    noise_root = jnp.median(((step - before.step) ** 2).sum(-1) + 1e-18) ** 0.25
+    noise_root = _median(((step - before.step) ** 2).sum(-1) + 1e-18) ** 0.25
     share = jnp.where(restart, 0.0, dt / (dt + config.noise_time))
     root = before.root + share * (noise_root - before.root)
     after = FilterState(measured, measured, step, root)
@@ -119,3 +119,14 @@ def filter_landmarks(
             delay = delay + jnp.sqrt((way * way).sum(-1, keepdims=True) + 1e-18) / threshold
         after = after._replace(points=start + way / (1 + delay))
     return after, after.points - start
+
+
+def _median(values: Float[Array, " n"]) -> Float[Array, ""]:
+    """By rank and not by sorting, which can't stand in ``one_kernel``."""
+    count, index = len(values), np.arange(len(values))
+    first = (values[None] < values[:, None]) | (
+        (values[None] == values[:, None]) & (index[None] < index[:, None])
+    )
+    rank = first.sum(axis=1)
+    middle = jnp.where((rank == (count - 1) // 2) | (rank == count // 2), values, 0.0)
+    return middle.sum() / (2 - count % 2)

@@ -157,7 +157,8 @@ def remove_noise(
         product=averaged(before.product, trust * product, config.level_time),
         time=time + dt,
     )
-    steady = moved.at[rows].set(shape)
+    place = [PALM.index(i) if i in PALM else len(PALM) + i for i in range(len(moved))]
+    steady = jnp.concatenate([shape, moved])[np.array(place)]
     whole = aligned + jnp.where(jnp.isfinite(steady), after.share * (steady - aligned), 0.0)
     measured = whole[np.array(needs)]
     # alpha-beta filter (Kalata 1984): its gains follow from the ratio of motion to noise

@@ -10,17 +10,20 @@ from typing import Final
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
-from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
 from smooth_operator.methods.registry import METHODS, as_presets
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.targets import DexPilotTargets
+from smooth_operator.plugins import Entry
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
+
+_PRESET_FILE = Entry("smooth_operator.formats.preset_file:read_preset_file")
+_WITH_SETTINGS = Entry("smooth_operator.formats.setting_paths:with_settings")
+_FILE: Final = ".toml"
 
 SBR_PAPER: Final = SbrConfig()
 """The paper's table of hyper-parameters, fresh normals in every cycle."""
@@ -153,7 +156,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     """Configuration of a method by preset name; None gives the method's default preset.
 
     For a method with a trained model (geort), the file of one may stand for the preset; for any
-    method a preset file (``smooth_operator.methods.preset_file``). ``published`` is a preset
+    method a preset file (``smooth_operator.formats.preset_file``). ``published`` is a preset
     of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
     is its ``paper``.
 
@@ -169,7 +172,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
     if preset is None:
         return presets[default]
     preset = _ALIASES.get(method, {}).get(preset, preset)
-    if preset not in presets and preset.endswith(SUFFIX):
+    if preset not in presets and preset.endswith(_FILE):
         return _from_file(method, Path(preset))
     if preset not in presets:
         file = Path(preset)
@@ -189,12 +192,13 @@ def _elsewhere(preset: str) -> str:
 
 
 def _from_file(method: str, path: Path) -> MethodConfig:
-    file = read_preset_file(path)
+    file = _PRESET_FILE.load()(path)
     if file.method != method:
         raise ConfigError(
             f"{path} is a preset of method {brief(file.method)}, not of {method!r}: choose "
             "that method too"
         )
-    if file.base.endswith(SUFFIX):
+    if file.base.endswith(_FILE):
         raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")
-    return with_settings(method_config(method, file.base), file.settings)
+    config: MethodConfig = _WITH_SETTINGS.load()(method_config(method, file.base), file.settings)
+    return config

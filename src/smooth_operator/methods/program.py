@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
@@ -20,6 +21,7 @@ from smooth_operator.human.alignment import (
 )
 from smooth_operator.human.palm_axes import human_palm_axes
 from smooth_operator.methods.method import Compiling, HostMethod, Method
+from smooth_operator.one_kernel import Joined, joined, joins, one_kernel, one_kernel_parts, parted
 from smooth_operator.types import Status
 
 
@@ -27,15 +29,31 @@ class RetargetState(NamedTuple):
     """All that a retargeter remembers between frames; a pytree.
 
     Attributes:
-        method: state of the method.
+        kept: state of the method; or that and q, ``Joined``.
         q: (m,) last good command of the actuated joints [rad].
         stamp: of the last frame [s], where the retargeter counts frames by a rate; else None. It
             stays on the host.
     """
 
-    method: Any
+    kept: Any
     q: Float[Array, " m"] | Float[np.ndarray, " m"]
     stamp: float | None = None
+
+    @property
+    def method(self) -> Any:
+        """State of the method."""
+        return self.kept.tree[0] if isinstance(self.kept, Joined) else self.kept
+
+    def packed(self) -> RetargetState:
+        """The same with the method's state in one array, where it can be."""
+        both = self.kept, self.q
+        if isinstance(self.kept, Joined) or not joins(both):
+            return self
+        return self._replace(kept=Joined.of(jax.device_get(both)))
+
+    def unpacked(self) -> RetargetState:
+        """The same with the method's state as a tree, as ``frame_step`` takes it."""
+        return self._replace(kept=self.method)
 
 
 class FrameResult(NamedTuple):
@@ -71,46 +89,64 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
         valid: Bool[Array, "21"],
         ticks: UInt32[Array, ""],
     ) -> tuple[RetargetState, FrameResult]:
-        frame = align_frame(method, alignment, landmarks, valid)
+        aligned = one_kernel(functools.partial(align_frame, method, alignment))
+        frame = aligned(landmarks, valid)
         after, output = method.step(state.method, frame.aligned, ticks)
-        solved = jnp.isfinite(output.q).all()
-        status = jnp.where(
-            (frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status
-        )
-        kept = RetargetState(after, output.q)
-        state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
-        return state, FrameResult(state.q, status, jnp.asarray(output.tracking_loss), frame.scale)
+        return one_kernel(_kept)(state, frame, RetargetState(after, output.q), output.tracking_loss)
 
     return step
 
 
-def frame_program(method: Method, alignment: AlignmentConfig, compiling: Compiling) -> Program:
+def _kept(
+    state: RetargetState, frame: AlignedFrame, kept: RetargetState, loss: Array
+) -> tuple[RetargetState, FrameResult]:
+    """The state and the result after a frame, which changes nothing unless its status is OK."""
+    solved = jnp.isfinite(kept.q).all()
+    status = jnp.where((frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status)
+    state = jax.tree.map(lambda new, old: jnp.where(status == Status.OK, new, old), kept, state)
+    return state, FrameResult(state.q, status, jnp.asarray(loss), frame.scale)
+
+
+def frame_program(
+    method: Method, alignment: AlignmentConfig, compiling: Compiling, in_kernels: bool
+) -> Program:
     """The program of one frame; it compiles when it is first called.
 
     Args:
         method: what is solved.
         alignment: how landmarks reach the palm frame.
         compiling: what compiles a function of state, landmarks, validity and ticks.
+        in_kernels: whether each ``one_kernel`` of it is one.
     """
     if method.host is not None:
         return _host_program(method.host, alignment, compiling)
     step = frame_step(method, alignment)
 
-    def packed(
-        state: RetargetState, landmarks: Array, valid: Array, ticks: Array
-    ) -> tuple[RetargetState, tuple[Array]]:
-        state, result = step(state, landmarks, valid, ticks)
-        return state, (_pack(result.q, result.status, result.tracking_loss, result.scale),)
+    def packed(before: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
+        one_array = isinstance(before, Array)
+        if one_array:
+            like = RetargetState(method.init(0), method.hand.neutral)
+            before = parted(like, before)
+        with one_kernel_parts(in_kernels):
+            state, result = step(before, landmarks, valid, ticks)
+        flat = _pack(result.q, result.status, result.tracking_loss, result.scale)
+        return (joined(state) if one_array else state), flat
 
     run = compiling(packed)
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
     ) -> tuple[RetargetState, FrameResult]:
-        state, (flat,) = run(state, landmarks, valid, ticks)
+        state = state.packed()
+        kept = state.kept
+        one_array = isinstance(kept, Joined)
+        after, flat = run(kept.array if one_array else state, landmarks, valid, ticks)
         numbers = np.asarray(flat)
         status, loss, scale = numbers[-3:].tolist()
-        return state, FrameResult(numbers[:-3], int(status), loss, scale)
+        q = numbers[:-3]
+        if one_array:
+            after = RetargetState(Joined(after, kept.like), q)
+        return after, FrameResult(q, int(status), loss, scale)
 
     return program
 

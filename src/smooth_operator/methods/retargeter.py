@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -131,12 +130,8 @@ class Retargeter:
     def init(self, seed: int | None = None) -> RetargetState:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
-        state = RetargetState(method, jax.device_put(self.hand.neutral.astype(np.float32)))
-        if self.method.host is not None:
-            return state
-        # On a device by name, as the program's own states are: it is compiled once for both.
-        placed: RetargetState = jax.device_put(state, jax.tree.leaves(state)[-1].device)
-        return placed
+        state = RetargetState(method, self.hand.neutral.astype(np.float32))
+        return state if self.method.host is not None else state.packed()
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike

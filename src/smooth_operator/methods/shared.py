@@ -125,4 +125,5 @@ def _made(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> Shar
         program: Callable[..., Any] = _KEPT_PROGRAM.load()(function, hand, config, name, **of)
         return program
 
-    return SharedProgram(method, frame_program(method, config.alignment, compiling), reflects)
+    run = frame_program(method, config.alignment, compiling, config.in_kernels)
+    return SharedProgram(method, run, reflects)

@@ -16,12 +16,10 @@ from typing import Any, Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.landmark_filter import (
     FilterState,
@@ -30,12 +28,13 @@ from smooth_operator.human.landmark_filter import (
 )
 from smooth_operator.human.tracker_noise import PALM, NoiseConfig, NoiseState, remove_noise
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.methods.frame_clock import FrameClock
 from smooth_operator.methods.frame_goals import FrameGoals
 from smooth_operator.methods.method import Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.close_targets import CloseTargets
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
+from smooth_operator.objective.rest_pose import RestGoal, RestPose, RestPoseConfig
 from smooth_operator.objective.straight_fingers import StraightFingers
 from smooth_operator.objective.terms.direction_length import (
     DirectionLength,
@@ -47,20 +46,19 @@ from smooth_operator.objective.terms.fingertip_position import (
     FingertipPositionConfig,
 )
 from smooth_operator.objective.terms.self_collision import SelfCollision, SelfCollisionConfig
+from smooth_operator.one_kernel import handed_on, one_kernel, tree_of
+from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 from smooth_operator.solvers.normals import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator.solvers.settling import settled
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
 error is worked off in the same time at any rate."""
 
-_ADAPTS: Final = 0.05
-"""By how much of the difference the usual time between frames adapts in each of them."""
-
-_SHORTEST: Final = 1e-3
-"""Time between frames that counts as some; stamps that stand still don't tell [s]."""
+_STAND_IN_NOTE = Entry("smooth_operator.hand_files.stand_ins:stand_in_note")
 
 
 @dataclass(frozen=True)
@@ -91,6 +89,8 @@ class SmoothConfig(ObjectiveMethodConfig):
         rate_hz: rate that is assumed where stamps stand still.
         gap: after a longer gap in the stamps [s] the basin is searched for again.
     """
+
+    in_kernels = True
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
@@ -140,7 +140,7 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Whether collision shapes are estimated."""
-        note = stand_in_note(hand) if self.self_collision.weight else None
+        note = _STAND_IN_NOTE.load()(hand) if self.self_collision.weight else None
         return (note,) if note else ()
 
 
@@ -170,20 +170,25 @@ class SmoothState(NamedTuple):
     frames: UInt32[Array, ""]
 
 
-class _Clock(NamedTuple):
-    """When a frame is.
+class _Seen(NamedTuple):
+    """What a frame shows, and asks of the hand.
 
     Attributes:
-        dt: time since the last frame [s].
-        period: usual time between frames [s].
-        first: nothing came before.
-        restart: nothing came before, or too long ago to count as motion.
+        clock, now: when it is.
+        noise, filtered, policy: states after it.
+        goal: what it asks.
+        moves, places: (F, 3) steps of the human's fingertips, and where they are from the robot's
+            wrist [m].
     """
 
-    dt: Float[Array, ""]
-    period: Float[Array, ""]
-    first: Bool[Array, ""]
-    restart: Bool[Array, ""]
+    clock: FrameClock
+    now: UInt32[Array, ""]
+    noise: NoiseState
+    filtered: FilterState
+    policy: Any
+    goal: FrameGoal
+    moves: Float[Array, "F 3"]
+    places: Float[Array, "F 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,50 +271,71 @@ class Smooth(Method):
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
-        config, now = self.config, jnp.asarray(ticks, jnp.uint32)
-        clock = self._clock(state, now)
+        seen = one_kernel(self._seen)(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        goal = seen.goal
+        if not is_off(self.config.rest_pose.reach):
+            rest = self.rest_pose(state.solved, aligned, seen.places, seen.moves)
+            goal = one_kernel(self._rested)(goal, rest, seen.moves, seen.clock.restart)
+        solved = self._solve(state, goal, seen.clock)
+        return one_kernel(self._commanded)(state, seen._replace(goal=goal), solved)
+
+    def _seen(
+        self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
+    ) -> _Seen:
+        """What a frame shows, and asks of the hand."""
+        config = self.config
+        clock = FrameClock.of(
+            now - state.ticks, state.frames, state.period, config.rate_hz, config.gap
+        )
         noise, measured = remove_noise(
             state.noise, aligned, self.needs, clock.dt, config.tracker_noise, clock.restart
         )
         filtered, steps = filter_landmarks(
             state.filtered, measured, clock.dt, config.landmarks, clock.restart
         )
-        goal, policy_state = self._goal(state, aligned, filtered.points, steps, clock)
-        solved = self._solve(state, goal, clock)
+        points, tips = filtered.points, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
+        at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
+        moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
+        goal, policy = self._goal(state, points, moves, clock)
+        places = places + jnp.asarray(self.hand.wrist, points.dtype)
+        return _Seen(clock, now, noise, filtered, policy, goal, moves, places)
+
+    def _rested(
+        self, goal: FrameGoal, rest: RestGoal, moves: Float[Array, "F 3"], restart: Bool[Array, ""]
+    ) -> FrameGoal:
+        neutral = jnp.asarray(self.hand.neutral, moves.dtype)
+        return goal._replace(
+            tips=rest.tips + moves,
+            rest=jnp.where(restart, neutral, rest.pose),
+            near=jnp.where(restart, 0.0, rest.near),
+        )
+
+    def _commanded(
+        self, state: SmoothState, seen: _Seen, solved: Float[Array, " m"]
+    ) -> tuple[SmoothState, MethodOutput]:
+        """The state after a frame, and its command: the answer as far as joints may move."""
+        clock = seen.clock
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
-        most = config.joint_speed * jnp.minimum(clock.dt, clock.period)
+        most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
         most = jnp.where(clock.first, jnp.inf, most)
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
-        count = state.frames + jnp.uint32(1)
-        after = SmoothState(
-            q, solved, noise, filtered, policy_state, now, clock.period, state.seed, count
-        )
-        return after, MethodOutput(q, self.objective.tracking(list(q), goal))
-
-    def _clock(self, state: SmoothState, now: UInt32[Array, ""]) -> _Clock:
-        elapsed = (now - state.ticks).astype(jnp.int32) * 1e-6
-        first = state.frames == 0
-        # a stamp that goes back belongs to another recording
-        restart = first | (elapsed > self.config.gap) | (elapsed < 0)
-        stamped = (elapsed >= _SHORTEST) & ~restart
-        dt = jnp.where(stamped, elapsed, 1 / self.config.rate_hz).astype(jnp.float32)
-        share = jnp.where(state.frames > 1, _ADAPTS, 1.0)
-        period = jnp.where(stamped, state.period + share * (dt - state.period), state.period)
-        return _Clock(dt, period, first, restart)
+        known = seen.noise, seen.filtered, seen.policy, seen.now, clock.period, state.seed
+        after = SmoothState(q, solved, *known, state.frames + jnp.uint32(1))
+        return after, MethodOutput(q, self.objective.tracking(list(q), seen.goal))
 
     def _goal(
         self,
         state: SmoothState,
-        aligned: Float[Array, "21 3"],
         points: Float[Array, "L 3"],
-        steps: Float[Array, "L 3"],
-        clock: _Clock,
+        moves: Float[Array, "F 3"],
+        clock: FrameClock,
     ) -> tuple[FrameGoal, Any]:
-        """What the frame asks, and the target policy's state after it."""
+        """What the frame asks, but for the rest pose; and the target policy's state after it."""
         config, layout = self.config, self.objective.layout
-        every = jnp.zeros((NUM_LANDMARKS, 3), points.dtype).at[jnp.asarray(self.needs)].set(points)
-        targets, policy_state = config.objective.targets(state.targets, layout, layout.human(every))
+        at = [self.needs.index(i) if i in self.needs else -1 for i in range(NUM_LANDMARKS)]
+        human = layout.human(points[np.array(at)])  # from landmarks that are needed
+        targets, policy_state = config.objective.targets(state.targets, layout, human)
         # the further apart two frames are, the less they hold each other
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         velocity = config.objective.velocity_weight * holds
@@ -318,33 +344,22 @@ class Smooth(Method):
             pinching = jnp.concatenate([latched.any()[None], latched])
             damped = (pinching[:, None] & jnp.asarray(self.rest_pose.moves)).any(axis=0)
             velocity = velocity + config.pinch_damping * holds * damped
-        tips = np.array([self.needs.index(TIPS[FINGERS.index(f)]) for f in self.hand.fingers])
-        wrist = self.needs.index(WRIST)
-        moves = steps[tips] - steps[wrist]
-        motion = jnp.full(len(tips), config.motion_weight * holds, points.dtype)
+        motion = jnp.full(len(moves), config.motion_weight * holds, points.dtype)
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
             motion = motion / (1 + (speed / config.motion_speed) ** 2)
         goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
+        tips = None
         if is_off(config.rest_pose.reach):
-            arrive = self.motion.tips(state.solved) + moves
-            return goal._replace(tips=arrive, motion_weights=motion), policy_state
-        places = points[tips] - points[wrist] + jnp.asarray(self.hand.wrist, points.dtype)
-        rest = self.rest_pose(state.solved, aligned, places, moves)
-        neutral = jnp.asarray(self.hand.neutral, points.dtype)
-        goal = goal._replace(
-            tips=rest.tips + moves,
-            motion_weights=motion,
-            rest=jnp.where(clock.restart, neutral, rest.pose),
-            near=jnp.where(clock.restart, 0.0, rest.near),
-        )
-        return goal, policy_state
+            tips = self.motion.tips(state.solved) + moves
+        return goal._replace(tips=tips, motion_weights=motion), policy_state
 
-    def _solve(self, state: SmoothState, goal: FrameGoal, clock: _Clock) -> Float[Array, " m"]:
-        config, fingers = self.config, len(self.hand.fingers)
+    def _solve(self, state: SmoothState, goal: FrameGoal, clock: FrameClock) -> Float[Array, " m"]:
+        config, fingers, handed = self.config, len(self.hand.fingers), handed_on(goal)
         limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[:fingers])
 
         def sampled(round: Array, q: Array) -> Array:
+            goal = tree_of(handed)
             return sample_minimise(
                 lambda candidates: self.eq_1(candidates, goal._replace(velocity_weight=0.0)),
                 q,
@@ -354,28 +369,18 @@ class Smooth(Method):
                 config.settle_sigma,
             )
 
-        # The last round only polishes; of most frames it is the only one. The Newton steps stand
-        # here once, for a program with two of them takes twice as long to compile.
-        rounds = jnp.where(clock.restart, config.settle_rounds, 0)
-
-        def cost(q: Array) -> Array:
-            return self.objective.values(q[None], goal)[0]
-
-        def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
-            start = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
-            found = damped_newton(
-                lambda one: self.objective.value_grad_hess(one, goal),
-                lambda few: self.objective.values(few, goal),
-                start,
+        def descended(q: Array) -> Array:
+            return damped_newton(
+                lambda one: self.objective.value_grad_hess(one, handed),
+                lambda few: self.objective.values(few, handed),
+                q,
                 limits,
                 config.polish,
             )
-            # a later round may end in a worse basin; polishing alone never does
-            reached = lax.cond(rounds > 0, cost, lambda _: best[1], found)
-            worse = reached > best[1]
-            return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
 
-        nothing_yet = jnp.asarray(jnp.inf, state.solved.dtype)
+        def cost(q: Array) -> Array:
+            return self.objective.values(q[None], handed)[0]
+
+        rounds = jnp.where(clock.restart, config.settle_rounds, 0)
         first = jnp.clip(state.solved, limits[:, 0], limits[:, 1])
-        best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (first, nothing_yet))
-        return best[0]
+        return settled(sampled, descended, cost, first, rounds)

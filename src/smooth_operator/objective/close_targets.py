@@ -109,5 +109,6 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
             left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)
             near = near - jnp.minimum(pinch_nearness(near, jnp) * left, near)
         longer = (near**4 + self.apart**4) ** 0.25 / length[layout.thumb]
-        vectors = human.at[layout.thumb].multiply(longer[:, None])
+        before, after = (np.ones(n) for n in (layout.thumb.start, len(human) - layout.thumb.stop))
+        vectors = human * jnp.concatenate([before, longer, after]).astype(human.dtype)[:, None]
         return Targets(vectors, weights), state

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
-from smooth_operator.hands.differential import PointKinematics, PointMotion
+from smooth_operator.hands.differential import PointKinematics, PointMotion, contracted
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
@@ -41,6 +41,7 @@ from smooth_operator.objective.terms.term import (
     TermConfig,
 )
 from smooth_operator.objective.terms.velocity import SmoothL1Velocity, Velocity
+from smooth_operator.one_kernel import Joined, one_kernel
 
 
 @dataclass(frozen=True)
@@ -242,21 +243,27 @@ class Objective:
         return PointKinematics(self.tree, tuple(dict.fromkeys(every)))
 
     def value_grad_hess(
-        self, q: Float[Array, " m"], goal: FrameGoal
+        self, q: Float[Array, " m"], goal: FrameGoal | Joined[FrameGoal]
     ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
         """Value, gradient and Hessian at a pose: the sum over the terms.
 
         The Hessian is as exact as the terms' own; those of Eq. (1) are exact, but on the
         measure-zero kinks of smooth-L1.
         """
-        hand, order = self.hand, np.array(self.kinematics.order)
-        # NumPy takes the rows: taken by JAX, they are a variable of the program's loop and not a
-        # constant, which costs DexPilot 15 of its 300 us per frame.
-        matrix, offset, joints = (
-            jnp.asarray(part, q.dtype)
-            for part in (hand.coupling_matrix, hand.coupling_offset, hand.coupling_matrix[order])
+        near = one_kernel(self._near)(q, goal)
+        apart: Any = jax.lax.optimization_barrier  # has no types
+        # XLA folds a transpose into the product, and then multiplies by a slower kernel
+        hessian = apart(near.weighted.T) @ near.rows
+        total = jnp.asarray(self.kinematics.moves.T, q.dtype) @ near.moments
+        found: tuple[Array, Array, Array] = one_kernel(self._summed)(
+            q, goal, near.cost, near.motion, hessian, total
         )
-        motion = self.kinematics(matrix @ q + offset)
+        return found
+
+    def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
+        """What the point terms are near a pose."""
+        matrix, offset = self.hand.coupling_matrix.T, self.hand.coupling_offset.astype(q.dtype)
+        motion = self.kinematics(contracted(q, matrix) + offset)
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
             term.expand(motion.points[at.at], self.kinematics.jacobian(motion, at.at), goal)
@@ -266,13 +273,27 @@ class Objective:
         gradient = jnp.zeros((0, 3), q.dtype)  # with respect to the points of the terms so far
         for one, at in zip(near, chosen, strict=True):
             gradient = at.added(gradient, one.gradient)
-        slope, curvature = self.kinematics.derivatives(motion, gradient)
-        hessian = _gauss_newton(near, motion) + curvature
+        moments = self.kinematics.moments(motion, gradient)
+        return _Near(cost, motion, moments, *_gauss_newton(near, motion))
+
+    def _summed(
+        self,
+        q: Array,
+        goal: FrameGoal,
+        cost: Array,
+        motion: PointMotion,
+        hessian: Array,
+        total: Array,
+    ) -> tuple[Array, Array, Array]:
+        """Value, gradient and Hessian, from those of the point terms by all joints."""
+        joints = self.hand.coupling_matrix[np.array(self.kinematics.order)]
+        slope, curvature = self.kinematics.derivatives(motion, total)
         first, second = self.regularisation_derivatives(q, goal)
+        half = contracted(hessian + curvature, joints)
         return (
             cost + self.regularisation(q, goal),
-            slope @ joints + first,
-            joints.T @ hessian @ joints + second * jnp.eye(len(q), dtype=q.dtype),
+            contracted(slope, joints) + first,
+            contracted(half.T, joints) + second * jnp.eye(len(q), dtype=q.dtype),
         )
 
     def few_value_grad_hess(
@@ -282,10 +303,27 @@ class Objective:
         values, gradients, hessians = jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
         return values, gradients, hessians
 
-    def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
+    def values(
+        self, q: Float[Array, "c m"], goal: FrameGoal | Joined[FrameGoal]
+    ) -> Float[Array, " c"]:
         """Costs of a few poses, through the small program."""
-        costs: Array = jax.vmap(lambda one: self.value_grad_hess(one, goal)[0])(q)
+
+        def value(one: Array, goal: FrameGoal) -> Array:
+            return self._near(one, goal).cost + self.regularisation(one, goal)
+
+        costs: Array = one_kernel(jax.vmap(value, in_axes=(0, None)))(q, goal)
         return costs
+
+
+class _Near(NamedTuple):
+    """The point terms near a pose: cost, motion of the points, ``PointKinematics.moments``; and (R,
+    J) rows, the same times their weights."""
+
+    cost: Float[Array, ""]
+    motion: PointMotion
+    moments: Float[Array, "F 12"]
+    rows: Float[Array, "R J"]
+    weighted: Float[Array, "R J"]
 
 
 class _Chosen(NamedTuple):
@@ -318,15 +356,15 @@ class _Chosen(NamedTuple):
         return total.at[self.at].add(values)
 
 
-def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> Float[Array, "J J"]:
-    """Sum over the terms of rows^T weights rows; single rows in one product."""
-    every = [(o.rows(motion) if callable(o.rows) else o.rows, o.weights) for o in near]
-    single = [one for one in every if one[1].ndim == 1]
-    parts = [jnp.einsum("kcj,kcd,kdi->ji", r, w, r) for r, w in every if w.ndim == 3]
-    if single:
-        rows, weights = (jnp.concatenate(each) for each in zip(*single, strict=True))
-        # XLA folds a transpose into the product, and then multiplies by a slower kernel
-        apart: Any = jax.lax.optimization_barrier  # has no types
-        parts.insert(0, apart((rows * weights[:, None]).T) @ rows)
-    total: Array = functools.reduce(operator.add, parts)
-    return total
+def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> tuple[Array, Array]:
+    """Rows of all terms, and the rows times their weights."""
+    rows, weighted = [], []
+    for one in near:
+        own = one.rows(motion) if callable(one.rows) else one.rows
+        if one.weights.ndim == 1:
+            product = own * one.weights[:, None]
+        else:  # second derivatives mix residuals in groups of three
+            product = (one.weights[..., None] * own[:, None]).sum(axis=2)
+        rows.append(own.reshape(-1, own.shape[-1]))
+        weighted.append(product.reshape(-1, own.shape[-1]))
+    return jnp.concatenate(rows), jnp.concatenate(weighted)

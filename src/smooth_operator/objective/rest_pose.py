@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.hands.differential import PointKinematics, PointMotion
+from smooth_operator.hands.differential import PointKinematics, PointMotion, contracted
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.penalties import TINY_AREA
+from smooth_operator.one_kernel import one_kernel
 from smooth_operator.settings import check_numbers, is_off
 
 
@@ -55,6 +56,15 @@ class RestGoal(NamedTuple):
     tips: Float[Array, "F 3"]
     near: Float[Array, " F"]
     pose: Float[Array, " m"]
+
+
+class _Pull(NamedTuple):
+    """``RestGoal``'s tips and near; and (R, m) rows and the (m,) right side of the pull's step."""
+
+    tips: Float[Array, "F 3"]
+    near: Float[Array, " F"]
+    rows: Float[Array, "R m"]
+    right: Float[Array, " m"]
 
 
 class _Directions(NamedTuple):
@@ -120,30 +130,36 @@ class RestPose:
             places: (F, 3) where the human's fingertips are, from the robot's wrist [m].
             moves: (F, 3) their step since the last answer [m].
         """
+        pull = one_kernel(self._pull)(q, aligned, places, moves)
+        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
+        damping = self.config.damping * jnp.eye(len(q), dtype=q.dtype)
+        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
+        factor = jnp.linalg.cholesky(apart(pull.rows.T) @ pull.rows + damping)
+        step = jax.scipy.linalg.cho_solve((factor, True), pull.right)
+
+        def pose(q: Array, near: Array, step: Array) -> Array:
+            # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
+            share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
+            return q + share * step + (1 - share) * (jnp.asarray(self.hand.neutral, q.dtype) - q)
+
+        return RestGoal(pull.tips, pull.near, one_kernel(pose)(q, pull.near, step))
+
+    def _pull(self, q: Array, aligned: Array, places: Array, moves: Array) -> _Pull:
         config, hand, count = self.config, self.hand, len(self.hand.fingers)
-        matrix, offset = (
-            jnp.asarray(part, q.dtype) for part in (hand.coupling_matrix, hand.coupling_offset)
-        )
-        motion = self.kinematics(matrix @ q + offset)
-        actuated = matrix[np.array(self.kinematics.order)]
-        jacobian = jnp.einsum("fjc,jm->fcm", self.kinematics.jacobian(motion), actuated)
+        matrix, offset = hand.coupling_matrix, hand.coupling_offset.astype(q.dtype)
+        motion = self.kinematics(contracted(q, matrix.T) + offset)
+        slopes = jnp.swapaxes(self.kinematics.jacobian(motion), 1, 2)
+        jacobian = contracted(slopes, matrix[np.array(self.kinematics.order)])
         tips, neutral = motion.points[:count], jnp.asarray(hand.neutral, q.dtype)
         error = tips + moves - places
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
-        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
         pull, rows = neutral - q, jacobian[:count].reshape(-1, len(q))
         if self.segments and not is_off(config.segment):
             found = self._directions(motion, jacobian, aligned)
-            pull = pull + config.segment * found.slopes.T @ found.error
+            pull = pull + config.segment * (found.slopes * found.error[:, None]).sum(axis=0)
             segment = np.float32(np.sqrt(config.damping * config.segment))
             rows = jnp.concatenate([rows, segment * found.slopes])
-        damping = config.damping * jnp.eye(len(q), dtype=q.dtype)
-        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
-        factor = jnp.linalg.cholesky(apart(rows.T) @ rows + damping)
-        step = jax.scipy.linalg.cho_solve((factor, True), config.damping * pull)
-        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
-        share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
-        return RestGoal(tips, near, q + share * step + (1 - share) * (neutral - q))
+        return _Pull(tips, near, rows, config.damping * pull)
 
     def _directions(
         self, motion: PointMotion, jacobian: Float[Array, "P 3 m"], aligned: Float[Array, "21 3"]
@@ -155,7 +171,7 @@ class RestPose:
         size = jnp.sqrt((robot * robot).sum(-1, keepdims=True) + TINY_AREA)
         unit = robot / size
         slopes = (jacobian[fingers] - jacobian[below]) / size[:, :, None]
-        along = jnp.einsum("sc,scm->sm", unit, slopes)
+        along = (unit[:, :, None] * slopes).sum(axis=1)
         slopes = slopes - unit[:, :, None] * along[:, None, :]
         human = aligned[tips] - aligned[np.array([i for _, i in self.segments])]
         human = human / jnp.sqrt((human * human).sum(-1, keepdims=True) + TINY_AREA)

@@ -77,9 +77,13 @@ class StraightFingers:
         tips = jnp.asarray(tips)
         away = tips[fingers] - jnp.asarray(self.centres, tips.dtype)
         bent = (away * away).sum(-1) < jnp.asarray(length - _SHORTER, tips.dtype) ** 2
-        low = jnp.asarray(limits[joints, 0], tips.dtype)
-        low = jnp.where(bent, jnp.asarray(longest, tips.dtype), low)
-        return jnp.asarray(limits, tips.dtype).at[joints, 0].set(low)
+        of = np.full(len(limits), len(joints))
+        of[joints] = np.arange(len(joints))
+        bent = jnp.concatenate([bent, jnp.zeros(1, bool)])[of]
+        raised = limits[:, 0].copy()
+        raised[joints] = longest
+        low = jnp.where(bent, raised.astype(tips.dtype), limits[:, 0].astype(tips.dtype))
+        return jnp.stack([low, jnp.asarray(limits[:, 1], tips.dtype)], axis=1)
 
 
 def _circle(points: Float[np.ndarray, "N 3"]) -> tuple[float, np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.one_kernel import one_kernel
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
@@ -82,16 +83,20 @@ def newton_candidates(
         limits: (m, 2) bounds.
         config: with the c dampings.
     """
-    low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
-    identity = jnp.eye(len(limits), dtype=q.dtype)
-    damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
-    held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
-    free_hessian = jnp.where(held[:, None] | held[None, :], identity, hessian)
-    free_gradient = jnp.where(held, 0.0, gradient)
-    factor = jnp.linalg.cholesky(free_hessian + damping * identity)
-    right = jnp.broadcast_to(free_gradient, (len(damping), len(limits)))[..., None]
+
+    def free(q: Array, gradient: Array, hessian: Array, limits: Array) -> tuple[Array, Array]:
+        low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
+        identity = jnp.eye(len(limits), dtype=q.dtype)
+        damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
+        held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
+        matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
+        right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
+        return matrices, right[..., None]
+
+    matrices, right = one_kernel(free)(q, gradient, hessian, limits)
+    factor = jnp.linalg.cholesky(matrices)
     moves = jax.scipy.linalg.cho_solve((factor, True), right)[..., 0]
-    return jnp.clip(q - moves, low, high)
+    return jnp.clip(q - moves, *(jnp.asarray(limits[:, i], q.dtype) for i in (0, 1)))
 
 
 def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:
@@ -158,13 +163,17 @@ def damped_newton(
         (m,) the best point found.
     """
 
+    def better(q: Array, cost: Array, candidates: Array, costs: Array) -> tuple[Array, Array]:
+        winner, lowest = _best(costs)
+        after = jnp.where(lowest < cost, candidates[winner], q)
+        return after, jnp.abs(after - q).max() > still
+
     def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         count, q, _ = carry
         cost, gradient, hessian = value_grad_hess(q)
         candidates = newton_candidates(q, gradient, hessian, limits, config)
-        winner, lowest = _best(values(candidates))
-        after = jnp.where(lowest < cost, candidates[winner], q)
-        return count + 1, after, jnp.abs(after - q).max() > still
+        after, moved = one_kernel(better)(q, cost, candidates, values(candidates))
+        return count + 1, after, moved
 
     def goes_on(carry: tuple[Array, Array, Array]) -> Array:
         count, _, moved = carry

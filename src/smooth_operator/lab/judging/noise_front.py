@@ -21,6 +21,7 @@ import numpy as np
 import tyro
 
 from smooth_operator import Retargeter, SmoothOperatorError, load_hand
+from smooth_operator.formats.setting_paths import numeric_settings, with_settings
 from smooth_operator.human.alignment import align_recording
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.judging.judge import FILES
@@ -33,7 +34,6 @@ from smooth_operator.lab.physics.reachable_motion import (
 from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.traced import TracedRun
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.setting_paths import numeric_settings, with_settings
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.reporting.drawing import INK, styled, write_figure

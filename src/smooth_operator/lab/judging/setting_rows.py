@@ -10,6 +10,7 @@ from typing import Any
 
 from smooth_operator import SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
+from smooth_operator.formats.setting_paths import numeric_settings, with_settings, with_unchecked
 from smooth_operator.lab.benchmark.cells import hand_identity
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.judging.kept_figures import code_of
@@ -17,7 +18,6 @@ from smooth_operator.lab.tuning.score import figure
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.setting_paths import numeric_settings, with_settings, with_unchecked
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.reporting.run_report import BenchmarkError
 

@@ -1,4 +1,4 @@
-"""Writing of preset files (``smooth_operator.methods.preset_file``)."""
+"""Writing of preset files (``smooth_operator.formats.preset_file``)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.preset_file import FORMAT, PresetFile
+from smooth_operator.formats.preset_file import FORMAT, PresetFile
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.formats.preset_file import SUFFIX, read_preset_file
+from smooth_operator.formats.setting_paths import find_setting, with_settings
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.benchmark_folder import check_folder
 from smooth_operator.lab.benchmark.cells import hand_identity
@@ -17,9 +19,7 @@ from smooth_operator.lab.tuning.held_out import check_held_out
 from smooth_operator.lab.tuning.score import Bound, Scoring
 from smooth_operator.lab.tuning.variables import Variable, parse_variable
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.preset_file import SUFFIX, read_preset_file
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.setting_paths import find_setting, with_settings
 
 COMMAND: Final = "tune"
 TRIALS: Final = 120

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from smooth_operator.compilation.frame_jit import compiled
+from smooth_operator.formats.setting_paths import with_unchecked
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.program import RetargetState, frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.setting_paths import with_unchecked
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 CHUNK: Final = 256
@@ -66,7 +66,7 @@ class TracedRun:
         frames = [np.concatenate([each, np.repeat(each[-1:], lacking, 0)]) for each in frames]
         frames[1][count:] = False
         given = jnp.asarray([values[path] for path in self._paths], jnp.float32)
-        state, found, status = retargeter.init(), [], []
+        state, found, status = retargeter.init().unpacked(), [], []
         for start in range(0, count, CHUNK):
             part = slice(start, start + CHUNK)
             state, answer = self._chunk(given, state, *(each[part] for each in frames))

@@ -11,13 +11,13 @@ import jax
 
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.recordings import Request, load_sources
 from smooth_operator.lab.offline import TrajectoryRetargeter
 from smooth_operator.lab.tuning.traced import TracedRun, can_trace
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.setting_paths import with_settings
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory, HandRecording

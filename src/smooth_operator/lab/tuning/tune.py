@@ -13,6 +13,7 @@ import numpy as np
 from smooth_operator.atomic_files import write_json
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.environment import environment
+from smooth_operator.formats.preset_file import PresetFile
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.tuning.pareto import save_pareto
 from smooth_operator.lab.tuning.preset_writer import write_preset_file
@@ -22,7 +23,6 @@ from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning
 from smooth_operator.lab.tuning.trial import TrialTask, run_trial
 from smooth_operator.lab.tuning.trial_log import Trial, TrialLog
 from smooth_operator.lab.tuning.variables import values_at
-from smooth_operator.methods.preset_file import PresetFile
 from smooth_operator.parallel import PersistentPool
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import Note, no_note

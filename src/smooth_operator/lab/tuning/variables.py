@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.setting_paths import find_setting, numeric_settings
+from smooth_operator.formats.setting_paths import find_setting, numeric_settings
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,10 @@ class RobotVectors:
                     matrix[k, self.moving.index(landmark)] = sign
         return matrix
 
+    def _row(self, landmark: int | None) -> int:
+        """Of a landmark among the moving points; -1 of a fixed one."""
+        return self.moving.index(landmark) if landmark in self.moving else -1
+
     def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
         """The vectors [m], from the moving points [m]."""
         known = self.hand.tree.keypoints
@@ -75,7 +79,11 @@ class RobotVectors:
 
     def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
         """Derivatives of the vectors, from those of the moving points [m/rad]."""
-        return jnp.einsum("kf,fjc->kcj", jnp.asarray(self.incidence, jacobian.dtype), jacobian)
+        every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
+        (start, end) = (
+            [self._row(i) for i in side] for side in zip(*self.layout.vectors, strict=True)
+        )
+        return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
 
     def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
         """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.collision import owners
-from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.objective.goal import FrameGoal
@@ -112,12 +112,12 @@ class SelfCollision(PointTerm):
         force, s, t = (scale * inside)[:, None] * direction, s[:, None], t[:, None]
         ends_of = [(1 - s) * force, s * force], [(t - 1) * force, -t * force]
         forces = jnp.concatenate([jnp.concatenate(both, axis=1) for both in ends_of])  # (2 P, 6)
-        capsules = np.arange(len(points) // 2)[:, None] == pairs.pairs.T.ravel()
+        capsules = np.arange(len(points) // 2)[:, None] == pairs.pairs.T.ravel()  # (C, 2 P)
         carried = jnp.asarray(self.carried, points.dtype)
         nearest = one[0] + s * (one[1] - one[0])
         return Quadratic(
             0.5 * scale * (inside * inside).sum(),
-            (jnp.asarray(capsules, points.dtype) @ forces).reshape(-1, 3),
+            jnp.moveaxis(contracted(forces.T, capsules.T), 0, 1).reshape(-1, 3),
             lambda motion: carried * motion.along(nearest, direction),
             jnp.where(depth > 0, scale, 0.0),
         )

@@ -9,10 +9,10 @@ import numpy as np
 import trimesh
 
 from smooth_operator.hand_files.menagerie import has_meshes
+from smooth_operator.hand_files.stand_ins import stand_ins
 from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.solids import Capsule, shape_capsules
-from smooth_operator.hands.stand_ins import stand_ins
 from smooth_operator.teleop.pages.meshes import body_meshes
 
 

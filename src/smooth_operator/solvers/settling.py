@@ -1,0 +1,41 @@
+"""A descent that first finds its basin, in frames in which there is none to go on in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+
+def settled(
+    sampled: Callable[[Array, Array], Array],
+    descended: Callable[[Array], Array],
+    cost: Callable[[Array], Array],
+    start: Float[Array, " m"],
+    rounds: Int[Array, ""],
+) -> Float[Array, " m"]:
+    """Where a descent from a start ends, after some rounds of sampling and descent; traceable.
+
+    Args:
+        sampled: number of a round and where the last one ended, to a start of the next.
+        descended: a start to where the descent ends.
+        cost: of a point; asked for after a sampled round alone.
+        start: (m,) where the first round begins.
+        rounds: how many begin with a sample; 0 in most frames.
+    """
+
+    # The last round only descends; of most frames it is the only one. The descent stands here once,
+    # for a program with two of them takes twice as long to compile.
+    def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+        begin = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
+        found = descended(begin)
+        # a later round may end in a worse basin; descent alone never does
+        reached = lax.cond(rounds > 0, cost, lambda _: best[1], found)
+        worse = reached > best[1]
+        return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
+
+    nothing_yet = jnp.asarray(jnp.inf, start.dtype)
+    best: tuple[Array, Array] = lax.fori_loop(0, rounds + 1, solve, (start, nothing_yet))
+    return best[0]
