@@ -27,6 +27,9 @@ STILL: Final = 3e-4
 """``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
 converges quadratically, the next step would be too small to see."""
 
+_AT_BOUND: Final = 1e-6
+"""A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
+
 
 @dataclass(frozen=True)
 class NewtonConfig:
@@ -88,7 +91,8 @@ def newton_candidates(
         low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
         identity = jnp.eye(len(limits), dtype=q.dtype)
         damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
-        held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
+        under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
+        held = (under & (gradient > 0)) | (over & (gradient < 0))
         matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
         right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
         return matrices, right[..., None]
