@@ -156,7 +156,8 @@ def test_points_with_derivatives(seed: int) -> None:
             jacobian = motion_of.jacobian(motion)
             some = motion_of.jacobian(motion, np.array([2, 1]))
             along = motion.along(motion.points[-1:], jnp.asarray(force[-1:]))
-            return motion.points, jacobian, some, along, motion_of.derivatives(motion, force)
+            total = motion_of.moves.T @ motion_of.moments(motion, force)
+            return motion.points, jacobian, some, along, motion_of.derivatives(motion, total)
 
         program = jax.jit(derivatives)
         found, jacobian, some, along, (slope, bend) = program(q)

@@ -213,8 +213,9 @@ def test_the_descent_reaches_a_bounded_minimum() -> None:
                 still=1e-9,
             )
         )
-        found = run(jnp.asarray(hand.neutral, float))
+        found, reached = run(jnp.asarray(hand.neutral, float))
         cost, gradient, _ = jax.jit(lambda q: smooth.value_grad_hess(q, goal))(found)
+        np.testing.assert_allclose(reached, cost, rtol=1e-9)
         low, high = hand.limits.T
         free = np.clip(found - gradient, low, high) - found
         assert np.abs(free).max() < 1e-5
@@ -234,10 +235,12 @@ def test_the_cost_never_rises() -> None:
     limits = np.array([[-100.0, 100.0]] * 2)
     for iterations in (1, 5):
         bare = NewtonConfig(iterations=iterations, damping=(0.0,))
-        held = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, bare)
+        start = jnp.array([1.5, 1.2])
+        held, cost = damped_newton(derivatives, values, start, limits, bare)
         np.testing.assert_array_equal(held, np.float32([1.5, 1.2]))
+        np.testing.assert_allclose(cost, values(start), rtol=1e-6)
     helped = NewtonConfig(iterations=20, damping=(0.0, 1.0))
-    found = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, helped)
+    found, _ = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, helped)
     np.testing.assert_allclose(found, 0, atol=1e-3)
 
 

@@ -70,27 +70,25 @@ def one_kernel(function: Callable[..., Made]) -> Callable[..., Made]:
         if not _on.get():
             return function(*trees)
         trees = [jax.tree.map(jnp.asarray, each) for each in trees]
-        traced, made = jax.make_jaxpr(function, return_shape=True)(*trees)
-        if not _fits(traced.jaxpr):
-            return function(*trees)
         from jax.experimental.xla_metadata import set_xla_metadata
 
         # One array for each argument, and one for the value: an array that the compiler finds to be
         # unused ends the process (jaxlib 0.10.2), and an argument is hardly unused as a whole.
-        used = _used(traced.jaxpr, [len(jax.tree.leaves(tree)) for tree in trees])
+        made: list[Made] = []
 
         def flat(*arrays: Array) -> Array:
-            taken = iter(arrays)
-            whole = zip(trees, used, strict=True)
-            return joined(function(*(parted(t, next(taken)) if u else t for t, u in whole)))
+            value = function(*map(parted, trees, arrays))
+            made.append(jax.tree.map(lambda leaf: _SHAPE(leaf.shape, leaf.dtype), value))
+            return joined(value)
 
-        given = [
-            each.array if isinstance(each, Joined) else joined(tree)
-            for each, tree, counts in zip(arguments, trees, used, strict=True)
-            if counts
-        ]
+        both = zip(arguments, trees, strict=True)
+        given = [each.array if isinstance(each, Joined) else joined(tree) for each, tree in both]
+        program = jax.jit(flat)
+        traced = program.trace(*(_SHAPE(each.shape, each.dtype) for each in given)).jaxpr.jaxpr
+        if not (_fits(traced) and _uses_all(traced)):
+            return function(*trees)
         tagged: Any = set_xla_metadata  # has no types
-        value: Made = parted(made, tagged(jax.jit(flat)(*given), **_TAGS))
+        value: Made = parted(made[0], tagged(program(*given), **_TAGS))
         return value
 
     return part
@@ -143,12 +141,13 @@ def tree_of(tree: Made | Joined[Made]) -> Made:
     return tree.tree if isinstance(tree, Joined) else tree
 
 
-def _used(jaxpr: Any, sizes: list[int]) -> list[bool]:
-    """Whether anything of an argument is used, of arguments of so many arrays each."""
-    seen = {id(var) for equation in jaxpr.eqns for var in equation.invars}
-    seen |= {id(var) for var in jaxpr.outvars}
-    known = iter([id(var) in seen for var in jaxpr.invars])
-    return [max([next(known) for _ in range(size)], default=False) for size in sizes]
+def _uses_all(jaxpr: Any) -> bool:
+    """Whether each argument has a part in the value."""
+    live = {id(var) for var in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if any(id(var) in live for var in equation.outvars):
+            live |= {id(var) for var in equation.invars}
+    return all(id(var) in live for var in jaxpr.invars)
 
 
 def _fits(jaxpr: Any) -> bool:

@@ -322,7 +322,7 @@ class Smooth(Method):
         q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
         known = seen.noise, seen.filtered, seen.policy, seen.now, clock.period, state.seed
         after = SmoothState(q, solved, *known, state.frames + jnp.uint32(1))
-        return after, MethodOutput(q, self.objective.tracking(list(q), seen.goal))
+        return after, MethodOutput(q, self.objective.tracking_at(q, seen.goal))
 
     def _goal(
         self,
@@ -369,7 +369,7 @@ class Smooth(Method):
                 config.settle_sigma,
             )
 
-        def descended(q: Array) -> Array:
+        def descended(q: Array) -> tuple[Array, Array]:
             return damped_newton(
                 lambda one: self.objective.value_grad_hess(one, handed),
                 lambda few: self.objective.values(few, handed),
@@ -378,9 +378,6 @@ class Smooth(Method):
                 config.polish,
             )
 
-        def cost(q: Array) -> Array:
-            return self.objective.values(q[None], handed)[0]
-
         rounds = jnp.where(clock.restart, config.settle_rounds, 0)
         first = jnp.clip(state.solved, limits[:, 0], limits[:, 1])
-        return settled(sampled, descended, cost, first, rounds)
+        return settled(sampled, descended, first, rounds)

@@ -228,6 +228,13 @@ class Objective:
 
     # One pose, with derivatives
 
+    def tracking_at(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
+        """``tracking`` of one pose, through the small program."""
+        term = self.keyvectors
+        kinematics = PointKinematics(self.hand.tree, term.points())
+        motion = kinematics(self._all_joints(q))
+        return term.expand(motion.points, kinematics.jacobian(motion), goal).cost
+
     @cached_property
     def tree(self) -> KinematicTree:
         """Kinematics of the hand's landmarks and of the points that terms add."""
@@ -260,10 +267,13 @@ class Objective:
         )
         return found
 
+    def _all_joints(self, q: Float[Array, " m"]) -> Float[Array, " n"]:
+        matrix, offset = self.hand.coupling_matrix, self.hand.coupling_offset
+        return contracted(q, matrix.T) + offset.astype(q.dtype)
+
     def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
         """What the point terms are near a pose."""
-        matrix, offset = self.hand.coupling_matrix.T, self.hand.coupling_offset.astype(q.dtype)
-        motion = self.kinematics(contracted(q, matrix) + offset)
+        motion = self.kinematics(self._all_joints(q))
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
             term.expand(motion.points[at.at], self.kinematics.jacobian(motion, at.at), goal)

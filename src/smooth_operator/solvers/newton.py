@@ -27,6 +27,9 @@ STILL: Final = 3e-4
 """``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
 converges quadratically, the next step would be too small to see."""
 
+_AT_BOUND: Final = 1e-6
+"""A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
+
 
 @dataclass(frozen=True)
 class NewtonConfig:
@@ -88,7 +91,8 @@ def newton_candidates(
         low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
         identity = jnp.eye(len(limits), dtype=q.dtype)
         damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
-        held = ((q <= low) & (gradient > 0)) | ((q >= high) & (gradient < 0))
+        under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
+        held = (under & (gradient > 0)) | (over & (gradient < 0))
         matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
         right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
         return matrices, right[..., None]
@@ -148,7 +152,7 @@ def damped_newton(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
     still: float = STILL,
-) -> Float[Array, " m"]:
+) -> tuple[Float[Array, " m"], Float[Array, ""]]:
     """Descend from a start within bounds, with derivatives once per step; the cost never rises.
 
     Args:
@@ -160,26 +164,25 @@ def damped_newton(
         still: see ``STILL``.
 
     Returns:
-        (m,) the best point found.
+        (m,) the best point found, and its cost; infinite without iterations.
     """
 
-    def better(q: Array, cost: Array, candidates: Array, costs: Array) -> tuple[Array, Array]:
+    def better(q: Array, cost: Array, candidates: Array, costs: Array) -> tuple[Array, ...]:
         winner, lowest = _best(costs)
         after = jnp.where(lowest < cost, candidates[winner], q)
-        return after, jnp.abs(after - q).max() > still
+        return after, jnp.minimum(lowest, cost), jnp.abs(after - q).max() > still
 
-    def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        count, q, _ = carry
+    def step(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        count, q, *_ = carry
         cost, gradient, hessian = value_grad_hess(q)
         candidates = newton_candidates(q, gradient, hessian, limits, config)
-        after, moved = one_kernel(better)(q, cost, candidates, values(candidates))
-        return count + 1, after, moved
+        return count + 1, *one_kernel(better)(q, cost, candidates, values(candidates))
 
-    def goes_on(carry: tuple[Array, Array, Array]) -> Array:
-        count, _, moved = carry
+    def goes_on(carry: tuple[Array, ...]) -> Array:
+        count, *_, moved = carry
         return (count < config.iterations) & moved
 
-    found: tuple[Array, Array, Array] = jax.lax.while_loop(
-        goes_on, step, (jnp.int32(0), start, jnp.bool_(True))
-    )
-    return found[1]
+    worst = jnp.asarray(jnp.inf, start.dtype)
+    begin = (jnp.int32(0), start, worst, jnp.bool_(True))
+    found: tuple[Array, ...] = jax.lax.while_loop(goes_on, step, begin)
+    return found[1], found[2]

@@ -11,8 +11,7 @@ from jaxtyping import Array, Float, Int
 
 def settled(
     sampled: Callable[[Array, Array], Array],
-    descended: Callable[[Array], Array],
-    cost: Callable[[Array], Array],
+    descended: Callable[[Array], tuple[Array, Array]],
     start: Float[Array, " m"],
     rounds: Int[Array, ""],
 ) -> Float[Array, " m"]:
@@ -20,8 +19,7 @@ def settled(
 
     Args:
         sampled: number of a round and where the last one ended, to a start of the next.
-        descended: a start to where the descent ends.
-        cost: of a point; asked for after a sampled round alone.
+        descended: a start to where the descent ends, and the cost there.
         start: (m,) where the first round begins.
         rounds: how many begin with a sample; 0 in most frames.
     """
@@ -30,9 +28,8 @@ def settled(
     # for a program with two of them takes twice as long to compile.
     def solve(round: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
         begin = lax.cond(round < rounds, sampled, lambda _, q: q, round, best[0])
-        found = descended(begin)
+        found, reached = descended(begin)
         # a later round may end in a worse basin; descent alone never does
-        reached = lax.cond(rounds > 0, cost, lambda _: best[1], found)
         worse = reached > best[1]
         return jnp.where(worse, best[0], found), jnp.where(worse, best[1], reached)
 
