@@ -45,8 +45,8 @@ class NoiseConfig:
     """
 
     acceleration: float = 0.0
-    by_speed: float = 4.0
-    outlier: float = 10.0
+    by_speed: float = 12.0
+    outlier: float = 20.0
     level_time: float = 1.0
     shape_time: float = 2.0
 

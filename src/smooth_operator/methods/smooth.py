@@ -105,7 +105,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
-    tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.3))
+    tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.003))
     landmarks: LandmarkFilterConfig = field(
         default_factory=lambda: LandmarkFilterConfig(
             time_constant=0.00175, jump_threshold=0.065, noise=115.0
