@@ -17,7 +17,7 @@ def row(error: float, kept: float, real: float) -> noise_front.Row:
 
 ROWS = {
     0.0: row(2.0, 0.35, 0.964), noise_front.FIT_ALONE: row(1.1, 0.5, 0.963),
-    0.3: row(0.8, 0.7, 0.96), 0.1: row(0.75, 0.8, 0.95),
+    0.003: row(0.8, 0.7, 0.96), 0.001: row(0.75, 0.8, 0.95),
 }  # fmt: skip
 
 
@@ -31,11 +31,11 @@ def test_the_loss_is_that_of_the_worst_recording():
 
 def test_table_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(noise_front, "measure", lambda value, sources, settings: ROWS[value])
-    noise_front.main(noise_front.Settings((0.3, 0.1), output=tmp_path / "noise.json"))
+    noise_front.main(noise_front.Settings((0.003, 0.001), output=tmp_path / "noise.json"))
     table = (tmp_path / "noise.md").read_text(encoding="utf-8").splitlines()
     assert [line.split("|")[1].strip() for line in table[4:]] == [
-        "off", "fit alone", "0.3 m/s²", "0.1 m/s²"
+        "off", "fit alone", "0.003 m/s²", "0.001 m/s²"
     ]  # fmt: skip
     picture = (tmp_path / "noise.svg").read_text(encoding="utf-8")
-    assert picture.count(">0.3 m/s²<") == 3  # a panel each
+    assert picture.count(">0.003 m/s²<") == 3  # a panel each
     assert "against the tracked landmarks" in picture

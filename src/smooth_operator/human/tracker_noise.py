@@ -45,7 +45,7 @@ class NoiseConfig:
     """
 
     acceleration: float = 0.0
-    by_speed: float = 12.0
+    by_speed: float = 8.0
     outlier: float = 20.0
     level_time: float = 1.0
     shape_time: float = 2.0

@@ -64,7 +64,7 @@ class Settings:
         output: JSON file; Markdown and the picture stand next to it.
     """
 
-    accelerations: tuple[float, ...] = (3.0, 1.0, 0.3, 0.1, 0.03)
+    accelerations: tuple[float, ...] = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
     data: Path | None = None
     hands: tuple[str, ...] = ("mimic_p050", "wuji_hand")
     seed: int = 300
