@@ -34,9 +34,10 @@ TRIED: Final = frozenset({"0.10.2"})
 
 _UNFIT: Final = frozenset(
     {
-        "approx_top_k", "cholesky", "conv_general_dilated", "custom_call", "dot_general", "eigh",
-        "fft", "householder_product", "io_callback", "lu", "pure_callback", "qr", "schur",
-        "sort", "svd", "top_k", "triangular_solve", "tridiagonal", "tridiagonal_solve",
+        "approx_top_k", "cholesky", "conv_general_dilated", "custom_call", "debug_callback",
+        "dot_general", "eigh", "ffi_call", "fft", "householder_product", "io_callback", "lu",
+        "pure_callback", "qr", "rng_bit_generator", "schur", "sort", "svd", "top_k",
+        "triangular_solve", "tridiagonal", "tridiagonal_solve",
     }
 )  # fmt: skip
 """Operations for which XLA calls a library: they can't stand in such a kernel."""
