@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.kinematics import KinematicTree
 
 
@@ -171,6 +172,11 @@ class PointKinematics:
         above = jnp.asarray(self.above)
         second = jnp.where(above, upper, jnp.where(above.T, upper.T, 0.0))
         return (axes * twist).sum(-1) + (speeds * force).sum(-1), second
+
+
+def all_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
+    """``Hand.full_configuration`` of one pose, as sums; traceable."""
+    return contracted(q, hand.coupling_matrix.T) + hand.coupling_offset.astype(q.dtype)
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
-from smooth_operator.hands.differential import PointKinematics, PointMotion, contracted
+from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
@@ -232,7 +232,7 @@ class Objective:
         """``tracking`` of one pose, through the small program."""
         term = self.keyvectors
         kinematics = PointKinematics(self.hand.tree, term.points())
-        motion = kinematics(self._all_joints(q))
+        motion = kinematics(all_joints(self.hand, q))
         return term.expand(motion.points, kinematics.jacobian(motion), goal).cost
 
     @cached_property
@@ -267,13 +267,9 @@ class Objective:
         )
         return found
 
-    def _all_joints(self, q: Float[Array, " m"]) -> Float[Array, " n"]:
-        matrix, offset = self.hand.coupling_matrix, self.hand.coupling_offset
-        return contracted(q, matrix.T) + offset.astype(q.dtype)
-
     def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
         """What the point terms are near a pose."""
-        motion = self.kinematics(self._all_joints(q))
+        motion = self.kinematics(all_joints(self.hand, q))
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
             term.expand(motion.points[at.at], self.kinematics.jacobian(motion, at.at), goal)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.hands.differential import PointKinematics, PointMotion, contracted
+from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.penalties import TINY_AREA
@@ -146,10 +146,9 @@ class RestPose:
 
     def _pull(self, q: Array, aligned: Array, places: Array, moves: Array) -> _Pull:
         config, hand, count = self.config, self.hand, len(self.hand.fingers)
-        matrix, offset = hand.coupling_matrix, hand.coupling_offset.astype(q.dtype)
-        motion = self.kinematics(contracted(q, matrix.T) + offset)
+        motion = self.kinematics(all_joints(hand, q))
         slopes = jnp.swapaxes(self.kinematics.jacobian(motion), 1, 2)
-        jacobian = contracted(slopes, matrix[np.array(self.kinematics.order)])
+        jacobian = contracted(slopes, hand.coupling_matrix[np.array(self.kinematics.order)])
         tips, neutral = motion.points[:count], jnp.asarray(hand.neutral, q.dtype)
         error = tips + moves - places
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
