@@ -58,6 +58,30 @@ def test_pinches_of_a_recording_are_found(recording: HandRecording) -> None:
     assert pinches[0].opening(1.0) is None
 
 
+def fingers_apart(gaps: np.ndarray, recording: HandRecording) -> HandRecording:
+    """The hand of the first frame, its index tip so far from the thumb's in each frame [m]."""
+    landmarks = np.repeat(recording.landmarks[:1], len(gaps), axis=0)
+    away = landmarks[:, 8] - landmarks[:, 4]
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    landmarks[:, 8] = landmarks[:, 4] + gaps[:, None] * away
+    return HandRecording(landmarks, 0.01 * np.arange(len(gaps)), "right")
+
+
+def test_a_pinch_is_looked_at_from_where_the_hand_was_open_last(recording: HandRecording) -> None:
+    """An object that appeared in the pinch before would be lost as the human opens."""
+    times = [0.0, 0.5, 0.6, 0.9, 1.1, 1.3, 1.6, 1.8, 2.6]
+    gaps = np.interp(np.arange(0.0, 2.6, 0.01), times, [80, 80, 3, 3, 45, 3, 3, 80, 80]) / 1e3
+    first, second = find_pinches(fingers_apart(gaps, recording))
+    assert gaps[first.first] > 0.06
+    assert first.opened <= second.first < second.tight
+    assert second.first == pytest.approx(110, abs=1)
+    assert second.opening_before == pytest.approx(0.042, abs=1e-3)
+    half = second.of_size(0.5)
+    assert half.opening_before == pytest.approx(0.021, abs=5e-4)
+    assert half.contact == second.contact / 2
+    assert half.opening(0.01) == second.opening(0.02)
+
+
 def test_what_is_no_pinch_is_not_found(recording: HandRecording) -> None:
     tight = find_pinches(recording)[0].tight
     touched = recording.landmarks.copy()
@@ -186,6 +210,19 @@ def test_the_measure_counts_what_was_tried(recording: HandRecording) -> None:
     left = replace(case, side="left")
     assert left.hand.spec.side == "left"
     assert abs(measure.run(left).row["held"] - held) <= 0.5  # type: ignore[operator]
+
+
+def test_what_the_human_could_not_take_is_not_tried(recording: HandRecording) -> None:
+    """A sphere of 20 mm does not go between fingers that were 15 mm apart."""
+    gap = np.linalg.norm(recording.landmarks[:, 8] - recording.landmarks[:, 4], axis=1)
+    tight = find_pinches(recording)[0].tight
+    begin = int(np.flatnonzero(gap[:tight] > 0.02)[-1])
+    case = Case(
+        "pinch", "mimic_p050", "right", "keyvector", "published", method_config("keyvector"), "",
+        Unit("nearly closed", data=recording[begin:begin + 150]), quick=True,
+    )  # fmt: skip
+    row = PinchHold().run(case).row
+    assert (row["pinches"], row["tried"], row["held_sphere_20"]) == (1, 1, None)
 
 
 def test_a_recording_without_pinches_is_refused(recording: HandRecording) -> None:

@@ -21,7 +21,8 @@ LEAST_S: Final = 0.1
 NEAR_MISS: Final = 0.005
 """A pinch that stays wider than the recording's tightest one by more than this is none [m]."""
 WIDE: Final = 0.06
-"""A pinch is looked at from where the pads are so far apart [m]..."""
+"""A pinch is looked at from where the skins were last so far apart [m], else from where they were
+farthest apart since an earlier pinch..."""
 BEFORE_S: Final = 1.5
 """... and for so long before it closes at most [s]."""
 AFTER_S: Final = 1.5
@@ -63,6 +64,16 @@ class HumanPinch:
     contact: float
     width: Float[np.ndarray, " T"]
 
+    def of_size(self, scale: float) -> HumanPinch:
+        """The same of a hand that is so many times as large: ``contact`` and ``width`` differ."""
+        return replace(self, contact=scale * self.contact, width=scale * self.width)
+
+    @property
+    def opening_before(self) -> float:
+        """How wide the skins are apart where the pinch is looked at from [m]: what is as wide could
+        be taken."""
+        return float(self.width[self.first])
+
     def opening(self, width: float) -> int | None:
         """From which frame on the skins are farther apart than a width [m]; None if they never are.
 
@@ -90,7 +101,7 @@ def find_pinches(recording: HandRecording) -> list[HumanPinch]:
                 contact = float(gap[tight])
                 after = np.flatnonzero(gap[end:] > OPENED)
                 opened = end + int(after[0]) if len(after) else len(gap) - 1
-                first, last = _window(recording.stamps, gap - contact, begin, opened)
+                first, last = _window(recording.stamps, gap, contact, begin, opened)
                 found.append(HumanPinch(finger, first, tight, opened, last, contact, gap - contact))
     if not found:
         return []
@@ -157,12 +168,22 @@ def _spans(gap: Float[np.ndarray, " T"]) -> list[tuple[int, int]]:
 
 
 def _window(
-    stamps: Float[np.ndarray, " T"], width: Float[np.ndarray, " T"], begin: int, opened: int
+    stamps: Float[np.ndarray, " T"],
+    gap: Float[np.ndarray, " T"],
+    contact: float,
+    begin: int,
+    opened: int,
 ) -> tuple[int, int]:
+    """First frame, the widest since an earlier pinch or the last that is wide, and last frame."""
     earliest = int(np.searchsorted(stamps, stamps[begin] - BEFORE_S))
+    closed = np.flatnonzero(gap[earliest:begin] < CLOSED)
+    earliest += int(closed[-1]) + 1 if len(closed) else 0
     latest = int(np.searchsorted(stamps, stamps[opened] + AFTER_S, side="right")) - 1
-    wide = np.flatnonzero(width[earliest:begin] > WIDE)
-    return earliest + (int(wide[-1]) if len(wide) else 0), latest
+    before = np.nan_to_num(gap[earliest:begin] - contact, nan=-np.inf)
+    if not len(before):
+        return begin, latest
+    wide = np.flatnonzero(before > WIDE)
+    return earliest + int(wide[-1] if len(wide) else np.argmax(before)), latest
 
 
 def _tightest(found: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> list[HumanPinch]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.alignment import align_recording, calibrate_scale
 from smooth_operator.lab.physics.grasp_rows import (
     AT_LIMIT,
     LET_GO,
@@ -99,10 +99,12 @@ class PinchHold:
             raise RecordingError(
                 f"{case.unit.name}: no pinch with a finger that {case.hand_name} has"
             )
+        scale = calibrate_scale(recording, case.hand)
+        pinches = [pinch.of_size(scale) for pinch in pinches]
         longer, moments = with_holds(recording, pinches, REST_S)
         commands = case.commands(longer).joint_positions
         things = [t for t in GRASP_OBJECTS if not case.quick or t.name in _QUICK_OBJECTS]
-        tried: dict[str, list[GraspResult]] = {}
+        tried: dict[str, list[GraspResult]] = {thing.name: [] for thing in things}
         overlaps = []
         diverged = 0
         for pinch in pinches:
@@ -111,10 +113,12 @@ class PinchHold:
             first = _physics(case.hand_name, case.side, things[0])
             overlaps.append(-1e3 * first.gap_at(finger, commands[settled]))
             for thing in things:
+                if pinch.opening_before < thing.width + HYSTERESIS:
+                    continue  # the human could not have taken it
                 asked = robot_pinch(case.hand, pinch, thing, longer.stamps, moments, commands)
                 physics = _physics(case.hand_name, case.side, thing)
                 before = physics.resets
-                tried.setdefault(thing.name, []).append(try_pinch(physics, asked))
+                tried[thing.name].append(try_pinch(physics, asked))
                 diverged += physics.resets > before
         row = grasp_row(tried)
         row["overlap_mm"] = float(np.mean(overlaps))
