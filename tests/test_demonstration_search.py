@@ -10,7 +10,7 @@ import pytest
 
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.demonstrations import search
+from smooth_operator.lab.demonstrations import search, tolerance
 from smooth_operator.lab.demonstrations.errors import joint_errors, tip_errors
 from smooth_operator.lab.demonstrations.evolution import Evolution
 from smooth_operator.lab.demonstrations.judging import Candidate, World, judge, tried
@@ -121,6 +121,18 @@ def test_joint_errors_move_the_fingertips_to_where_the_operator_shows_them() -> 
     np.testing.assert_allclose(joint_errors(demonstration, draw_perturbation(0)), 0.0, atol=1e-9)
 
 
+def test_smoothing_takes_the_noise_and_leaves_what_the_operators_bones_do() -> None:
+    demonstration = load_demonstration("cube")
+    still = replace(demonstration, poses=np.repeat(demonstration.poses[:1], 10, axis=0))
+    world = draw_perturbation(2, 5)
+    rough, smooth = joint_errors(still, world), joint_errors(still, world, 0.05)
+    bones = joint_errors(still, replace(world, tracker=replace(world.tracker, noise=0.0)))
+    assert np.ptp(bones, axis=0).max() < 1e-9
+    noise = [np.std(errors - bones) for errors in (rough, smooth)]
+    assert 0.1 < noise[1] / noise[0] < 0.6
+    assert abs((smooth - bones).mean()) < noise[0] / 5
+
+
 def test_self_penetration_counts_beyond_what_a_pinch_needs() -> None:
     """A thumb in the index finger: deeper costs more, and merit goes down by it."""
     hand, demonstration = load_hand("mimic_p050"), load_demonstration("card")
@@ -154,3 +166,27 @@ def test_a_search_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert run.outcome.score == 1.0
     search.main([*common, "--generations", "1"])
     assert state.read_text() == first
+
+
+def test_noise_on_joints_has_the_size_and_time_that_were_asked_for() -> None:
+    whole = tolerance.staying(load_demonstration("cube"), 60.0)
+    white, slow = (
+        tolerance.noise(tolerance.Trial(whole, 0.004, time, 1, 0)) for time in (0.0, 0.2)
+    )
+    for values in (white, slow):
+        assert values.std() == pytest.approx(0.004, rel=0.1)
+    assert np.diff(white, axis=0).std() == pytest.approx(0.004 * np.sqrt(2), rel=0.05)
+    assert np.diff(slow, axis=0).std() == pytest.approx(0.004 * np.sqrt(2 * 0.05), rel=0.1)
+    np.testing.assert_array_equal(whole.pose(40.0), load_demonstration("cube").poses[-1])
+
+
+def test_the_table_of_tolerance() -> None:
+    """A screwdriver is held through slow noise and not through a shaking hand."""
+    shown = tolerance.table(load_demonstration("screwdriver"), 2, 0, 0, (0.008,), (0.0, 1.0))
+    assert shown.splitlines()[0].count("|") == 5
+    cells = shown.splitlines()[2].strip("|").split("|")
+    size, millimetres, shaking, slow = (cell.strip() for cell in cells)
+    assert size == "0.008"
+    assert 0.3 < float(millimetres) < 1.0
+    assert float(shaking) == 0.0
+    assert float(slow) >= 0.5

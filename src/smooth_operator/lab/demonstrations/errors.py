@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import palm_alignment
@@ -45,17 +46,23 @@ def tip_errors(demonstration: Demonstration, world: Perturbation) -> Float[np.nd
     return np.asarray((seen[:, index] - human[:, index])[last])
 
 
-def joint_errors(demonstration: Demonstration, world: Perturbation) -> Float[np.ndarray, "t m"]:
+def joint_errors(
+    demonstration: Demonstration, world: Perturbation, smoothing: float = 0.0
+) -> Float[np.ndarray, "t m"]:
     """By how much each actuated joint is off if each fingertip goes where the operator's is.
 
     Args:
         demonstration: what the operator does.
         world: see ``tip_errors``.
+        smoothing: standard deviation of the Gaussian over time with which the errors are averaged
+            [s]: what a retargeter that filters noise leaves of them. 0 leaves them as they are.
 
     Returns:
         (t, m) for each period of the demonstration [rad].
     """
     error = tip_errors(demonstration, world)
+    if smoothing > 0.0:
+        error = gaussian_filter1d(error, smoothing / PERIOD_S, axis=0, mode="nearest")
     inverse = _inverse(demonstration)[np.arange(len(error)) // _EVERY]
     return np.asarray(np.einsum("tmr,tr->tm", inverse, error.reshape(len(error), -1)))
 

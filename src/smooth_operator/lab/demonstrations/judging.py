@@ -52,12 +52,14 @@ class Candidate:
         centre: text of the demonstration by which the operators' errors are computed; the same for
             all candidates of a generation, which are near it.
         share: of those errors that counts.
+        smoothing: over which they are averaged [s]; see ``joint_errors``.
     """
 
     demonstration: Demonstration
     worlds: tuple[World, ...]
     centre: str
     share: float = 1.0
+    smoothing: float = 0.0
 
 
 def judge(candidate: Candidate) -> list[float]:
@@ -68,7 +70,9 @@ def judge(candidate: Candidate) -> list[float]:
     penalty = _OVERLAP * excess(candidate.demonstration)
     values = []
     for world in candidate.worlds:
-        errors = candidate.share * _errors(candidate.centre, world) if world.operator else None
+        errors = None
+        if world.operator:
+            errors = candidate.share * _errors(candidate.centre, world, candidate.smoothing)
         reached = tried(candidate.demonstration, world, errors)
         values.append((reached if reached >= 1.0 else (1.0 - _SUCCESS) * reached) - penalty)
     return values
@@ -118,5 +122,6 @@ def _centre(text: str) -> Demonstration:
 
 
 @lru_cache(maxsize=64)
-def _errors(centre: str, world: World) -> Float[np.ndarray, "t m"]:
-    return joint_errors(_centre(centre), draw_perturbation(world.operator, world.seed))
+def _errors(centre: str, world: World, smoothing: float) -> Float[np.ndarray, "t m"]:
+    drawn = draw_perturbation(world.operator, world.seed)
+    return joint_errors(_centre(centre), drawn, smoothing)

@@ -84,6 +84,7 @@ class Search:
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
         share: of the operators' errors that counts.
+        smoothing: over which they are averaged [s].
 
     Attributes:
         state: of the evolution.
@@ -93,10 +94,10 @@ class Search:
 
     def __init__(
         self, first: Demonstration, worlds: int, seed: int, count: int,
-        sigma: float = _SIGMA, share: float = 1.0,
+        sigma: float = _SIGMA, share: float = 1.0, smoothing: float = 0.0,
     ) -> None:  # fmt: skip
         hand = first.robot
-        self._hand, self._worlds, self._share = hand, worlds, share
+        self._hand, self._worlds, self._errors = hand, worlds, (share, smoothing)
         self._free = _joints_of(hand)
         self.best: list[tuple[float, Demonstration]] = []
         self.merit = -np.inf
@@ -148,7 +149,7 @@ class Search:
         self, pool: _Pool, found: list[Demonstration], worlds: tuple[World, ...], centre: str
     ) -> Float[np.ndarray, "c w"]:
         values = np.zeros((len(found), len(worlds)))
-        tasks = [Candidate(one, worlds, centre, self._share) for one in found]
+        tasks = [Candidate(one, worlds, centre, *self._errors) for one in found]
         for result in pool.run(tasks):
             if result.value is None:
                 raise StudyError(f"a candidate can't be judged: {result.error}")
@@ -215,13 +216,17 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--errors", type=float, default=1.0, help="share of the operators' errors; 0: none"
     )
+    parser.add_argument(
+        "--smoothing", type=float, default=0.0, metavar="S",
+        help="time over which those errors are averaged, as a retargeter filters noise [s]",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
     parser.add_argument("--state", type=Path, help="file to resume from, and to go on writing")
     given = parser.parse_args(arguments)
     search = Search(
         _first(given.first, given.task, given.hand), given.worlds, given.seed, given.candidates,
-        given.sigma, given.errors,
+        given.sigma, given.errors, given.smoothing,
     )  # fmt: skip
     if given.state is not None and given.state.exists():
         search.resume(given.state)
