@@ -163,8 +163,14 @@ def draw(means: Mapping[str, Mapping[str, float | None]], damped: int, stem: Pat
             line, others = np.array(points[:damped]), points[damped:]
             ax.plot(*line.T, marker="o", ms=5, label="smooth, by pinch_damping")
             ax.plot(*np.array(others).reshape(-1, 2).T, "s", ms=5, color=INK, label="other methods")
-            for name, point in zip(means, points, strict=True):
-                ax.annotate(name, point, (4, 4), textcoords="offset points", size=7)
+            for number, (name, point) in enumerate(zip(means, points, strict=True)):
+                if number >= damped:
+                    where = (4, 4, "left")
+                else:  # off the line, which falls in one panel and rises in the other
+                    where = (0, 7, "center") if column == "held" else (-3, 5, "right")
+                ax.annotate(
+                    name, point, where[:2], textcoords="offset points", size=6.5, ha=where[2]
+                )
             ax.set(xlabel="motion preservation", ylabel=f"share {column}")
             ax.margins(0.16)
         ax.legend(fontsize=7)
