@@ -12,7 +12,7 @@ from jaxtyping import Float
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.demonstrations.errors import joint_errors
 from smooth_operator.lab.demonstrations.overlap import excess
-from smooth_operator.lab.demonstrations.progress import progress
+from smooth_operator.lab.demonstrations.progress import MARGIN, progress
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.demonstration import (
     PERIOD_S,
@@ -52,18 +52,20 @@ class Candidate:
         centre: text of the demonstration by which the operators' errors are computed; the same for
             all candidates of a generation, which are near it.
         share: of those errors that counts.
-        smoothing: over which they are averaged [s]; see ``joint_errors``.
+        filtered: see ``joint_errors``.
+        margin: what a success with the best margin is worth more than one with none.
     """
 
     demonstration: Demonstration
     worlds: tuple[World, ...]
     centre: str
     share: float = 1.0
-    smoothing: float = 0.0
+    filtered: bool = False
+    margin: float = MARGIN
 
 
 def judge(candidate: Candidate) -> list[float]:
-    """What a candidate is worth in each of its worlds; 1 to 1.1 for success, less without.
+    """What a candidate is worth in each of its worlds; 1 and the margin for success, else less.
 
     The self-penetration that it commands is taken off.
     """
@@ -72,9 +74,10 @@ def judge(candidate: Candidate) -> list[float]:
     for world in candidate.worlds:
         errors = None
         if world.operator:
-            errors = candidate.share * _errors(candidate.centre, world, candidate.smoothing)
+            errors = candidate.share * _errors(candidate.centre, world, candidate.filtered)
         reached = tried(candidate.demonstration, world, errors)
-        values.append((reached if reached >= 1.0 else (1.0 - _SUCCESS) * reached) - penalty)
+        more = candidate.margin / MARGIN * (reached - 1.0)
+        values.append((1.0 + more if reached >= 1.0 else (1.0 - _SUCCESS) * reached) - penalty)
     return values
 
 
@@ -122,6 +125,6 @@ def _centre(text: str) -> Demonstration:
 
 
 @lru_cache(maxsize=64)
-def _errors(centre: str, world: World, smoothing: float) -> Float[np.ndarray, "t m"]:
+def _errors(centre: str, world: World, filtered: bool) -> Float[np.ndarray, "t m"]:
     drawn = draw_perturbation(world.operator, world.seed)
-    return joint_errors(_centre(centre), drawn, smoothing)
+    return joint_errors(_centre(centre), drawn, filtered)

@@ -14,6 +14,9 @@ from smooth_operator.simulation.tasks.scorer import HOLD_S
 from smooth_operator.simulation.tasks.screwdriver_scorer import ScrewdriverScorer
 from smooth_operator.simulation.tasks.trial_loop import Moment
 
+MARGIN: Final = 0.1
+"""What a success with the best margin counts more than one with none."""
+
 _LIFT: Final = 0.005  # of the card above the table that counts in full [m]
 _LOST: Final = 0.5  # what progress is worth after a drop
 
@@ -32,7 +35,7 @@ def progress(task: str, moments: Sequence[Moment]) -> float:
     last = moments[-1].run
     part, margin = _PARTS[task](moments)
     if last.outcome is not None and last.outcome.score == 1.0:
-        return 1.0 + 0.1 * margin
+        return 1.0 + MARGIN * margin
     lost = last.outcome is not None and last.outcome.ended == "drop"
     return 0.99 * part * (_LOST if lost else 1.0)
 

@@ -28,6 +28,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.demonstrations.evolution import Evolution
 from smooth_operator.lab.demonstrations.judging import Candidate, World, judge
+from smooth_operator.lab.demonstrations.progress import MARGIN
 from smooth_operator.lab.demonstrations.seed import FINGERS, transferred
 from smooth_operator.parallel import PersistentPool
 from smooth_operator.simulation.tasks.demonstration import (
@@ -47,7 +48,7 @@ FINAL_SEED: Final = 2000
 _SIGMA: Final = 0.06  # first standard deviation of a joint in a key pose [rad]
 _PACE: Final = 2.0  # of the logarithm of a duration, against a radian of a joint
 _FASTEST: Final = 0.5  # least and most factor of a duration, against the first guess
-_ENOUGH: Final = 1.05  # merit of the centre at which little is left to gain
+_ENOUGH: Final = 0.5  # share of the margin in the centre's merit at which little is left to gain
 _MEMORY: Final = 0.8  # of the centre's merit from generation to generation: worlds differ
 _KEPT: Final = 4  # candidates that are compared in the end, besides the centre
 _FIRST: Final = 0.4  # share of the worlds in which all candidates are judged
@@ -84,20 +85,23 @@ class Search:
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
         share: of the operators' errors that counts.
-        smoothing: over which they are averaged [s].
+        filtered: whether noise is removed from them; see ``joint_errors``.
+        margin: what a success with the best margin is worth more than one with none.
 
     Attributes:
         state: of the evolution.
         best: the best demonstrations so far with their merits, best first.
         merit: of the centre of the last generations, on average.
+        enough: that merit, at which little is left to gain.
     """
 
     def __init__(
         self, first: Demonstration, worlds: int, seed: int, count: int,
-        sigma: float = _SIGMA, share: float = 1.0, smoothing: float = 0.0,
+        sigma: float = _SIGMA, share: float = 1.0, filtered: bool = False, margin: float = MARGIN,
     ) -> None:  # fmt: skip
         hand = first.robot
-        self._hand, self._worlds, self._errors = hand, worlds, (share, smoothing)
+        self._hand, self._worlds, self._errors = hand, worlds, (share, filtered, margin)
+        self.enough = 1.0 + _ENOUGH * margin
         self._free = _joints_of(hand)
         self.best: list[tuple[float, Demonstration]] = []
         self.merit = -np.inf
@@ -217,8 +221,12 @@ def main(arguments: list[str] | None = None) -> None:
         "--errors", type=float, default=1.0, help="share of the operators' errors; 0: none"
     )
     parser.add_argument(
-        "--smoothing", type=float, default=0.0, metavar="S",
-        help="time over which those errors are averaged, as a retargeter filters noise [s]",
+        "--filtered", action="store_true",
+        help="remove the noise from those errors as smooth does",
+    )  # fmt: skip
+    parser.add_argument(
+        "--margin", type=float, default=MARGIN,
+        help="what a success with the best margin is worth more than one with none",
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
@@ -226,12 +234,12 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     search = Search(
         _first(given.first, given.task, given.hand), given.worlds, given.seed, given.candidates,
-        given.sigma, given.errors, given.smoothing,
+        given.sigma, given.errors, given.filtered, given.margin,
     )  # fmt: skip
     if given.state is not None and given.state.exists():
         search.resume(given.state)
     with PersistentPool(judge, given.workers) as pool:
-        while search.state.generation < given.generations and search.merit < _ENOUGH:
+        while search.state.generation < given.generations and search.merit < search.enough:
             search.generation(pool)
             print(
                 f"{given.hand} {given.task}: generation {search.state.generation}, merit: centre "
