@@ -93,11 +93,11 @@ def test_the_evolution_finds_an_optimum() -> None:
 
 @pytest.mark.parametrize("task", list(SCENES))
 def test_progress_is_more_the_further_a_trial_gets(task: str) -> None:
-    """Of a hand that does nothing, of one that stops after a quarter, and of the demonstration."""
+    """Of a hand that does nothing, of one that stops halfway, and of the demonstration."""
     whole = load_demonstration(task)
-    quarter = np.searchsorted(whole.times, 0.25 * whole.times[-1])
+    half = np.searchsorted(whole.times, whole.times[-1] / 2)
     poses = whole.poses.copy()
-    poses[quarter:] = poses[quarter - 1]
+    poses[half:] = poses[half - 1]
     idle = replace(whole, poses=np.broadcast_to(whole.poses[0], whole.poses.shape))
     none, part, all_ = (
         tried(one, World(0, 0)) for one in (idle, replace(whole, poses=poses), whole)
