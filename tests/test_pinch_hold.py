@@ -129,7 +129,9 @@ def pinched(
     commands = wide + closed[:, None] * (tight - wide)
     physics = PinchPhysics(hand, thing(name))
     physics._built.model.geom_friction[:, 0] *= push
-    pinch = RobotPinch(finger=1, stamps=stamps, commands=commands, tight=0.4, shut=1.7, opened=1.75)
+    pinch = RobotPinch(
+        finger=1, stamps=stamps, commands=commands, closing=0.0, tight=0.4, shut=1.7, opened=1.75
+    )
     return try_pinch(physics, pinch)
 
 
@@ -143,6 +145,23 @@ def test_a_good_pinch_holds_and_lets_go(name: str) -> None:
         assert result.let_go
     assert result.at_limit is not None
     assert 0.0 <= result.at_limit <= 1.0
+
+
+def test_the_object_waits_for_the_last_closing() -> None:
+    """Pads that come near, open again and close: what appeared at first would fall."""
+    hand = load_hand("mimic_p050")
+    wide, tight = hand.full_configuration(WIDE), hand.full_configuration(TIGHT)
+    stamps = np.arange(0.0, 3.6, 0.01)
+    closed = np.interp(stamps, [0.0, 0.3, 0.6, 1.0, 2.3, 2.45], [0.0, 0.9, 0.0, 1.0, 1.0, 0.0])
+    pinch = RobotPinch(
+        finger=1, stamps=stamps, commands=wide + closed[:, None] * (tight - wide), closing=0.6,
+        tight=1.0, shut=2.3, opened=2.35,
+    )  # fmt: skip
+    physics = PinchPhysics(hand, thing("sphere 20"))
+    assert try_pinch(physics, pinch).held
+    assert not try_pinch(physics, replace(pinch, closing=0.0)).held
+    never = try_pinch(physics, replace(pinch, closing=None))
+    assert (never.touched, never.held) == (False, False)
 
 
 def test_what_does_not_close_does_not_hold() -> None:

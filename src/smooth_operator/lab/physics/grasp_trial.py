@@ -57,9 +57,12 @@ class RobotPinch(RobotGrasp):
 
     Attributes:
         finger: which finger pinches, as an index of ``Hand.fingers``.
+        closing: when the commanded pads are wider apart than the object for the last time before
+            the human's tightest moment [s]; None: they never are.
     """
 
     finger: int
+    closing: float | None
 
 
 @dataclass(frozen=True)
@@ -94,14 +97,14 @@ class GraspResult:
 def try_pinch(physics: PinchPhysics, pinch: RobotPinch) -> GraspResult:
     """Do a pinch with an object.
 
-    The object appears between the pads when they are as far apart as it is wide, on the way to
-    closing. Somebody holds it loosely until both pads press on it, or until ``GRACE_S`` after the
-    human's tightest moment. Then it must stay for ``HOLD_S``, in which it is pushed in six
+    The object appears between the pads when they are as far apart as it is wide, on the last way
+    to closing. Somebody holds it loosely until both pads press on it, or until ``GRACE_S`` after
+    the human's tightest moment. Then it must stay for ``HOLD_S``, in which it is pushed in six
     directions one after the other, and be free ``OPEN_S`` after the human has opened.
     """
     physics.begin(pinch.finger, pinch.commands[0])
     run = _Run(physics, pinch)
-    gap = _close(run)
+    gap = _close(run, pinch.closing)
     return GraspResult(False, gap=gap) if gap > 0.0 else run.result()
 
 
@@ -116,18 +119,20 @@ def try_power_grasp(physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResul
     return _Run(physics, grasp, waits=True).result()
 
 
-def _close(run: _Run[PinchPhysics]) -> float:
+def _close(run: _Run[PinchPhysics], closing: float | None) -> float:
     """Until the pads are as near as the object is wide; how much wider they stay [m]."""
     width = run.physics.thing.width
     before, least = -1.0, np.inf
+    if closing is None:
+        # Pads that never were as far apart as the object could not take it.
+        return 1e-6
     for _ in run.until(run.grasp.tight + GRACE_S):
         gap = run.physics.gap().distance
         least = min(least, gap - width)
-        if before > width >= gap:
+        if before > width >= gap and run.time >= closing:
             run.physics.appear()
             return 0.0
         before = gap
-    # Pads that never were as far apart as the object could not take it.
     return max(float(least), 1e-6)
 
 

@@ -112,10 +112,12 @@ class PinchHold:
             settled = int(np.searchsorted(longer.stamps, moments[pinch.tight] + GRACE_S))
             first = _physics(case.hand_name, case.side, things[0])
             overlaps.append(-1e3 * first.gap_at(finger, commands[settled]))
+            part = _part(pinch, longer.stamps, moments)
+            gaps = np.array([first.gap_at(finger, command) for command in commands[part]])
             for thing in things:
                 if pinch.opening_before < thing.width + HYSTERESIS:
                     continue  # the human could not have taken it
-                asked = robot_pinch(case.hand, pinch, thing, longer.stamps, moments, commands)
+                asked = robot_pinch(case.hand, pinch, thing, longer.stamps, moments, commands, gaps)
                 physics = _physics(case.hand_name, case.side, thing)
                 before = physics.resets
                 tried[thing.name].append(try_pinch(physics, asked))
@@ -141,6 +143,7 @@ def robot_pinch(
     stamps: Float[np.ndarray, " L"],
     moments: Float[np.ndarray, " T"],
     commands: Float[np.ndarray, "L n"],
+    gaps: Float[np.ndarray, " P"],
 ) -> RobotPinch:
     """What a robot is commanded in a pinch, for an object.
 
@@ -151,9 +154,10 @@ def robot_pinch(
         stamps: (L,) of the recording with holds [s].
         moments: (T,) when the recording's own frames come in that [s].
         commands: (L, n) positions of all joints for it [rad].
+        gaps: (P,) distance of the pads at the commands of the pinch [m].
     """
-    begin, end = np.searchsorted(stamps, [moments[pinch.first], moments[pinch.last]])
-    part = slice(int(begin), int(end) + 1)
+    part, tight = _part(pinch, stamps, moments), float(moments[pinch.tight])
+    wider = stamps[part][(gaps > thing.width) & (stamps[part] <= tight)]
 
     def opening(width: float) -> float | None:
         frame = pinch.opening(width)
@@ -161,9 +165,17 @@ def robot_pinch(
 
     return RobotPinch(
         finger=hand.fingers.index(pinch.finger), stamps=stamps[part], commands=commands[part],
-        tight=float(moments[pinch.tight]), shut=opening(thing.width),
+        closing=float(wider[-1]) if len(wider) else None, tight=tight, shut=opening(thing.width),
         opened=opening(thing.width + HYSTERESIS),
     )  # fmt: skip
+
+
+def _part(
+    pinch: HumanPinch, stamps: Float[np.ndarray, " L"], moments: Float[np.ndarray, " T"]
+) -> slice:
+    """The frames of a pinch in the recording with holds."""
+    begin, end = np.searchsorted(stamps, [moments[pinch.first], moments[pinch.last]])
+    return slice(int(begin), int(end) + 1)
 
 
 @lru_cache(maxsize=len(GRASP_OBJECTS))

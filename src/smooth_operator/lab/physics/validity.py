@@ -183,7 +183,9 @@ def mimic_pinch(thing: GraspObject, step: float) -> GraspResult:
     closed = np.interp(stamps, [0.0, 0.4, 1.7, 1.85], [0.0, 1.0, 1.0, 0.0])
     commands = wide + closed[:, None] * (tight - wide)
     physics = PinchPhysics(hand, thing, timestep=step)
-    pinch = RobotPinch(finger=1, stamps=stamps, commands=commands, tight=0.4, shut=1.7, opened=1.75)
+    pinch = RobotPinch(
+        finger=1, stamps=stamps, commands=commands, closing=0.0, tight=0.4, shut=1.7, opened=1.75
+    )
     return try_pinch(physics, pinch)
 
 
