@@ -85,11 +85,12 @@ def staying(demonstration: Demonstration, seconds: float = STAYS_S) -> Demonstra
 def spread(demonstration: Demonstration, size: float) -> float:
     """Standard deviation of a coordinate of index tip less thumb tip at the last pose [m]."""
     hand = demonstration.robot
+    thumb, index = hand.fingers.index("thumb"), hand.fingers.index("index")
     joints = demonstration.poses[-1] + size * np.random.default_rng(0).standard_normal(
         (2000, len(hand.actuated))
     )
     tips = hand.tips(hand.full_configuration(joints))
-    return float((tips[:, 1] - tips[:, 0]).std(axis=0).mean())
+    return float((tips[:, index] - tips[:, thumb]).std(axis=0).mean())
 
 
 def table(
@@ -115,6 +116,8 @@ def table(
         done[result.index] = result.value
         if sys.stderr.isatty():
             print(f"\r{count} of {len(trials)} trials", end="", file=sys.stderr, flush=True)
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
     shares = done.reshape(len(sizes), len(times), worlds).mean(axis=-1)
     head = ["joint [rad]", "index to thumb [mm]", *(f"{1e3 * time:g} ms" for time in times)]
     rows = [
