@@ -65,10 +65,10 @@ WINGS = {"teleop": 8, "lab": 8, "study": 8}
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 """Top-level module -> level, as ``docs/explanation/architecture.md`` lists them."""
 
-CORE_LINES = 12_000
+CORE_LINES = 12_400
 """Lines that everyone needs at most: the core grows only on purpose."""
 
-MAX_LINES = 400
+MAX_LINES = 700
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 DRAWERS = {"util", "utils", "helpers", "misc"}
 
@@ -388,11 +388,11 @@ def test_code_that_moved_away_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("types.py", "x = 1\n" * 401), ("hands/utils.py", ""), ("human/_utils/a.py", "")],
+    [("types.py", "x = 1\n" * 701), ("hands/utils.py", ""), ("human/_utils/a.py", "")],
 )
 def test_a_misshapen_module_is_found(tmp_path: Path, name: str, text: str) -> None:
     assert len(misshapen(package(tmp_path, {name: text}))) == 1
 
 
-def test_a_module_of_400_lines_passes(tmp_path: Path) -> None:
-    assert misshapen(package(tmp_path, {"types.py": "x = 1\n" * 400})) == []
+def test_a_module_of_700_lines_passes(tmp_path: Path) -> None:
+    assert misshapen(package(tmp_path, {"types.py": "x = 1\n" * 700})) == []
