@@ -14,6 +14,7 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.dispatch import dispatch_here
 from smooth_operator.errors import ConfigError, SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
+from smooth_operator.hands.collision import collision_note
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.selection import parse_fingers
 from smooth_operator.lab.benchmark import (
@@ -132,7 +133,7 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
             hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         except SmoothOperatorError:
             continue  # the cell says so itself
-        said |= set(cell.config.notes(hand))
+        said |= {*cell.config.notes(hand), *filter(None, [collision_note(hand)])}
     for note in sorted(said):
         progress.note(note, matters=True)
 

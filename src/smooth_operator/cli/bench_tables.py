@@ -16,6 +16,7 @@ from smooth_operator.lab.benchmark.ranking import (
     best,
     by_hand,
     by_panel,
+    collision_footnotes,
     columns,
     failures,
     lines_of,
@@ -58,6 +59,8 @@ def print_results(rows: Sequence[Row]) -> None:
         hidden = len(columns()) - len(shown)
         more = f"; {hidden} columns more in the report, or in a wider terminal" if hidden else ""
         console.print(f"* best{more}", style="dim")
+    for footnote in collision_footnotes(rows):
+        console.print(Text(footnote), soft_wrap=True)
     for where, methods, reason in failures(rows):
         console.print(Text(f"failed: {where}, {methods}: {reason}"), soft_wrap=True)
 

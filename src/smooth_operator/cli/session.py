@@ -6,6 +6,7 @@ from typing import Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
+from smooth_operator.hands.collision import collision_note
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
@@ -62,4 +63,7 @@ def measure_shown(
 ) -> tuple[Trace, dict[str, Any]]:
     """The trace and its metrics."""
     with progress.waiting("measuring"):
-        return measure(todo, outcome, definition)
+        trace, metrics = measure(todo, outcome, definition)
+    if note := collision_note(todo.hand):
+        progress.note(note, matters=True)
+    return trace, metrics

@@ -30,8 +30,8 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
         joint_positions: (T, n) positions of all joints [rad].
 
     Returns:
-        (T,) depth [m], 0 where nothing overlaps and NaN where a pose is not finite; None if the
-        model has no two shapes that could collide.
+        (T,) depth [m], 0 where nothing overlaps and NaN where a pose is not finite; None if it
+        can't be measured: the hand has ``shapeless_links``, or no two shapes that could collide.
 
     Raises:
         HandModelError: if the positions are not (T, n).
@@ -43,7 +43,7 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
             f"{hand.name!r}, not {q.shape}"
         )
     counts = colliding_shapes(hand)
-    if not _counting_pairs(hand).any():
+    if shapeless_links(hand) or not _counting_pairs(hand).any():
         return None
     data = mujoco.MjData(hand.model)
     depths = np.full(len(q), np.nan)
@@ -53,6 +53,41 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
             counted = depth[counts[pairs[:, 0], pairs[:, 1]]]
             depths[frame] = max(float(counted.max(initial=0.0)), 0.0)
     return depths
+
+
+def shapeless_links(hand: Hand) -> tuple[str, ...]:
+    """Names of the links whose self-collision can't be measured; empty for a whole hand.
+
+    They are the links that lost all their shapes because mesh files can't be read, and every link
+    of a finger that has no shape at all.
+    """
+    model, part = hand.model, hand.model.body_weldid
+    solid = {int(part[body]) for body in model.geom_bodyid[solid_shapes(hand)]}
+    bare = {int(model.body(name).id) for name in hand.unreadable} - {
+        body for body in range(model.nbody) if int(part[body]) in solid
+    }
+    owner = owners(hand)
+    for finger in hand.fingers:
+        links = np.flatnonzero(owner == FINGERS.index(finger)).tolist()
+        if not any(int(part[body]) in solid for body in links):
+            bare.update(links)
+    return tuple(str(model.body(body).name) for body in sorted(bare))
+
+
+def collision_note(hand: Hand) -> str:
+    """Says why the self-collision of a hand can't be measured; empty where it can.
+
+    Args:
+        hand: the robot hand.
+    """
+    links = shapeless_links(hand)
+    if not links:
+        return ""
+    more = f" and {len(links) - 3} more" if len(links) > 3 else ""
+    return (
+        f"self-collision of {hand.name} {hand.spec.side} is not measured: {len(links)} of its "
+        f"links ({', '.join(links[:3])}{more}) have no collision shapes that can be read"
+    )
 
 
 def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -109,7 +110,8 @@ class Plots:
         """
         if drawn is None:
             return Html("")
-        return figure(write_figure(drawn, self.folder / stem), caption, caption)
+        name = re.sub(r"[^\w.-]+", "-", stem)[-120:]  # a hand may be named by a file's path
+        return figure(write_figure(drawn, self.folder / name), caption, caption)
 
 
 def _text(part: Traversable | str) -> str:

@@ -134,6 +134,21 @@ def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
     return grouped
 
 
+def collision_footnotes(rows: Iterable[Row]) -> list[str]:
+    """Footnotes for empty cells of self-collision: one sentence for each hand not measured."""
+    share = _BY_NAME["self_collision.share"]
+    hands = {
+        f"{row['hand']} {row['side']}": None
+        for row in rows
+        if row["status"] == "ok" and value_of(row, share) is None
+    }
+    return [
+        f"– self-collision of {hand}: not measured, since some of its links have no collision "
+        "shapes that can be read. It has no rank and no part in the choice of a method."
+        for hand in hands
+    ]
+
+
 def best(lines: Sequence[Line], metric: Metric) -> set[int]:
     """Which lines are the best at a metric; none where it is no merit, or all are alike.
 

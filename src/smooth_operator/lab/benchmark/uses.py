@@ -22,7 +22,8 @@ FEW: Final = 5
 
 RULES: Final = (
     "Overall is the mean rank over the columns of the table. Grasping: the smallest pinch gap of "
-    f"the methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision. "
+    f"the methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision, or of "
+    "all where self-collision was not measured. "
     "Directions: the cosine similarity nearest 1. Calm motion: the least flatness of the methods "
     f"with a motion preservation of at least {MOTION_FLOOR:g}. Speed: the least median latency."
 )
@@ -76,12 +77,15 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
     running = _competing(lines)
     if len(running) < 2:
         return []
+    measured = any(line.values.get(_COLLISION.name) is not None for line in running)
     free = [line for line in running if _at_most(line, _COLLISION, COLLISION_LIMIT)]
     moving = [line for line in running if _at_least(line, _MOTION, MOTION_FLOOR)]
     crowded = f"every method has over {100 * COLLISION_LIMIT:.0f} % of frames in self-collision"
     still = f"no method reaches a motion preservation of {MOTION_FLOOR:g}"
     return [
-        _use("pinching and grasping", free, _PINCH, (_PINCH, _COLLISION), crowded),
+        _use("pinching and grasping", free, _PINCH, (_PINCH, _COLLISION), crowded)
+        if measured
+        else _use("pinching and grasping", running, _PINCH, (_PINCH,), ""),
         _use("pointing as the human does", running, _COSINE, (_COSINE,), ""),
         _use("calm motion that keeps up", moving, _FLATNESS, (_FLATNESS, _MOTION), still),
         _use("speed", running, _LATENCY, (_LATENCY,), ""),

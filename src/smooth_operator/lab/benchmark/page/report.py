@@ -17,7 +17,14 @@ from smooth_operator.lab.benchmark.comparison import Comparison
 from smooth_operator.lab.benchmark.page import tables
 from smooth_operator.lab.benchmark.page.player import player
 from smooth_operator.lab.benchmark.panels import Panel, make_panels
-from smooth_operator.lab.benchmark.ranking import Line, by_hand, by_panel, lines_of, overall
+from smooth_operator.lab.benchmark.ranking import (
+    Line,
+    by_hand,
+    by_panel,
+    collision_footnotes,
+    lines_of,
+    overall,
+)
 from smooth_operator.lab.benchmark.results import Row, row_method
 from smooth_operator.lab.benchmark.settings import Settings
 from smooth_operator.lab.benchmark.suite import Finished
@@ -113,6 +120,7 @@ class _Page:
             parts.append(element("h3", escape(title)))
             parts.append(self._verdict(lines, count))
             parts.append(tables.headline_table(lines, self._colors, paper=hand == _PAPER_HAND))
+            parts += [paragraph(note, "soft") for note in collision_footnotes(rows)]
             if count > 1:
                 parts.append(
                     paragraph(
