@@ -263,7 +263,9 @@ def test_a_start_far_beyond_the_ends_is_refused(run: Run, offset: float) -> None
     run.bus.wrong = lambda count, angles: far(1, offset)(angles)
     worker = run(0.3)
     assert not run.bus.written
-    assert f"m1 is at {degrees(far(1, offset)(np.zeros(16)))[1]:.6g} deg" in worker.statistics.latest
+    assert (
+        f"m1 is at {degrees(far(1, offset)(np.zeros(16)))[1]:.6g} deg" in worker.statistics.latest
+    )
     assert "beyond its ends 120 and 240" in worker.statistics.latest
     assert "is the servo a turn off, or the table's zero wrong?" in worker.statistics.latest
 
