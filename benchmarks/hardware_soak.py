@@ -5,9 +5,9 @@
 
 The servos are those of ``tests/dynamixel_bank.py``, in a process of their own on a pseudo-terminal.
 Every ``--every`` seconds there is a fault: wrong checksums, a silent servo, a pulled cable, a slow
-bus, a bus that hangs, an emergency stop, silence of the loop. Prints, and checks: how long ``send``
-takes in the loop's thread, the time of a cycle, goals beyond the table's ends, the largest first
-step after each return, and how often the device was lost and found again.
+bus, a bus that hangs, an emergency stop, silence of the loop, an outage of 0.3 s. Prints, and
+checks: how long ``send`` takes in the loop's thread, the time of a cycle, goals beyond the table's
+ends, the largest first step after each return, and how often the device was lost and found again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-FAULTS = ("corrupt", "silent", "unplug", "slow", "hang", "stop", "silence")
+FAULTS = ("corrupt", "silent", "unplug", "slow", "hang", "stop", "silence", "outage")
+OUTAGE_S = 0.3
+"""Shorter than the time after which a device counts as lost [s]."""
 STEP = 2 * np.pi / 4096
 
 
@@ -62,6 +64,10 @@ def serve(link: str, pipe: Any) -> None:
             bank.delay = 0.004 if on else 0.0
         elif what == "hang":
             bank.delay, hung = 3.0 if on else 0.0, time.perf_counter()
+        elif what == "outage" and on:
+            bank.deaf = True
+            time.sleep(OUTAGE_S)
+            bank.deaf = False
         elif what == "unplug":
             if on:
                 bank.unplug()
@@ -128,7 +134,11 @@ def main() -> int:
                 runner.send(tick)
                 taken.setdefault(fault, []).append(1e3 * (time.perf_counter() - before))
             state = sink.state("right")
-            if state is not None and fault == "none" and not sink.note.startswith("approaches"):
+            if (
+                state is not None
+                and fault == "none"
+                and not sink.note.startswith(("approaches", "waits"))
+            ):
                 error.append(float(np.abs(state.positions - tick.command.positions).max()))
             number += 1
             time.sleep(max(0.0, start + number * period - time.perf_counter()))
@@ -156,7 +166,8 @@ def main() -> int:
         **figures,
     }
     print(json.dumps(result, indent=1))
-    good = beyond <= 1.0 and seen["first_step"] <= 0.02 and result["send_ms"]["p99"] <= 0.5
+    # A command from just before an outage may arrive after it, on a machine under load.
+    good = beyond <= 1.0 and seen["first_step"] <= 0.05 and result["send_ms"]["p99"] <= 0.5
     print("ok" if good else "NOT OK")
     return 0 if good else 1
 

@@ -77,9 +77,6 @@ class FakeHand:
             self.positions[index] = min(self.positions[index], stop)
             self.currents[index] = self.stall if over else 0.0
 
-    def hold(self) -> None:
-        self._bus("hold")
-
     def relax(self) -> None:
         self._bus("relax")
 

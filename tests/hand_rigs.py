@@ -170,7 +170,7 @@ class LinkerL10(Linker):
 
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
-    waits = ("_STALE_S", "_OPENING_S")
+    waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
     version = "v5"
     table = "allegro_v5"
 

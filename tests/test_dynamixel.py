@@ -193,11 +193,63 @@ def test_an_emergency_stop_stands_where_it_is(bank: ServoBank, hand: Hand) -> No
         run.until(lambda: "emergency stop" in run.sink.note and run.bank.servos[1].torque)
         goal = 0
         run.until(lambda: abs(bank.servos[1].get(116, 4) - bank.servos[1].position) < 40)
-        goal, written = bank.servos[1].get(116, 4), len(bank.goals)
+        goal = bank.servos[1].get(116, 4)
         cycles = run.sink.figures["cycles"]
         run.until(lambda: run.sink.figures["cycles"] > cycles + 5)
         assert bank.servos[1].get(116, 4) == goal
-        assert len(bank.goals) == written
+
+
+@pytest.mark.parametrize("way", ["deaf", "mute"])
+@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.3, 0.4])
+def test_after_an_outage_the_first_goal_is_where_the_hand_is(
+    bank: ServoBank, hand: Hand, way: str, seconds: float
+) -> None:
+    """The operator goes on meanwhile, over 40 % of the range."""
+    with Run(bank, hand, approach=2.0, lost_s=5.0) as run:
+        run.tick = tick_at(hand, 0.3)
+        run.until(lambda: calm(run.sink) and run.at(0.3))
+        wrong = run.sink.figures["wrong_answers"]
+        setattr(bank, way, True)
+        run.until(lambda: run.sink.figures["wrong_answers"] > wrong)
+        run.tick = tick_at(hand, 0.7)
+        end = time.perf_counter() + seconds
+        run.until(lambda: time.perf_counter() > end)
+        goals = len(bank.goals)
+        setattr(bank, way, False)
+        run.until(lambda: len(bank.goals) > goals)
+        assert bank.goals[goals][2] < 0.03 * 652
+        run.until(lambda: run.at(0.7))
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_one_wrong_position_moves_no_servo(bank: ServoBank, hand: Hand, stopped: bool) -> None:
+    """A sound packet with 3300 steps of a servo at 2248: before the first goal, and in a stop."""
+    for servo in bank.servos.values():
+        servo.position = 2248.0
+    if not stopped:
+        bank.glitches = [(1, 3300)] * 2  # the SDK's first question is asked twice
+    with Run(bank, hand, approach=2.0) as run:
+        run.tick = replace(tick_at(hand, 0.5), command=JointCommand(
+            np.full(len(hand.joint_names), 200 * 2 * np.pi / 4096), hand.joint_names))  # fmt: skip
+        run.until(lambda: len(bank.goals) > 20)
+        if stopped:
+            bank.glitches = [(1, 3300)]
+            run.tick = replace(run.tick, mode=Mode.STOPPED)
+            run.until(lambda: "emergency stop" in run.sink.note and not bank.glitches)
+            goals = len(bank.goals)
+            run.until(lambda: len(bank.goals) > goals + 3)
+    assert max(abs(goals[1] - 2248) for _, goals, _ in bank.goals) < 5
+
+
+@pytest.mark.parametrize("position", [2300 + 4096, -1_000_000])
+def test_a_servo_of_another_turn_is_not_moved(bank: ServoBank, hand: Hand, position: int) -> None:
+    bank.servos[1].position = position
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.3)
+        run.until(lambda: "is the servo a turn off" in run.sink.note)
+        assert f"is at {position * 2 * np.pi / 4096:.6g} rad" in run.sink.note
+    assert not bank.goals
+    assert not bank.servos[1].torque
 
 
 def test_a_cable_pulled_in_motion_and_plugged_again(

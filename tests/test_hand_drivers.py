@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hand_rigs import RIGS, Rig, missing
+from inspire_simulator import ANGLE_ACT
 from ticks import make_tick
 
 from smooth_operator.errors import SinkError
@@ -21,7 +22,7 @@ from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
 from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 
 TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
@@ -195,28 +196,31 @@ def test_it_goes_where_it_is_told_and_reads_it_back(rig: Rig) -> None:
     assert rig.outside() == 0
 
 
-def test_a_hold_stops_the_hand_on_its_way(rig: Rig) -> None:
-    with Opened(rig) as opened:
-        start = opened.device.read().positions
-        goal = within(opened.table, 0.6)
+def test_a_stop_holds_the_hand_on_its_way(rig: Rig) -> None:
+    with Driven(rig) as driven:
+        start = rig.positions()
         rig.slow()
-        opened.device.write(start)
-        opened.device.write(goal)
+        goal = driven.ask(0.6)
         until(lambda: np.abs(rig.positions() - start).max() > 3 * rig.unit, "moving")
+        driven.tick = replace(driven.tick, mode=Mode.STOPPED)
+        until(lambda: "emergency stop" in driven.sink.note, "the stop")
         last = rig.positions()
 
         def stands() -> bool:
             nonlocal last
-            opened.device.hold()
-            opened.device.read()
-            time.sleep(0.01)
+            cycles = driven.statistics()["cycles"]
+            until(lambda: driven.statistics()["cycles"] > cycles + 1, "two cycles")
             before, last = last, rig.positions()
             return bool(np.abs(last - before).max() < 0.1 * rig.unit)
 
         until(stands, "standing")
         assert np.abs(last - goal).max() > 3 * rig.unit
-        opened.device.hold()
-        assert rig.positions() == pytest.approx(last, abs=2 * rig.unit)
+    assert rig.outside() == 0
+
+
+def test_relaxing_is_taken_by_every_hand(rig: Rig) -> None:
+    with Opened(rig) as opened:
+        opened.device.write(opened.device.read().positions)
         opened.device.relax()
         opened.device.read()
 
@@ -241,6 +245,65 @@ def test_a_hand_lost_in_motion_comes_back(rig: Rig) -> None:
             "the return",
         )
     assert rig.outside() == 0
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.4])
+@pytest.mark.parametrize(
+    "rig",
+    ["inspire", "inspire-rtu", "linker-l20", "linker-l10", "ability", "wuji", "revo2", "revo2-sdk"],
+    indirect=True,
+)
+def test_after_an_outage_the_first_command_is_where_the_hand_is(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, seconds: float
+) -> None:
+    """The operator goes on meanwhile, over half of the range."""
+    rig.patience(0.05)
+    sent: list[np.ndarray] = []
+    servos = rig.hand.servos
+    aim = servos.aim
+
+    def note(target: np.ndarray) -> None:
+        sent.append(np.array([target, servos.positions()], float))
+        aim(target)
+
+    monkeypatch.setattr(servos, "aim", note)
+    with Driven(rig, lost_s=60.0, approach=2.0, speed=15.0) as driven:
+        wanted = driven.ask(0.2)
+        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "the start")
+        wrong = driven.statistics()["wrong_answers"]
+        rig.faults.mute = True
+        until(lambda: driven.statistics()["wrong_answers"] > wrong, "the outage")
+        wanted = driven.ask(0.7)
+        time.sleep(seconds)
+        before = len(sent)
+        rig.faults.mute = False
+        until(lambda: len(sent) > before, "the return")
+        angles = [driven.bound.drive_angles(row) for row in sent[before]]
+        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "following")
+    assert np.nanmax(np.abs(angles[0] - angles[1])) < 0.05  # a frame of a LinkerHand has not all
+
+
+@pytest.mark.parametrize("rig", ["inspire", "inspire-rtu"], indirect=True)
+@pytest.mark.parametrize("words", [[0xFFFF] * 6, [1000, 0xFFFF, 1000, 1000, 1000, 1000]])
+def test_a_stop_while_an_inspire_hand_has_no_angles(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, words: list[int]
+) -> None:
+    """0xFFFF, -1, is no angle: taken for one, the stop would close an open hand."""
+    with Driven(rig, lost_s=60.0) as driven:
+        wanted = driven.ask(0.8)
+        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "the start")
+        registers = rig.hand.registers
+        monkeypatch.setattr(
+            rig.hand, "registers", lambda a, n: words if a == ANGLE_ACT else registers(a, n)
+        )
+        wrong = driven.statistics()["wrong_answers"]
+        driven.tick = replace(driven.tick, mode=Mode.STOPPED)
+        until(lambda: driven.statistics()["wrong_answers"] > wrong + 3, "readings without angles")
+        assert np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
+        monkeypatch.setattr(rig.hand, "registers", registers)
+        cycles = driven.statistics()["cycles"]
+        until(lambda: driven.statistics()["cycles"] > cycles + 5, "the hold")
+    assert np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
 
 
 def test_wrong_answers_move_nothing_and_pass(rig: Rig) -> None:

@@ -23,6 +23,7 @@ from linker_simulator import LinkerHand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.device import WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.ability import AbilityDevice, framed, unstuffed
 from smooth_operator.teleop.hardware.drivers.allegro import AllegroDevice
 from smooth_operator.teleop.hardware.drivers.inspire import InspireDevice
@@ -193,6 +194,23 @@ def test_allegro_torques_have_the_sign_and_the_limit(version: str) -> None:
             time.sleep(0.005)
         said = {"v4": "hand: too hot", "v5": "middle_1: input voltage, too hot, overload"}
         assert device.read().errors == (said[version],)
+    finally:
+        device.close()
+        hand.close()
+
+
+def test_allegro_angles_that_are_old_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    needs("allegro-v5")
+    monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.allegro._STALE_S", 60.0)
+    wire = channel()
+    hand = AllegroHand(wire, "v5")
+    device = AllegroDevice(table("allegro_v5_right"), f"virtual:{wire}")
+    try:
+        device.open()
+        hand.faults.mute = True
+        time.sleep(0.1)
+        with pytest.raises(WrongAnswerError, match=r"the newest angles are \d+ ms old"):
+            device.read()
     finally:
         device.close()
         hand.close()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.actuator_mover import ActuatorMover
+from smooth_operator.teleop.hardware.device import Reading
 from smooth_operator.teleop.hardware.table_check import TableCheck, blank_table
 from smooth_operator.teleop.hardware.table_file import read_table
 
@@ -35,6 +39,13 @@ def quick_contact(monkeypatch: pytest.MonkeyPatch) -> None:
 def table(tmp_path: Path, hand: Hand) -> ActuatorMap:
     path = write_fake_table(tmp_path / "fake_right.toml", hand.actuated_names[:2], "rate = 500\n")
     return read_table(path)
+
+
+def until(done: Callable[[], object], seconds: float = 10.0) -> None:
+    end = time.perf_counter() + seconds
+    while not done():
+        assert time.perf_counter() < end, "it did not happen in time"
+        time.sleep(0.001)
 
 
 def answers(*given: str) -> tuple[Callable[[str], str], list[str]]:
@@ -97,6 +108,42 @@ def test_nothing_confirmed_is_no_table(
     ask, _ = answers(*given)
     with ActuatorMover(FakeHand(table), table, seconds=0.05) as mover:
         assert TableCheck(mover, hand, ask, lambda _: None).run(table) is None
+
+
+def test_one_wrong_reading_moves_no_actuator(
+    table: ActuatorMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake = FakeHand(table)
+    read, wild = fake.read, [240.0]
+
+    def once_wrong() -> Reading:
+        reading = read()
+        return replace(reading, positions=np.array([wild.pop(), 180.0])) if wild else reading
+
+    monkeypatch.setattr(fake, "read", once_wrong)
+    with ActuatorMover(fake, table, seconds=0.05):
+        until(lambda: fake.count("write") > 5)
+    assert (fake.commands() == 180.0).all()
+
+
+def test_an_actuator_goes_on_from_where_it_is_after_answers_that_are_missing(
+    table: ActuatorMap,
+) -> None:
+    fake = FakeHand(table)
+    with ActuatorMover(fake, table, seconds=0.5) as mover:
+        move = threading.Thread(target=mover.move, args=(0, 230.0))
+        move.start()
+        until(lambda: fake.positions[0] > 190.0)
+        fake.wrong = missing = 10**6
+        until(lambda: fake.wrong < missing - 5)
+        fake.positions[0] = 170.0  # it fell meanwhile
+        fake.wrong = 0
+        move.join()
+    written = fake.commands()
+    steps = np.diff(written[:, 0])
+    assert written[-1, 0] == 230.0
+    assert steps.max() <= 120.0 / 0.5 / 500 + 1e-9
+    assert (steps < -15.0).sum() == 1  # to where it fell, and on from there
 
 
 def test_ctrl_c_and_a_lost_hand_relax_and_close(table: ActuatorMap, hand: Hand) -> None:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.agreed_reading import agreed_reading
 from smooth_operator.teleop.hardware.device import HandDevice, Reading, WrongAnswerError
 
 _CONTACT: Final = 0.8
@@ -46,7 +47,7 @@ class ActuatorMover:
 
     def __init__(self, device: HandDevice, actuators: ActuatorMap, seconds: float = 6.0) -> None:
         self.names = actuators.names
-        self._device, self._period = device, 1.0 / actuators.rate
+        self._device, self._period, self._table = device, 1.0 / actuators.rate, actuators
         ranges = np.array([high - low for low, high in (a.ends for a in actuators.actuators)])
         self._speeds = ranges / seconds
         self._levels = _CONTACT * actuators.limits
@@ -120,7 +121,7 @@ class ActuatorMover:
         end = time.monotonic() + _PATIENCE_S
         while True:
             try:
-                reading = self._device.read()
+                reading = agreed_reading(self._device.read, self._table)
                 break
             except WrongAnswerError:
                 if time.monotonic() > end:
@@ -131,17 +132,21 @@ class ActuatorMover:
         return reading
 
     def _run(self) -> None:
-        answered = time.monotonic()
+        answered, missed = time.monotonic(), False
         try:
             while not self._ending.wait(self._period):
                 step = self._speeds * self._period
-                self._at += np.clip(self._goal - self._at, -step, step)
                 try:
+                    if missed:  # it may have moved on, or fallen: it goes on from there
+                        here = agreed_reading(self._device.read, self._table).positions
+                        self._at = np.where(np.isfinite(here), here, self._at)
+                    self._at += np.clip(self._goal - self._at, -step, step)
                     self._device.write(self._at)
                     self._feel(self._device.read())
-                    answered = time.monotonic()
+                    answered, missed = time.monotonic(), False
                     self._cycles += 1
                 except WrongAnswerError:
+                    missed = True
                     if time.monotonic() - answered > _PATIENCE_S:
                         raise
         except Exception as error:  # reaches the person with the next question

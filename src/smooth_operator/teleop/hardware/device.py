@@ -69,23 +69,25 @@ class HandDevice(Protocol):
         """Ask where the hand is; once in every cycle, after ``write``.
 
         What is slow to read (temperatures, error flags) may be read in turns and repeated between.
+        Positions may not: the next command relies on them. Where a hand reports them by itself, a
+        newest report that is older than a few periods is a ``WrongAnswerError``, and so is a value
+        by which the maker says that it has none; a single actuator without one is NaN.
         """
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
         """Send position commands, in the actuators' unit and the order of the table.
 
         They are finite and within the table's ends, or, during a slow approach, between the ends
-        and where the hand is. The first call after ``open``, ``hold`` or ``relax`` switches the
-        motors on; its commands are where the hand is.
+        and where the hand is. The first call after ``open`` or ``relax`` switches the motors on;
+        its commands are where the hand is. To hold, the same commands, where the hand was, come in
+        every cycle, so that a device with a watchdog of its own is kept alive.
         """
 
-    def hold(self) -> None:
-        """Stand still, powered. Called in every cycle while it lasts, so that a device with a
-        watchdog of its own is kept alive."""
-
     def relax(self) -> None:
-        """Switch the motors' torque off, or as near to that as the hand can. Called in every cycle
-        while it lasts."""
+        """Switch the motors' torque off. Called in every cycle while it lasts.
+
+        A hand that can't does nothing: it has just been given where it is as its command.
+        """
 
     def close(self) -> None:
         """Give the bus back. Must not raise, nor move anything, also when the device is gone; a

@@ -22,6 +22,9 @@ _STALLED: Final = 0.3
 """Speed towards its command below which an actuator with a high current counts as blocked
 [rad/s]; a free one moves when it pulls as hard."""
 
+_BEYOND: Final = 0.35
+"""How far beyond an end of its table an actuator may be where a motion begins [rad]."""
+
 _MARGIN: Final = 0.1
 """How far beyond the measured position a command may stay that squeezes [rad]."""
 
@@ -62,6 +65,17 @@ class GuardSettings:
 class CommandGuard:
     """Approaches slowly, keeps ends and speed, and stops joints that squeeze.
 
+    A command moves on from the last one only with a reading that is new, by at most ``speed`` times
+    the time of a step. A hand that does not answer keeps its command; after missed periods
+    ``start`` begins where it is. So no command is further from the last measured position than
+    ``speed`` times the reading's age, beyond what the hand was behind its command when it was
+    measured. An actuator without a position stands.
+
+    That distance itself has no bound. With ``speed`` 0.5 rad/s at 60 Hz it would be 0.008 rad,
+    five steps of a servo, which does not start for so little; and a finger that holds an object
+    stands behind its command for as long as it holds, in a hand without currents (Linker) by up to
+    its whole range. The contact guard bounds it to 0.1 rad where currents are measured.
+
     Args:
         actuators: the map of the hand, of a actuators.
         settings: the limits.
@@ -85,29 +99,41 @@ class CommandGuard:
         self._touched = np.zeros(count)  # the measured angle then [rad]
         self._loaded_s = np.zeros(count)  # how long the current has been high without motion
         self._before: Float[np.ndarray, " a"] | None = None  # the measured angle a step ago
+        self._reading: Reading | None = None  # the last one that a step, or the start, was given
 
-    def start(self, measured: Float[np.ndarray, " a"]) -> None:
-        """Begin where the hand is, with a slow approach.
+    def start(self, reading: Reading) -> None:
+        """Begin where the hand is, with a slow approach; the first command is that place.
 
         Args:
-            measured: (a,) positions in the actuators' unit.
+            reading: where the hand is, by two readings that agree.
 
         Raises:
-            SinkError: a position is not known.
+            SinkError: a position is not known, or more than 0.35 rad beyond the table's ends.
         """
+        measured = reading.positions
         missing = [n for n, v in zip(self._map.table.names, measured, strict=True) if v != v]
         if missing:
             raise SinkError(
                 f"{', '.join(missing)} gave no position, and nothing is moved before it "
                 "is known where the hand is; check its cables and power"
             )
-        self._at = self._map.drive_angles(measured)
+        angles = self._map.drive_angles(measured)
+        beyond = np.abs(angles - self._map.drive_angles(self._map.clip(measured)))
+        worst = int(np.argmax(beyond))
+        if beyond[worst] > _BEYOND:
+            table, (low, high) = self._map.table, self._map.ends[worst]
+            raise SinkError(
+                f"{table.names[worst]} is at {measured[worst]:.6g} {table.unit}, "
+                f"{beyond[worst]:.3g} rad beyond its ends {low:.6g} and {high:.6g}, and nothing is "
+                "moved from there: is the servo a turn off, or the table's zero wrong? If the "
+                "finger is there, move it between the ends by hand"
+            )
+        self._at, self._reading, self._before = angles, reading, None
         low, high = self._map.ends.T
         self._ends = np.stack([np.minimum(low, measured), np.maximum(high, measured)], axis=1)
         self.approaching[:] = True
         self.squeezing[:] = 0.0
         self._loaded_s[:] = 0.0
-        self._before = None
 
     def step(
         self, wanted: Float[np.ndarray, " n"], reading: Reading, seconds: float
@@ -116,7 +142,7 @@ class CommandGuard:
 
         Args:
             wanted: (n,) joint positions [rad] that the loop asks for.
-            reading: the hand's last answer.
+            reading: the hand's last answer; the same object again while there is no new one.
             seconds: since the last step [s].
 
         Returns:
@@ -129,9 +155,13 @@ class CommandGuard:
             raise SinkError("the guard has not been started with where the hand is")
         target = self._map.clip(self._map.commands(self._map.angles(wanted)))
         angles = self._map.drive_angles(target)
+        if reading is self._reading:
+            seconds = 0.0  # nothing new is known of the hand
+        self._reading = reading
         self._feel(reading, seconds)
         angles = self._release(angles)
-        top = np.where(self.approaching, self._settings.approach, self._settings.speed) * seconds
+        speed = np.where(self.approaching, self._settings.approach, self._settings.speed)
+        top = np.where(np.isfinite(reading.positions), speed * seconds, 0.0)
         self._at = self._at + np.clip(angles - self._at, -top, top)
         self.approaching &= np.abs(angles - self._at) > _CAUGHT_UP
         commands: np.ndarray = np.clip(

@@ -26,7 +26,8 @@ class HardwareSink(Sink):
     """Moves one real hand, through a driver for its protocol; safe whatever happens around it.
 
     A thread of its own talks to the bus and takes the newest command. At the start, and after
-    silence, an emergency stop or a lost device, it reads where the hand is and approaches slowly.
+    silence, an emergency stop, missing answers or a lost device, it reads where the hand is, twice,
+    and approaches slowly.
     When commands stop the hand rests as its table says.
 
     A driver is a frozen dataclass that derives from this one, sets ``driver`` and implements

@@ -13,6 +13,7 @@ import numpy as np
 
 from smooth_operator.errors import SinkError
 from smooth_operator.teleop.hardware.actuator_map import BoundMap, Rest
+from smooth_operator.teleop.hardware.agreed_reading import agreed_reading, apart
 from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.bus_statistics import BusStatistics
 from smooth_operator.teleop.hardware.device import (
@@ -33,6 +34,13 @@ _RETRY_S: Final = 1.0
 
 _OPENING_S: Final = 15.0
 """How long a device may take to open [s]; some boot their motors one by one."""
+
+_MISSED: Final = 3
+"""Periods without a right answer, or ``_MISSED_S`` if that is longer, after which the hand is taken
+to have moved: it is read, and approached."""
+
+_MISSED_S: Final = 0.05
+"""The same in seconds: at high rates a machine that is late for a moment is no reason."""
 
 _TRIES: Final = 3
 """How often at least a device is opened, and asked for its first answer, if answers are wrong."""
@@ -109,6 +117,8 @@ class HandWorker:
         self._trouble = ""  # why the device is being opened again
         self._doing = "opening"
         self._busy_since: float | None = None
+        self._commands: np.ndarray | None = None  # the last ones; None without power
+        self._place: np.ndarray | None = None  # where it rests
         self._resting = False
         self._ending = False
         self._opened = threading.Event()
@@ -221,42 +231,48 @@ class HandWorker:
 
     def _serve(self) -> None:
         """From opening the device to the end, or until it is lost."""
-        device, now = self._device, time.perf_counter
+        now, period = time.perf_counter, self._settings.period
+        self._commands = self._place = None
         self._until_answered(self._open)
         reading = self._until_answered(self._ask)
-        moving, last, cycle = False, now(), now() - self._settings.period
+        moving, cycle = False, now() - period
         self._trouble = ""
         self._opened.set()
         self._doing = "waits for the first command"
-        answered = now()
+        begun = answered = now()  # the last exchange that was answered, from when to when
         while True:
             self._pace(cycle)
             if self._ending:
-                self._rest(self._map.table.on_end)
+                with contextlib.suppress(WrongAnswerError):
+                    self._rest(self._map.table.on_end, reading)
                 return
             cycle, newest = now(), self._tick
+            # A bus that stood still as long as a silence is a return, too, if it answers then.
+            if (
+                cycle - answered > max(_MISSED * period, _MISSED_S)
+                or cycle - begun > self._settings.silence_s
+            ):
+                moving, self._place = False, None
             try:
                 rest = self._at_rest(newest, cycle)
                 if rest is None and newest is not None:
-                    # A bus that stood still as long as a silence is a return, too.
-                    late = cycle - last > self._settings.silence_s
-                    if late and moving:  # and it has moved on since it was read
-                        reading = self._ask()
-                    if late or not moving:
-                        self._guard.start(reading.positions)
-                        last = cycle - self._settings.period
-                    moving = True
-                    seconds = min(cycle - last, 2 * self._settings.period)
+                    if not moving:
+                        self._doing = "waits for two readings that agree"
+                        reading = agreed_reading(self._ask, self._map.table)
+                        self._guard.start(reading)
+                        moving, self._place = True, None
+                    seconds = min(cycle - begun, 2 * period)
                     positions = newest[0].command.positions
-                    commands = self._guard.step(positions, reading, seconds)
-                    last = cycle
-                    self._call(device.write, commands)
+                    self._commands = self._guard.step(positions, reading, seconds)
+                    self._call(self._device.write, self._commands)
                     self._doing = "approaches" if self._guard.approaching.any() else "following"
                 elif rest is not None:
                     moving = False
-                    self._rest(rest)
-                reading = self._ask()
-                answered = now()
+                    self._rest(rest, reading)
+                before, reading = reading, self._ask()
+                begun, answered = cycle, now()
+                if (np.isnan(before.positions) > np.isnan(reading.positions)).any():
+                    moving = False  # an actuator is back, from wherever it was meanwhile
             except WrongAnswerError as error:
                 self.statistics.wrong += 1
                 self.statistics.latest = str(error)
@@ -326,8 +342,24 @@ class HandWorker:
         if lock is not None:
             lock.release()
 
-    def _rest(self, rest: Rest) -> None:
-        self._call(self._device.hold if rest == "hold" else self._device.relax)
+    def _rest(self, rest: Rest, reading: Reading) -> None:
+        """Stand where the hand is, or give way there.
+
+        The place is one more reading, if it agrees with the one before. If it does not, or none
+        comes, the hand keeps its last command until the next cycle. Without power it stays so.
+        """
+        try:
+            if self._commands is None:
+                return
+            if self._place is None and not apart(reading, latest := self._ask(), self._map.table):
+                here = latest.positions
+                self._place = np.where(np.isfinite(here), here, self._commands)
+            if self._place is not None:
+                self._call(self._device.write, self._place)
+        finally:
+            if rest == "relax":
+                self._commands = None
+                self._call(self._device.relax)
 
     def _ask(self) -> Reading:
         reading = self._call(self._device.read)

@@ -95,8 +95,6 @@ class AbilityDevice:
         self._table, self._port, self._baud, self._address = table, port, baud, address
         self._line: Any = None
         self._expected = False
-        self._held: Float[np.ndarray, " 6"] | None = None
-        self._positions: Float[np.ndarray, " 6"] | None = None
 
     def open(self) -> None:
         """Open the port and ask where the fingers are; see ``HandDevice``."""
@@ -111,7 +109,7 @@ class AbilityDevice:
                 f"ability: the port {self._port} can't be opened ({error}); check the adapter, and "
                 "that you may use the port (on Linux: group dialout)"
             ) from error
-        self._expected, self._held = False, None
+        self._expected = False
         try:
             self.read()
         except SinkError as error:
@@ -128,12 +126,11 @@ class AbilityDevice:
         self._expected = False
         body = self._answer()
         pairs = np.array(struct.unpack("<12h", body[1:25]), float)
-        self._positions = pairs[::2] / DEGREE
         packed = np.frombuffer(body[25:70], np.uint8).reshape(15, 3).astype(int)
         words = packed @ [1, 1 << 8, 1 << 16]
         hot = [n for k, n in enumerate(self._table.names) if body[70] >> k & 1]
         return Reading(
-            positions=self._positions.copy(),
+            positions=pairs[::2] / DEGREE,
             currents=pairs[1::2] / MILLIAMPERE,
             errors=tuple(f"{name}: too hot" for name in hot),
             touch=np.stack([words & 0xFFF, words >> 12], axis=1).ravel().astype(float),
@@ -141,19 +138,10 @@ class AbilityDevice:
 
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
         """Send the positions [deg]; see ``HandDevice``."""
-        self._held = None
         self._send(_POSITIONS, np.rint(np.asarray(commands) * DEGREE))
-
-    def hold(self) -> None:
-        """Stay where the fingers were at the first call, with a frame each time; see
-        ``HandDevice``."""
-        if self._held is None:
-            self._held = self._positions if self._positions is not None else self.read().positions
-        self._send(_POSITIONS, np.rint(self._held * DEGREE))
 
     def relax(self) -> None:
         """No current in any motor; see ``HandDevice``."""
-        self._held = None
         self._send(_CURRENTS, np.zeros(MOTORS))
 
     def close(self) -> None:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading
+from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
@@ -42,6 +42,9 @@ _STANDS: Final = 0.3
 
 _STALE_S: Final = 0.1
 """Without angles for so long the motors are switched off: the controller would be blind [s]."""
+
+_LATE_S: Final = 0.03
+"""Angles that are older are no answer: the hand may have gone on since [s]."""
 
 _STATUS: Final = {1: "too hot", 2: "a finger does not answer its board"}
 """Bits of the status of V4, in its information."""
@@ -197,10 +200,6 @@ class AllegroDevice:
         """Aim the controller [rad]; the first call switches the motors on. See ``HandDevice``."""
         self._running().aim(np.array(commands, float))
 
-    def hold(self) -> None:
-        """Aim at where the joints were at the first call; see ``HandDevice``."""
-        self._running().hold()
-
     def relax(self) -> None:
         """Switch the motors off; see ``HandDevice``."""
         self._running().relax()
@@ -233,7 +232,6 @@ class _Control:
         self._position, self._velocity = np.zeros(MOTORS), np.zeros(MOTORS)
         self._torque, self._before = np.zeros(MOTORS), np.zeros(MOTORS)
         self._target: np.ndarray | None = None
-        self._holding = False
         self._seen: set[int] = set()
         self._stamp: float | None = None
         self._asked = 0.0
@@ -262,27 +260,28 @@ class _Control:
             raise self._error
 
     def look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(16,) angles [rad], velocities [rad/s] and torques in the hand's unit."""
+        """(16,) angles [rad], velocities [rad/s] and torques in the hand's unit.
+
+        Raises:
+            WrongAnswerError: the newest angles are old.
+        """
         with self._lock:
+            age = time.perf_counter() - (self._stamp or 0.0)
+            if age > _LATE_S:
+                raise WrongAnswerError(f"allegro: the newest angles are {1e3 * age:.0f} ms old")
             return self._position.copy(), self._velocity.copy(), self._torque.copy()
 
     def aim(self, target: np.ndarray) -> None:
         """New angles [rad] to go to."""
         with self._lock:
-            first, self._target, self._holding = self._target is None, target, False
+            first, self._target = self._target is None, target
         if first:
             self._bus.send(_ON << 2)
-
-    def hold(self) -> None:
-        """Go to where the joints are; only the first call in a row counts."""
-        if not self._holding:
-            self.aim(self.look()[0])
-            self._holding = True
 
     def relax(self) -> None:
         """No torque."""
         with self._lock:
-            was, self._target, self._holding = self._target, None, False
+            was, self._target = self._target, None
             self._torque = np.zeros(MOTORS)
         if was is not None:
             self._stop()

@@ -122,7 +122,6 @@ class DynamixelHand:
             port, int(baud or settings.get("baud", 57600)), ids, actuators.names
         )
         self._powered = False
-        self._held = False
         self._cycle = 0
         self._written = 0.0  # when goals were written last
         self._temperatures: Float[np.ndarray, " a"] | None = None
@@ -132,7 +131,7 @@ class DynamixelHand:
         """Find the servos, and set mode, gains and currents; their torque is off afterwards."""
         bus = self._bus
         bus.open()
-        self._powered = self._held = False
+        self._powered = False
         self._cycle = 0
         bus.set(TORQUE, 0)  # the mode can't be changed otherwise
         bus.set(BUS_WATCHDOG, 0)
@@ -193,20 +192,12 @@ class DynamixelHand:
             self._bus.set(BUS_WATCHDOG, max(1, round(self._watchdog / 0.02)))
         else:
             self._bus.set(GOAL_POSITION, goals)
-        self._powered, self._held = True, False
-
-    def hold(self) -> None:
-        """Stand where the servos are now; what is not powered stays so."""
-        if not self._held and self._powered:
-            rows = self._bus.get(PRESENT)
-            here = [int.from_bytes(row[6:10], "little", signed=True) for row in rows]
-            self._bus.set(GOAL_POSITION, here)
-        self._held = True
+        self._powered = True
 
     def relax(self) -> None:
         """Torque off."""
         self._bus.set(TORQUE, 0)
-        self._powered = self._held = False
+        self._powered = False
 
     def close(self) -> None:
         """Stop the servos' watchdog, which is for a host that died, and give the port back."""

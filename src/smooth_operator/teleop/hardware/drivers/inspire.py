@@ -51,6 +51,9 @@ _TIMEOUT: Final = 0.2
 _MARGIN: Final = 100
 """How far from 0 to 1000 a measured angle may be."""
 
+_NO_VALUE: Final = -1
+"""A word of 0xFFFF: no angle, as "leave this motor" where angles are set."""
+
 
 @dataclass(frozen=True)
 class InspireSink(HardwareSink):
@@ -74,8 +77,8 @@ class InspireSink(HardwareSink):
 class InspireDevice:
     """An Inspire RH56 hand on its bus; see ``HandDevice``.
 
-    Its screws hold the fingers without current, so ``relax`` is ``hold``: the motors stop where
-    they are. ``Reading.currents`` is in mA, ``Reading.touch`` the six forces [g].
+    Its screws hold the fingers without current, so ``relax`` does nothing. ``Reading.currents`` is
+    in mA, ``Reading.touch`` the six forces [g].
 
     Args:
         table: of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``, the
@@ -100,7 +103,6 @@ class InspireDevice:
         self._force = _whole(table, "force", 500, 0, 3000)
         self._client: Any = None
         self._turn = 0
-        self._resting = False
         self._slow: dict[int, np.ndarray] = {}
 
     @property
@@ -123,7 +125,7 @@ class InspireDevice:
             self._client = ModbusTcpClient(
                 host, port=int(number or PORT), timeout=_TIMEOUT, retries=0
             )
-        self._turn, self._slow, self._resting = 0, {}, False
+        self._turn, self._slow = 0, {}
         try:
             if not self._client.connect():
                 raise DeviceLostError(f"inspire: nothing answers at {self._port}")
@@ -182,20 +184,10 @@ class InspireDevice:
 
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
         """Send the angles, 0 (closed) to 1000 (open); see ``HandDevice``."""
-        self._resting = False
         self._tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
 
-    def hold(self) -> None:
-        """Make where the fingers are their target, once; see ``HandDevice``."""
-        if self._resting:
-            return
-        angles = self._angles()
-        self.write(angles)
-        self._resting = True
-
     def relax(self) -> None:
-        """As ``hold``: the screws can't be turned from outside."""
-        self.hold()
+        """Nothing: the screws can't be turned from outside; see ``HandDevice``."""
 
     def close(self) -> None:
         """Give the line back; the hand keeps its last target. See ``HandDevice``."""
@@ -205,10 +197,10 @@ class InspireDevice:
 
     def _angles(self) -> Float[np.ndarray, " 6"]:
         angles = _signed(self._ask(_ANGLE_ACT, MOTORS)).astype(float)
-        if (angles < -_MARGIN).any() or (angles > 1000 + _MARGIN).any():
+        if ((angles < -_MARGIN) | (angles > 1000 + _MARGIN) | (angles == _NO_VALUE)).any():
             raise WrongAnswerError(
                 f"inspire: the hand says that its motors are at {angles.astype(int).tolist()}; "
-                "expected 0 to 1000"
+                f"expected 0 to 1000, and {_NO_VALUE} is no position"
             )
         return angles
 

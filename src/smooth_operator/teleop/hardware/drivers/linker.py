@@ -90,7 +90,7 @@ class LinkerSink(HardwareSink):
 class LinkerDevice:
     """A LinkerHand on its bus; see ``HandDevice``.
 
-    The hand has no command that switches its motors off, so ``relax`` is ``hold``. It does not
+    The hand has no command that switches its motors off, so ``relax`` does nothing. It does not
     report currents.
 
     Args:
@@ -123,13 +123,12 @@ class LinkerDevice:
         self._bus: CanBus | None = None
         self._answers: dict[int, bytes] = {}
         self._turn = 0
-        self._resting = False
         self._sent = 0.0
 
     def open(self) -> None:
         """Open the bus, check that every motor answers, set limits; see ``HandDevice``."""
         self._bus = CanBus(self._port, "linker")
-        self._answers, self._turn, self._resting = {}, 0, False
+        self._answers, self._turn = {}, 0
         try:
             self.read()
         except SinkError as error:
@@ -205,7 +204,6 @@ class LinkerDevice:
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
         """Send the positions, 0 to 255; see ``HandDevice``."""
-        self._resting = False
         values = np.clip(np.rint(commands), 0, 255).astype(int).tolist()
         bus = self._open_bus()
         self._collect(bus, time.perf_counter())
@@ -214,15 +212,8 @@ class LinkerDevice:
             mine, values = values[:motors], values[motors:]
             self._send(kind, mine + [0] * (self._model.width[kind] - motors))
 
-    def hold(self) -> None:
-        """Make where the fingers are their target, once; see ``HandDevice``."""
-        if not self._resting:
-            self.write(self.read().positions)
-            self._resting = True
-
     def relax(self) -> None:
-        """As ``hold``: the hand has nothing else."""
-        self.hold()
+        """Nothing: the hand has no command for it; see ``HandDevice``."""
 
     def close(self) -> None:
         """Give the bus back; the hand keeps its last target. See ``HandDevice``."""

@@ -73,7 +73,7 @@ class OrcaDevice:
         self._options = {"config_path": config} if config else given
         self._mock = mock
         self._hand: Any = None
-        self._powered = self._held = False
+        self._powered = False
         self._cycle = 0
         self._motors: list[int] = []  # index of each actuator's motor in what the hand answers
         self._currents: Float[np.ndarray, " a"] | None = None
@@ -118,7 +118,7 @@ class OrcaDevice:
         ids = list(hand.config.motor_ids)
         wired = hand.config.joint_to_motor_map
         self._motors = [ids.index(abs(wired[name])) for name in self._table.names]
-        self._powered = self._held = False
+        self._powered = False
         self._cycle = 0
 
     def read(self) -> Reading:
@@ -153,24 +153,14 @@ class OrcaDevice:
                 if silent:
                     raise WrongAnswerError(f"orca: the motors {silent} do not switch on")
             hand.set_joint_positions(pose)
-        self._powered, self._held = True, False
-
-    def hold(self) -> None:
-        """Stand where the joints are now; what is not powered stays so."""
-        if not self._held and self._powered:
-            hand = self._connected()
-            with self._bus("holding"):
-                here = hand.get_joint_position().as_dict()
-                kept = {name: here.get(name) for name in self._table.names}
-                hand.set_joint_positions({n: v for n, v in kept.items() if v is not None})
-        self._held = True
+        self._powered = True
 
     def relax(self) -> None:
         """Torque off."""
         if self._powered:
             with self._bus("relaxing"):
                 self._connected().disable_torque()
-        self._powered = self._held = False
+        self._powered = False
 
     def close(self) -> None:
         """Disconnect; orca-core switches the torque off."""

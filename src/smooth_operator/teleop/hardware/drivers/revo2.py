@@ -65,7 +65,7 @@ class Revo2Device:
 
     The package is asynchronous; each method here runs its calls to their end on a loop of its own.
     ``Reading.currents`` is in thousandths of a motor's most. The hand has no command that switches
-    its motors off, so ``relax`` is ``hold``.
+    its motors off, so ``relax`` does nothing.
 
     Args:
         table: of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
@@ -91,13 +91,12 @@ class Revo2Device:
         self._sdk: Any = None
         self._context: Any = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._resting = False
 
     def open(self) -> None:
         """Open the port, check the hand's side, set the unit; see ``HandDevice``."""
         from bc_stark_sdk import main_mod
 
-        self._sdk, self._resting = main_mod, False
+        self._sdk = main_mod
         self._loop = asyncio.new_event_loop()
         try:
             baud = getattr(main_mod.Baudrate, _baud_name(self._baud))
@@ -150,19 +149,11 @@ class Revo2Device:
 
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
         """Send the positions, 0 (open) to 1000 (closed); see ``HandDevice``."""
-        self._resting = False
         target = np.clip(np.rint(commands), 0, 1000).astype(int).tolist()
         self._call("set_finger_positions_and_speeds", target, self._speeds)
 
-    def hold(self) -> None:
-        """Make where the fingers are their target, once; see ``HandDevice``."""
-        if not self._resting:
-            self.write(self.read().positions)
-            self._resting = True
-
     def relax(self) -> None:
-        """As ``hold``: the hand has nothing else."""
-        self.hold()
+        """Nothing: the hand has no command for it; see ``HandDevice``."""
 
     def close(self) -> None:
         """Give the port back; the hand keeps its last target. See ``HandDevice``."""

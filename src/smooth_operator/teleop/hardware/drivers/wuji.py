@@ -77,7 +77,6 @@ class WujiDevice:
         self._table, self._port, self._cutoff = table, port, cutoff
         self._hand: Any = None
         self._controller: Any = None
-        self._held: Float[np.ndarray, " 20"] | None = None
         self._cycle = 0
         self._temperatures: Float[np.ndarray, " 20"] | None = None
         self._codes = np.zeros(MOTORS, int)
@@ -87,7 +86,7 @@ class WujiDevice:
         import wujihandpy
 
         wujihandpy.logging.set_log_to_console(False)
-        self._held, self._cycle, self._temperatures = None, 0, None
+        self._cycle, self._temperatures = 0, None
         try:
             self._hand = wujihandpy.Hand(serial_number=self._port or None)
             self._check_side(int(self._hand.read_handedness()))
@@ -144,30 +143,6 @@ class WujiDevice:
 
     def write(self, commands: Float[np.ndarray, " 20"]) -> None:
         """Send the positions [rad]; the first call switches the motors on. See ``HandDevice``."""
-        self._held = None
-        self._send(commands)
-
-    def hold(self) -> None:
-        """Send where the joints were at the first call; see ``HandDevice``."""
-        if self._held is None:
-            self._held = np.asarray(self.read().positions)
-        self._send(self._held)
-
-    def relax(self) -> None:
-        """Switch the motors off; see ``HandDevice``."""
-        self._held = None
-        self._stop()
-
-    def close(self) -> None:
-        """Switch the motors off and let the hand go; see ``HandDevice``."""
-        try:
-            self._stop()
-        except SinkError:
-            pass  # it is gone
-        finally:
-            self._controller = self._hand = None
-
-    def _send(self, commands: Float[np.ndarray, " 20"]) -> None:
         target = np.asarray(commands, float).reshape(_SHAPE)
         with _Speaking(self._hand):
             if self._controller is None:
@@ -183,6 +158,19 @@ class WujiDevice:
                 time.sleep(_SETTLING / (2 * math.pi * self._cutoff))
                 self._hand.write_joint_enabled(True)
             self._controller.set_joint_target_position(target)
+
+    def relax(self) -> None:
+        """Switch the motors off; see ``HandDevice``."""
+        self._stop()
+
+    def close(self) -> None:
+        """Switch the motors off and let the hand go; see ``HandDevice``."""
+        try:
+            self._stop()
+        except SinkError:
+            pass  # it is gone
+        finally:
+            self._controller = self._hand = None
 
     def _stop(self) -> None:
         controller, self._controller = self._controller, None
