@@ -12,7 +12,12 @@ from typing import ClassVar
 import numpy as np
 
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 
@@ -39,6 +44,7 @@ class FakeHand:
         self.hung = threading.Event()
         self.wrong = 0  # exchanges that fail from now on
         self.wrong_openings = 0
+        self.limit = 0.0  # what the hand has in place of the 500 that are set with every opening
         self.slow_s = 0.0
 
     def _bus(self, what: str, commands: Sequence[float] | np.ndarray = ()) -> None:
@@ -60,6 +66,11 @@ class FakeHand:
         if self.wrong_openings:
             self.wrong_openings -= 1
             raise WrongAnswerError("a wrong checksum")
+        self.limit = 500.0
+
+    def settings(self) -> tuple[Setting, ...]:
+        self._bus("settings")
+        return (Setting("limit", np.full(1, 500.0), np.full(1, self.limit)),)
 
     def read(self) -> Reading:
         self._bus("read")

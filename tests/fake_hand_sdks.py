@@ -27,7 +27,7 @@ class WujiWorld:
         self.faults = Faults()
         self.plugged_in = True
         self.handedness = handedness
-        self.effort_limit: np.ndarray | None = None
+        self.effort_limit = np.full((5, 4), 1.5)
         self.codes = np.zeros((5, 4), np.uint32)
         self.switched: list[bool] = []
         self.module = types.ModuleType("wujihandpy")
@@ -104,6 +104,10 @@ class WujiHand:
     def read_joint_error_code(self, timeout: float = 0.5) -> np.ndarray:
         self.world.touch()
         return self.world.codes
+
+    def read_joint_effort_limit(self, timeout: float = 0.5) -> np.ndarray:
+        self.world.touch()
+        return self.world.effort_limit.copy()
 
     def write_joint_effort_limit(self, value_array: Any, timeout: float = 0.5) -> None:
         self.world.touch()
@@ -204,6 +208,13 @@ class StarkContext:
         async def answer() -> None:
             await self.world.answer(slave_id)
             self.world.unit = mode
+
+        return answer()
+
+    def get_finger_unit_mode(self, slave_id: int) -> Any:
+        async def answer() -> FingerUnitMode | None:
+            await self.world.answer(slave_id)
+            return self.world.unit
 
         return answer()
 

@@ -22,6 +22,7 @@ from smooth_operator.teleop.hardware.device import (
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
+from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import Side
@@ -104,6 +105,7 @@ class HandWorker:
         self.side = side
         self._hand, self._settings = hand, settings
         self._guard = CommandGuard(actuators, settings.guard)
+        self._watch = SettingsWatch(device, actuators.table.names)
         self._tick: tuple[Tick, float] | None = None
         self._error: Exception | None = None  # why the thread gave up
         self._trouble = ""  # why the device is being opened again
@@ -182,7 +184,7 @@ class HandWorker:
 
     def _warnings(self, reading: Reading) -> list[str]:
         names = self._map.table.names
-        said = list(reading.errors)
+        said = [*reading.errors, *self._watch.warnings]
         held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
         if held:
             said.append(f"squeezes no further: {', '.join(held)}")
@@ -257,6 +259,7 @@ class HandWorker:
                     self._rest(rest)
                 reading = self._ask()
                 answered = now()
+                self._call(self._watch.look)
             except WrongAnswerError as error:
                 self.statistics.wrong += 1
                 self.statistics.latest = str(error)

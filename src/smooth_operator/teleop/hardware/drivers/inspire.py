@@ -14,6 +14,7 @@ import contextlib
 import logging
 import struct
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -22,7 +23,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 6
@@ -100,7 +106,7 @@ class InspireDevice:
         self._force = _whole(table, "force", 500, 0, 3000)
         self._client: Any = None
         self._turn = 0
-        self._resting = False
+        self._following = self._holding = False
         self._slow: dict[int, np.ndarray] = {}
 
     @property
@@ -123,16 +129,15 @@ class InspireDevice:
             self._client = ModbusTcpClient(
                 host, port=int(number or PORT), timeout=_TIMEOUT, retries=0
             )
-        self._turn, self._slow, self._resting = 0, {}, False
+        self._turn, self._slow = 0, {}
+        self._following = self._holding = False
         try:
             if not self._client.connect():
                 raise DeviceLostError(f"inspire: nothing answers at {self._port}")
             self._angles()
             if _bytes(self._ask(_ERROR, 3)).any():
                 self._tell(_CLEAR_ERROR, [1])
-            self._tell(_SPEED_SET, [self._speed] * MOTORS)
-            self._tell(_FORCE_SET, [self._force] * MOTORS)
-            self._limit_currents()
+            self._limit()
         except SinkError as error:
             self.close()
             way = (
@@ -144,7 +149,10 @@ class InspireDevice:
                 f"{error}; check {way}, and that no other program has the hand"
             ) from error
 
-    def _limit_currents(self) -> None:
+    def _limit(self) -> None:
+        """Speed, force and current, which the hand forgets when it restarts."""
+        self._tell(_SPEED_SET, [self._speed] * MOTORS)
+        self._tell(_FORCE_SET, [self._force] * MOTORS)
         limits = self._table.limits
         if not np.isfinite(limits).any():
             return
@@ -180,18 +188,30 @@ class InspireDevice:
             found += [f"{name}: {text}" for text in words]
         return tuple(found)
 
+    def settings(self) -> Sequence[Setting]:
+        """Force and speed; see ``HandDevice``."""
+        pairs = (("force", _FORCE_SET, self._force), ("speed", _SPEED_SET, self._speed))
+        return [
+            Setting(name, np.full(MOTORS, value), _signed(self._ask(address, MOTORS)))
+            for name, address, value in pairs
+        ]
+
     def write(self, commands: Float[np.ndarray, " 6"]) -> None:
-        """Send the angles, 0 (closed) to 1000 (open); see ``HandDevice``."""
-        self._resting = False
-        self._tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
+        """Send the angles, 0 (closed) to 1000 (open), the first time after the limits; see
+        ``HandDevice``."""
+        if not self._following:
+            self._limit()
+        self._aim(commands)
+        self._following, self._holding = True, False
 
     def hold(self) -> None:
         """Make where the fingers are their target, once; see ``HandDevice``."""
-        if self._resting:
-            return
-        angles = self._angles()
-        self.write(angles)
-        self._resting = True
+        if not self._holding:
+            self._aim(self._angles())
+        self._following, self._holding = False, True
+
+    def _aim(self, angles: Float[np.ndarray, " 6"]) -> None:
+        self._tell(_ANGLE_SET, np.clip(np.rint(angles), 0, 1000).astype(int).tolist())
 
     def relax(self) -> None:
         """As ``hold``: the screws can't be turned from outside."""

@@ -12,6 +12,7 @@ roll of the thumb 0x03 (first value), tips 0x04; speed 0x05, current 0x06, fault
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
@@ -20,7 +21,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
@@ -32,6 +38,7 @@ class Model:
     Attributes:
         positions: kind of frame -> how many motors, in the order of the table.
         width: values in each of those frames.
+        speeds: kinds of the frames of speeds, five motors each.
         limits: kinds of the frames that limit torque or current, five motors each.
         temperatures: kinds of the frames of temperatures, five motors each.
         faults: kinds of the frames of faults; five motors each, or five fingers.
@@ -39,6 +46,7 @@ class Model:
 
     positions: dict[int, int]
     width: dict[int, int]
+    speeds: tuple[int, ...]
     limits: tuple[int, ...]
     temperatures: tuple[int, ...]
     faults: tuple[int, ...]
@@ -50,14 +58,19 @@ class Model:
 
 
 MODELS: Final = {
-    "l10": Model({1: 6, 4: 4}, {1: 6, 4: 4}, (0x02, 0x03), (0x33, 0x34), (0x35, 0x36)),
-    "l20": Model({1: 5, 2: 5, 3: 1, 4: 5}, {1: 5, 2: 5, 3: 5, 4: 5}, (0x06,), (), (0x07,)),
+    "l10": Model(
+        {1: 6, 4: 4}, {1: 6, 4: 4}, (0x05, 0x06), (0x02, 0x03), (0x33, 0x34), (0x35, 0x36)
+    ),
+    "l20": Model({1: 5, 2: 5, 3: 1, 4: 5}, {1: 5, 2: 5, 3: 5, 4: 5}, (0x05,), (0x06,), (), (0x07,)),
 }
 """Name of a model -> its frames."""
 
 _FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 _IDENTIFIERS: Final = {"right": 0x28, "left": 0x27}
-_SPEED: Final = 0x05
+_SPEED: Final = 250
+"""Speed unless the table says another one: not the 255 that a hand may have after a restart, so that
+one is noticed."""
+
 _TIMEOUT: Final = 0.05
 """How long an answer may take [s]."""
 
@@ -110,7 +123,7 @@ class LinkerDevice:
                 f"{table.file}: a LinkerHand {model.upper()} has {self._model.motors} actuators, "
                 f"not {len(table.actuators)}"
             )
-        speed, gap = table.settings.get("speed", 255), table.settings.get("gap_ms", 1.0)
+        speed, gap = table.settings.get("speed", _SPEED), table.settings.get("gap_ms", 1.0)
         if not isinstance(speed, int) or not 1 <= speed <= 255:
             raise ConfigError(f"{table.file}: speed must be 1 to 255, not {speed!r}")
         if not isinstance(gap, int | float) or not 0.0 <= gap <= 20.0:
@@ -119,17 +132,23 @@ class LinkerDevice:
             raise ConfigError(f"{table.file}: limit must be 1 to 255, the hand's own unit")
         self._table, self._port, self._name = table, port, model.upper()
         self._identifier = _IDENTIFIERS[table.side]
-        self._speed, self._gap = speed, float(gap) / 1000
+        self._gap = float(gap) / 1000
+        self._settings = {kind: [speed] * 5 for kind in self._model.speeds}
+        if np.isfinite(table.limits).any():
+            limits = np.nan_to_num(table.limits, nan=255.0).astype(int).tolist()
+            for k, kind in enumerate(self._model.limits):
+                self._settings[kind] = limits[5 * k : 5 * k + 5]
         self._bus: CanBus | None = None
         self._answers: dict[int, bytes] = {}
         self._turn = 0
-        self._resting = False
+        self._following = self._holding = False
         self._sent = 0.0
 
     def open(self) -> None:
         """Open the bus, check that every motor answers, set limits; see ``HandDevice``."""
         self._bus = CanBus(self._port, "linker")
-        self._answers, self._turn, self._resting = {}, 0, False
+        self._answers, self._turn = {}, 0
+        self._following = self._holding = False
         try:
             self.read()
         except SinkError as error:
@@ -139,11 +158,26 @@ class LinkerDevice:
                 f"{error}; check power and cable, and that it is not a {other} hand, whose "
                 f"identifier is 0x{_IDENTIFIERS[other]:X}"
             ) from error
-        self._send(_SPEED, [self._speed] * 5)
-        limits = np.nan_to_num(self._table.limits, nan=255.0)
-        if np.isfinite(self._table.limits).any():
-            for k, kind in enumerate(self._model.limits):
-                self._send(kind, [int(x) for x in limits[5 * k : 5 * k + 5]])
+        self._limit()
+
+    def _limit(self) -> None:
+        """Speed, and torque or current, which the hand forgets when it restarts."""
+        for kind, values in self._settings.items():
+            self._send(kind, values)
+
+    def settings(self) -> Sequence[Setting]:
+        """What the hand answers of speed, and torque or current; see ``HandDevice``."""
+        bus = self._open_bus()
+        self._collect(bus, time.perf_counter())  # echoes of what was set before
+        for kind in self._settings:
+            self._answers.pop(kind, None)
+            self._send(kind, [])
+        self._collect(bus, time.perf_counter() + _TIMEOUT, list(self._settings))
+        return [
+            Setting(f"frame 0x{kind:02X}", np.array(values), np.array(list(answer)[: len(values)]))
+            for kind, values in self._settings.items()
+            if len(answer := self._answers.pop(kind, b"")) >= len(values)
+        ]
 
     def read(self) -> Reading:
         """Positions, and in turns temperatures and faults; see ``HandDevice``."""
@@ -204,8 +238,19 @@ class LinkerDevice:
         return tuple(f"{name}: fault 0x{code:02X}" for name, code in pairs if code)
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
-        """Send the positions, 0 to 255; see ``HandDevice``."""
-        self._resting = False
+        """Send the positions, 0 to 255, the first time after the limits; see ``HandDevice``."""
+        if not self._following:
+            self._limit()
+        self._aim(commands)
+        self._following, self._holding = True, False
+
+    def hold(self) -> None:
+        """Make where the fingers are their target, once; see ``HandDevice``."""
+        if not self._holding:
+            self._aim(self.read().positions)
+        self._following, self._holding = False, True
+
+    def _aim(self, commands: Float[np.ndarray, " a"]) -> None:
         values = np.clip(np.rint(commands), 0, 255).astype(int).tolist()
         bus = self._open_bus()
         self._collect(bus, time.perf_counter())
@@ -213,12 +258,6 @@ class LinkerDevice:
             self._answers.pop(kind, None)
             mine, values = values[:motors], values[motors:]
             self._send(kind, mine + [0] * (self._model.width[kind] - motors))
-
-    def hold(self) -> None:
-        """Make where the fingers are their target, once; see ``HandDevice``."""
-        if not self._resting:
-            self.write(self.read().positions)
-            self._resting = True
 
     def relax(self) -> None:
         """As ``hold``: the hand has nothing else."""
