@@ -162,6 +162,7 @@ class StarkWorld:
         self.number = 0x7E if left else 0x7F
         self.type = HandType.Left if left else HandType.Right
         self.unit: FingerUnitMode | None = None
+        self.units: list[FingerUnitMode | None] = []  # in which positions came
         self.package, self.main_mod = (types.ModuleType(n) for n in ("bc_stark_sdk", "main_mod"))
         self.package.main_mod = self.main_mod  # type: ignore[attr-defined]
         for kind in (Baudrate, FingerUnitMode, HandType, MotorState):
@@ -241,8 +242,8 @@ class StarkContext:
     ) -> Any:
         async def answer() -> None:
             await self.world.answer(slave_id)
-            assert self.world.unit is FingerUnitMode.Normalized
             assert len(speeds) == 6
+            self.world.units.append(self.world.unit)
             self.world.servos.aim(positions)
 
         return answer()

@@ -152,6 +152,55 @@ def test_servos_that_stopped_themselves_follow_again(bank: ServoBank, hand: Hand
         run.until(lambda: calm(run.sink) and run.at(0.6))
 
 
+@pytest.mark.parametrize("power", [True, False], ids=["of its power", "of nothing but its limit"])
+def test_a_servo_that_restarts_in_motion_is_lost_and_limited_again(
+    bank: ServoBank, hand: Hand, power: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("smooth_operator.teleop.hardware.settings_watch._EVERY_S", 0.05)
+    servo = bank.servos[3]
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.4)
+        run.until(lambda: calm(run.sink) and run.at(0.4))
+        cycles = run.sink.figures["cycles"]
+        run.until(lambda: run.sink.figures["cycles"] > cycles + 20)  # the limits were read back
+        assert run.sink.figures["device_lost"] == 0
+        if power:
+            servo.restart()
+        else:
+            servo.put(102, 2, 1750)
+        run.until(lambda: run.sink.figures["device_lost"])
+        assert "the hand restarted: goal current of index_dip is 1750, not 350" in run.sink.note
+        run.tick = tick_at(hand, 0.6)
+        run.until(lambda: calm(run.sink) and run.at(0.6))
+        assert servo.torque
+        assert [servo.get(102, 2), servo.get(84, 2), servo.table[98]] == [350, 600, 25]
+    assert set(servo.limits_at_power) == {350}
+
+
+def test_limits_are_back_before_torque_that_was_off(bank: ServoBank, hand: Hand) -> None:
+    sink = LeapSink(port=bank.path, baud=57600)
+    device = sink.device(sink.actuators("right"))
+    device.open()
+    start = device.read().positions
+    device.write(start)
+    device.relax()
+    until(lambda: not bank.servos[3].torque)
+    bank.servos[3].restart()
+    device.write(start)
+    until(lambda: all(servo.torque for servo in bank.servos.values()))
+    assert bank.servos[3].limits_at_power == [350, 350]
+    assert bank.servos[3].get(84, 2) == 600
+    device.close()
+
+
+def test_servos_with_another_control_table_are_refused(bank: ServoBank, hand: Hand) -> None:
+    bank.servos[7].put(0, 2, 350)  # XL-320
+    written = bytes(bank.servos[7].table[:126])  # what follows is measured
+    with pytest.raises(SinkError, match=r"servo 7 \(middle_dip\) is of model number 350.* XL330"):
+        Run(bank, hand).__enter__()
+    assert bytes(bank.servos[7].table[:126]) == written
+
+
 def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None:
     with Run(bank, hand) as run:
         beyond = np.full(len(hand.joint_names), 9.0)

@@ -59,8 +59,8 @@ class SettingsWatch:
         different = self._different(self._device.settings())
         if not self._confirmed.isdisjoint(different):  # one wrong reading restarts no hand
             different = self._different(self._device.settings())
-        for name in self._confirmed.intersection(different):
-            raise DeviceLostError(f"the hand restarted: {different[name]}")
+        if lost := [text for name, text in different.items() if name in self._confirmed]:
+            raise DeviceLostError(f"the hand restarted: {', '.join(lost)}")
         self.warnings = tuple(different.values())
 
     def _different(self, settings: Sequence[Setting]) -> dict[str, str]:
