@@ -45,6 +45,7 @@ class FakeHand:
         self.wrong = 0  # exchanges that fail from now on
         self.wrong_openings = 0
         self.limit = 0.0  # what the hand has in place of the 500 that are set with every opening
+        self.limits_once: list[float | None] = []  # answered in place of it; None: a wrong answer
         self.slow_s = 0.0
 
     def _bus(self, what: str, commands: Sequence[float] | np.ndarray = ()) -> None:
@@ -70,7 +71,10 @@ class FakeHand:
 
     def settings(self) -> tuple[Setting, ...]:
         self._bus("settings")
-        return (Setting("limit", np.full(1, 500.0), np.full(1, self.limit)),)
+        answer = self.limits_once.pop(0) if self.limits_once else self.limit
+        if answer is None:
+            raise WrongAnswerError("an unknown register")
+        return (Setting("limit", np.full(1, 500.0), np.full(1, answer)),)
 
     def read(self) -> Reading:
         self._bus("read")

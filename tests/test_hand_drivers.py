@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,10 +16,10 @@ from ticks import make_tick
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
 from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-
 from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
 from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
 from smooth_operator.teleop.sinks.tick import Tick
@@ -38,7 +37,7 @@ def rig(
     monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
     # Locks of buses are files there. A pty that another run of the tests has lost, and still has
     # locked, gives its name to the next one.
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
     made = RIGS[request.param](tmp_path, monkeypatch)
     made.patience(3.0)  # the machine may be busy
     yield made

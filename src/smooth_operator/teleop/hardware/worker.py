@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -25,7 +25,7 @@ from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
 from smooth_operator.teleop.hardware.settings_watch import SettingsWatch
 from smooth_operator.teleop.sinks.hand_state import HandState
 from smooth_operator.teleop.sinks.tick import Mode, Tick
-from smooth_operator.types import Side
+from smooth_operator.types import JointCommand, Side
 
 _T = TypeVar("_T")
 
@@ -107,6 +107,7 @@ class HandWorker:
         self._guard = CommandGuard(actuators, settings.guard)
         self._watch = SettingsWatch(device, actuators.table.names)
         self._tick: tuple[Tick, float] | None = None
+        self._finite: JointCommand | None = None  # the last command that was
         self._error: Exception | None = None  # why the thread gave up
         self._trouble = ""  # why the device is being opened again
         self._doing = "opening"
@@ -137,11 +138,22 @@ class HandWorker:
     def post(self, tick: Tick) -> None:
         """Leave a command; returns immediately, whatever the bus does.
 
+        One that is not finite is counted, and the last finite one is held in its place; before
+        there is one nothing moves.
+
         Raises:
             SinkError: the thread gave up, with its reason.
         """
         if self._error is not None:
             raise SinkError(f"{self._label}: {self._error}") from self._error
+        if np.isfinite(tick.command.positions).all():
+            self._finite = tick.command
+        else:
+            self.statistics.not_finite += 1
+            if self._finite is not None:
+                tick = replace(tick, command=self._finite)
+            elif tick.mode is not Mode.STOPPED:
+                return
         self._tick = (tick, time.perf_counter())
         # If the thread has the lock it is awake. Waiting for it would cost the loop a time slice.
         if self._change.acquire(blocking=False):
@@ -178,7 +190,12 @@ class HandWorker:
             said += self._warnings(reading)
         count = self.statistics
         slow = count.slow if count.slow > _MANY * count.cycles else 0
-        counted = {"wrong answers": count.wrong, "slow cycles": slow, "losses": count.lost}
+        counted = {
+            "wrong answers": count.wrong,
+            "slow cycles": slow,
+            "losses": count.lost,
+            "commands not finite": count.not_finite,
+        }
         said += [f"{number} {what}" for what, number in counted.items() if number]
         return "; ".join(said)
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, SinkError, require
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import DeviceLostError, Reading, Setting
-from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
+from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 MOTORS: Final = 16
@@ -95,6 +95,11 @@ class AllegroSink(HardwareSink):
     driver: ClassVar[str] = "allegro"
 
     port: str = "can0"
+
+    @property
+    def bus(self) -> str:
+        """The CAN channel, with its interface."""
+        return "can:" + ":".join(can_port(self.port))
 
     def device(self, actuators: ActuatorMap) -> AllegroDevice:
         """The hand, not yet open; see ``HardwareSink``."""

@@ -123,6 +123,8 @@ class DynamixelHand:
             raise ConfigError(f"{actuators.file}: every servo needs an id of 0 to 252")
         self._scale = _PER_UNIT[actuators.unit]
         self._current_unit = float(settings.get("current_unit", 1.0))
+        if not self._current_unit > 0.0:
+            raise ConfigError(f"{actuators.file}: current_unit must be over 0 mA")
         self._watchdog = float(settings.get("watchdog", 0.5))
         if not 0.02 <= self._watchdog <= 2.5:
             raise ConfigError(f"{actuators.file}: watchdog must be 0.02 to 2.5 s")

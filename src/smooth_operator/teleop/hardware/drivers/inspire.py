@@ -30,6 +30,7 @@ from smooth_operator.teleop.hardware.device import (
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.serial_port import is_serial
 
 MOTORS: Final = 6
 PORT: Final = 6000
@@ -71,6 +72,12 @@ class InspireSink(HardwareSink):
 
     port: str = "192.168.11.210"
 
+    @property
+    def bus(self) -> str:
+        """The serial port, or the network address with its port."""
+        host, _, number = self.port.partition(":")
+        return self.port if is_serial(self.port) else f"tcp:{host}:{number or PORT}"
+
     def device(self, actuators: ActuatorMap) -> InspireDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require("an Inspire hand", "inspire", "pymodbus", "serial")
@@ -99,7 +106,8 @@ class InspireDevice:
             )
         self._table, self._port = table, port
         number = port.partition(":")[2]
-        if not self.serial and number and not (number.isdigit() and int(number) < 65536):
+        self._serial = is_serial(port)
+        if not self._serial and number and not (number.isdigit() and int(number) < 65536):
             raise ConfigError(f"inspire: {port!r} is not ADDRESS, ADDRESS:PORT or a serial port")
         self._device_id = _whole(table, "device_id", 1, 1, 254)
         self._speed = _whole(table, "speed", 1000, 0, 1000)
@@ -109,18 +117,13 @@ class InspireDevice:
         self._following = self._holding = False
         self._slow: dict[int, np.ndarray] = {}
 
-    @property
-    def serial(self) -> bool:
-        """Whether it is reached by a serial line, and not by TCP."""
-        return "/" in self._port or self._port.upper().startswith("COM")
-
     def open(self) -> None:
         """Connect, check that the hand answers, and set its limits; see ``HandDevice``."""
         from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
         # Without a handler of its own, each lost answer would be a line in the user's terminal.
         logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-        if self.serial:
+        if self._serial:
             self._client = ModbusSerialClient(
                 self._port, baudrate=BAUD, timeout=_TIMEOUT, retries=0
             )
@@ -142,7 +145,7 @@ class InspireDevice:
             self.close()
             way = (
                 f"the adapter's port and the {BAUD} baud of the hand"
-                if self.serial
+                if self._serial
                 else "power, cable, and that this computer is in the hand's network"
             )
             raise type(error)(
@@ -273,7 +276,7 @@ class InspireDevice:
 
     def _clear(self) -> None:
         """Drop what may still come: the connection, or what is on the serial line."""
-        if not self.serial:
+        if not self._serial:
             self._client.close()  # the next request opens it again
             return
         line = self._client.socket

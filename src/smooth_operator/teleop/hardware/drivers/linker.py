@@ -27,7 +27,7 @@ from smooth_operator.teleop.hardware.device import (
     Setting,
     WrongAnswerError,
 )
-from smooth_operator.teleop.hardware.drivers.can_bus import CanBus
+from smooth_operator.teleop.hardware.drivers.can_bus import CanBus, can_port
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 
@@ -68,7 +68,7 @@ MODELS: Final = {
 _FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 _IDENTIFIERS: Final = {"right": 0x28, "left": 0x27}
 _SPEED: Final = 250
-"""Speed unless the table says another one: not the 255 that a hand may have after a restart, so that
+"""Speed unless the table says another one: not 255, which a hand may have after a restart, so that
 one is noticed."""
 
 _TIMEOUT: Final = 0.05
@@ -93,6 +93,11 @@ class LinkerSink(HardwareSink):
         super().__post_init__()
         if not self.table:
             object.__setattr__(self, "table", f"linker_{self.model}")
+
+    @property
+    def bus(self) -> str:
+        """The CAN channel, with its interface."""
+        return "can:" + ":".join(can_port(self.port))
 
     def device(self, actuators: ActuatorMap) -> LinkerDevice:
         """The hand, not yet open; see ``HardwareSink``."""

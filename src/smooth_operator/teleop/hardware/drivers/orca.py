@@ -43,6 +43,11 @@ class OrcaSink(HardwareSink):
     config: str = ""
     mock: bool = False
 
+    @property
+    def bus(self) -> str:
+        """The serial port; without one it may be any, as orca-core asks them all."""
+        return "orca:mock" if self.mock else self.port or "serial"
+
     def device(self, actuators: ActuatorMap) -> OrcaDevice:
         """The hand, not yet connected."""
         return OrcaDevice(actuators, self.port, self.config, self.mock)

@@ -57,6 +57,11 @@ class WujiSink(HardwareSink):
         if not 0.5 <= self.cutoff <= 100.0:
             raise ConfigError(f"wuji: cutoff must be 0.5 to 100 Hz, not {self.cutoff}")
 
+    @property
+    def bus(self) -> str:
+        """The hand of that serial number; without one it may be any."""
+        return f"wuji:{self.port}" if self.port else "wuji"
+
     def device(self, actuators: ActuatorMap) -> WujiDevice:
         """The hand, not yet open; see ``HardwareSink``."""
         require("a Wuji Hand", "wuji", "wujihandpy")
