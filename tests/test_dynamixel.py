@@ -354,6 +354,10 @@ def test_what_can_not_be_opened(bank: ServoBank, hand: Hand, tmp_path: Path) -> 
         ("rad", "", "", "every servo needs an id"),
         ("rad", "settings={baut=1}", "id=1\n", "no setting 'baut'"),
         ("rad", "settings={watchdog=9}", "id=1\n", "watchdog must be"),
+        ("rad", "settings={watchdog=inf}", "id=1\n", "watchdog must be finite"),
+        ("rad", "settings={current_unit=0}", "id=1\n", "current_unit must be over 0"),
+        ("rad", "limit=inf", "id=1\n", "limit must be over 0 and finite, not inf"),
+        ("rad", "", "id=1\nlimit=-1\n", "limit must be over 0 and finite, not -1"),
     ):
         path = tmp_path / "x.toml"
         path.write_text(text.format(unit, head) + row.format(each))

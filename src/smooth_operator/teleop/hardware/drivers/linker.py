@@ -171,17 +171,24 @@ class LinkerDevice:
             self._send(kind, values)
 
     def settings(self) -> Sequence[Setting]:
-        """What the hand answers of speed, and torque or current; see ``HandDevice``."""
+        """What the hand answers of speed, and torque or current; see ``HandDevice``.
+
+        Raises:
+            WrongAnswerError: it answers nothing of them.
+        """
         bus = self._open_bus()
         self._collect(bus, time.perf_counter())  # echoes of what was set before
         for kind in self._settings:
             self._answers.pop(kind, None)
             self._send(kind, [])
         self._collect(bus, time.perf_counter() + _TIMEOUT, list(self._settings))
+        answers = {kind: list(self._answers.pop(kind, b"")) for kind in self._settings}
+        if not any(answers.values()):
+            raise WrongAnswerError("linker: the hand reads no limit back")
         return [
-            Setting(f"frame 0x{kind:02X}", np.array(values), np.array(list(answer)[: len(values)]))
+            Setting(f"frame 0x{kind:02X}", np.array(values), np.array(answer[: len(values)]))
             for kind, values in self._settings.items()
-            if len(answer := self._answers.pop(kind, b"")) >= len(values)
+            if len(answer := answers[kind]) >= len(values)
         ]
 
     def read(self) -> Reading:
