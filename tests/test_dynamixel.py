@@ -197,6 +197,7 @@ def test_limits_are_back_before_torque_that_was_off(bank: ServoBank, hand: Hand)
     patiently(device.open, device.close)
     start = patiently(device.read).positions
     patiently(lambda: device.write(start))
+    until(lambda: all(servo.torque for servo in bank.servos.values()))
     device.relax()
     until(lambda: not bank.servos[3].torque)
     bank.servos[3].restart()
