@@ -264,16 +264,16 @@ def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(
     if rig.reports:
         rig.patience(0.2)
     with Driven(rig, **LIMITED.get(rig.driver, {})) as driven:
-        wanted = driven.ask(0.3)
-        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "the start")
+        goal = driven.ask(0.3)
+        until(lambda: np.abs(rig.positions() - goal).max() <= 2 * rig.unit, "the start")
         limits, some = rig.limits(), len(readings) + 3
         until(lambda: len(readings) > some, "reading the limits back")
         before = driven.statistics()["device_lost"]
         rig.restart()
         assert rig.limits() != limits or not limits
         until(lambda: driven.statistics()["device_lost"] > before, "the loss")
-        wanted = driven.ask(0.6)
-        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "the return")
+        goal = driven.ask(0.6)
+        until(lambda: np.abs(rig.positions() - goal).max() <= 2 * rig.unit, "the return")
         assert rig.limits() == limits
     assert rig.outside() == 0
 
@@ -299,7 +299,7 @@ def test_limits_are_back_before_a_hand_moves_again(
         opened.device.read()
         limits = at_targets[-1]
         opened.device.relax()
-        opened.device.read()  # it has taken that, too
+        opened.device.read()  # it has received that, too
         rig.restart()
         assert rig.limits() != limits
         count = len(at_targets)

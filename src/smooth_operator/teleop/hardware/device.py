@@ -92,8 +92,8 @@ class HandDevice(Protocol):
 
         They are finite and within the table's ends, or, during a slow approach, between the ends
         and where the hand is. The first call after ``open``, ``hold`` or ``relax`` switches the
-        motors on; its commands are where the hand is. It writes the hand's limits before, since a
-        hand that restarted has forgotten them.
+        motors on; its commands are where the hand is. Whatever switches motors on writes the hand's
+        limits before: a hand that restarted has forgotten them.
         """
 
     def settings(self) -> Sequence[Setting]:

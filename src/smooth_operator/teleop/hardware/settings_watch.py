@@ -8,14 +8,20 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.teleop.hardware.device import DeviceLostError, HandDevice, Setting
+from smooth_operator.errors import SinkError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    HandDevice,
+    Setting,
+    WrongAnswerError,
+)
 
 _EVERY_S: Final = 1.0
 """Time between two readings of a hand's settings [s]."""
 
 _TRIES: Final = 3
-"""Readings without any confirmed setting after which a hand is not asked any more: it can't tell,
-and waiting for its answer costs time on the bus."""
+"""Readings without any confirmed setting after which there are no more: the hand can't tell, and
+waiting for its answer costs time on the bus."""
 
 _TOLERANCE: Final = 0.01
 """Relative difference of two values that counts as rounding."""
@@ -47,18 +53,23 @@ class SettingsWatch:
 
         Raises:
             DeviceLostError: the hand had a setting and has it no longer, in two readings.
-            WrongAnswerError: it does not answer.
+            WrongAnswerError: it does not answer, or never did and fails.
         """
         now = time.perf_counter()
-        tells = self._confirmed or self._readings < _TRIES
-        if now - self._last < _EVERY_S or not tells:
+        useful = self._confirmed or self._readings < _TRIES
+        if now - self._last < _EVERY_S or not useful:
             return
         self._last = now
         self._readings += 1
-        self.warnings = ("its limits can't be read back",)
-        different = self._different(self._device.settings())
-        if not self._confirmed.isdisjoint(different):  # one wrong reading restarts no hand
+        try:
             different = self._different(self._device.settings())
+            if not self._confirmed.isdisjoint(different):  # one wrong reading restarts no hand
+                different = self._different(self._device.settings())
+        except SinkError as error:
+            if self._confirmed:
+                raise
+            self.warnings = ("its limits can't be read back",)
+            raise WrongAnswerError(str(error)) from error  # a hand that is gone fails again
         if lost := [text for name, text in different.items() if name in self._confirmed]:
             raise DeviceLostError(f"the hand restarted: {', '.join(lost)}")
         self.warnings = tuple(different.values())

@@ -187,7 +187,13 @@ class DynamixelHand:
         self._bus.set(TORQUE, 1)
         self._bus.set(GOAL_POSITION, goals)
         self._bus.set(BUS_WATCHDOG, self._watchdog_steps)
+        if not self._torque().all():
+            raise WrongAnswerError(f"{self._bus.port}: a servo did not switch its torque on")
         self._powered = True
+
+    def _torque(self) -> Float[np.ndarray, " a"]:
+        """1 for each servo with torque, or with an error, for which it switches its torque off."""
+        return np.array([row[0] or row[-1] > 0 for row in self._bus.get(POWER)], int)
 
     def settings(self) -> Sequence[Setting]:
         """Goal current; with power watchdog and torque, too."""
@@ -198,17 +204,15 @@ class DynamixelHand:
             return (limits,)
         watchdogs = [row[0] for row in rows]
         self._refuse_struck(watchdogs)
-        # A servo that reports an error has switched its torque off itself.
-        on = [row[0] or row[-1] > 0 for row in self._bus.get(POWER)]
         every = np.ones(len(rows), int)
         return (
             limits,
             Setting("watchdog", self._watchdog_steps * every, np.array(watchdogs)),
-            Setting("torque", every, np.array(on, int)),
+            Setting("torque", every, self._torque()),
         )
 
     def read(self) -> Reading:
-        """Positions, velocities and currents; temperatures, errors and watchdogs in turns."""
+        """Positions, velocities and currents; temperatures and errors in turns."""
         if self._cycle % _SLOW_EVERY == _SLOW_EVERY - 1:
             self._look(_SLOW[self._cycle // _SLOW_EVERY % len(_SLOW)])
         self._cycle += 1

@@ -103,9 +103,10 @@ class WujiDevice:
         try:
             self._hand = wujihandpy.Hand(serial_number=self._port or None)
             self._check_side(int(self._hand.read_handedness()))
-            # Of a joint without a limit in the table it is the hand's own.
-            own = 1000.0 * _flat(self._hand.read_joint_effort_limit())
-            self._limits = np.where(np.isfinite(self._table.limits), self._table.limits, own)
+            self._limits, missing = self._table.limits, ~np.isfinite(self._table.limits)
+            if missing.any():  # the hand's own
+                own = 1000.0 * _flat(self._hand.read_joint_effort_limit())
+                self._limits = np.where(missing, own, self._limits)
             self._limit()
             self.read()
         except SinkError:
